@@ -1,0 +1,106 @@
+"""The exceptions that a user can meet, each with what was expected, what was found and what to do.
+
+Everything here derives from :class:`PrbenchError`; the command line prints such an error as one message
+and exits with its ``exit_code``, without a traceback. Anything else that escapes is a defect of prbench.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class PrbenchError(Exception):
+    """A problem that the user can repair."""
+
+    exit_code = 1
+
+
+class InputFileError(PrbenchError):
+    """A file that prbench was asked to read does not hold what its format promises.
+
+    Args:
+        path: The file.
+        where: Row, key or column inside it; empty if the file as a whole is meant.
+        expected: What the format asks for.
+        found: What stands there.
+        remedy: What the user can do about it.
+    """
+
+    exit_code = 3
+
+    def __init__(self, path: Path | str, where: str, *, expected: str, found: str, remedy: str = "") -> None:
+        self.path, self.where, self.expected, self.found, self.remedy = Path(path), where, expected, found, remedy
+        place = f"{path}, {where}" if where else f"{path}"
+        super().__init__(f"{place}: expected {expected}, found {found}.{' ' + remedy if remedy else ''}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Keep the keyword-only parts when the error crosses a process border."""
+        return _rebuild_input_file_error, (self.path, self.where, self.expected, self.found, self.remedy)
+
+
+def _rebuild_input_file_error(path: Path, where: str, expected: str, found: str, remedy: str) -> InputFileError:
+    return InputFileError(path, where, expected=expected, found=found, remedy=remedy)
+
+
+class RecordingUnusable(PrbenchError):
+    """A recording is known or found to be unfit; a build reports it and goes on with the others."""
+
+    exit_code = 3
+
+
+class StreamsDoNotOverlap(PrbenchError):
+    """Streams of one recording share no instant; the message names both ranges and the likely unit."""
+
+    exit_code = 3
+
+
+class TableError(PrbenchError):
+    """A sequence table is missing, empty, of an unknown version, or inconsistent in itself."""
+
+    exit_code = 4
+
+
+class AdapterError(PrbenchError):
+    """A method is unknown, cannot be loaded, or broke the adapter contract."""
+
+    exit_code = 5
+
+
+class PredictionsError(PrbenchError):
+    """A predictions file does not match the table that it is scored on."""
+
+    exit_code = 6
+
+
+class RunError(PrbenchError):
+    """A run folder belongs to other inputs than the ones given, or is damaged."""
+
+    exit_code = 7
+
+
+class StorageError(PrbenchError):
+    """Writing failed: the disk is full, the folder is not writable, or a file is in the way."""
+
+    exit_code = 8
+
+
+class UsageError(PrbenchError):
+    """The command line asks for something that does not exist or does not fit together."""
+
+    exit_code = 2
+
+
+class MissingExtraError(PrbenchError):
+    """An optional package is needed; the message holds the ``pip install`` line that helps."""
+
+    exit_code = 9
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        self.package, self.extra, self.purpose = package, extra, purpose
+        super().__init__(
+            f"{purpose} needs the package '{package}', which is not installed. Run: pip install 'prbench[{extra}]'"
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Keep the three parts when the error crosses a process border."""
+        return type(self), (self.package, self.extra, self.purpose)

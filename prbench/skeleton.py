@@ -1,0 +1,170 @@
+"""The 22 joints, the canonical frame of a sequence, and the head-forward vector.
+
+Joint order and frames follow HumanML3D: metres, Y up, right-handed; a body that faces +Z has its left side on +X.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+class Joint(IntEnum):
+    """The 22 SMPL body joints in HumanML3D order."""
+
+    PELVIS = 0
+    LEFT_HIP = 1
+    RIGHT_HIP = 2
+    SPINE1 = 3
+    LEFT_KNEE = 4
+    RIGHT_KNEE = 5
+    SPINE2 = 6
+    LEFT_ANKLE = 7
+    RIGHT_ANKLE = 8
+    SPINE3 = 9
+    LEFT_FOOT = 10
+    RIGHT_FOOT = 11
+    NECK = 12
+    LEFT_COLLAR = 13
+    RIGHT_COLLAR = 14
+    HEAD = 15
+    LEFT_SHOULDER = 16
+    RIGHT_SHOULDER = 17
+    LEFT_ELBOW = 18
+    RIGHT_ELBOW = 19
+    LEFT_WRIST = 20
+    RIGHT_WRIST = 21
+
+
+N_JOINTS = len(Joint)
+JOINT_SET = "humanml3d-22"
+
+PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+"""Parent of each joint; -1 for the pelvis."""
+
+CHAINS: tuple[tuple[int, ...], ...] = (
+    (0, 2, 5, 8, 11),
+    (0, 1, 4, 7, 10),
+    (0, 3, 6, 9, 12, 15),
+    (9, 14, 17, 19, 21),
+    (9, 13, 16, 18, 20),
+)
+"""Kinematic chains in the order of the HumanML3D features: right leg, left leg, trunk, right arm, left arm."""
+
+BONES: tuple[tuple[int, int], ...] = tuple((PARENTS[child], child) for child in range(1, N_JOINTS))
+"""(parent, child) of the 21 bones, in the order of the child."""
+
+WRISTS: tuple[int, int] = (Joint.LEFT_WRIST, Joint.RIGHT_WRIST)
+TOES: tuple[int, int] = (Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
+
+_LYING_SIDEWAYS = 0.1  # sine of the angle between shoulder axis and neck-head bone below which no frame is defined
+_SHORTEST_NECK = 0.01  # metres
+
+
+def bone_lengths(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch 21"]:
+    """Lengths of the 21 bones in the order of :data:`BONES`, metres."""
+    parents, children = np.transpose(BONES)
+    return np.linalg.norm(joints[..., children, :] - joints[..., parents, :], axis=-1)
+
+
+def facing_yaw(joints: Float[np.ndarray, "22 3"]) -> float:
+    """Heading of a pose about +Y, radians: 0 faces +Z, positive turns towards +X.
+
+    The facing direction is Y x across with across = (right hip - left hip) + (right shoulder - left shoulder)
+    (``formats/humanml3d.md`` section 2, step 4). A pose that faces exactly -Z gets a yaw of pi, not NaN.
+
+    Raises:
+        ValueError: if hips and shoulders stand exactly above one another, so that no heading exists.
+    """
+    across = (
+        joints[Joint.RIGHT_HIP]
+        - joints[Joint.LEFT_HIP]
+        + joints[Joint.RIGHT_SHOULDER]
+        - joints[Joint.LEFT_SHOULDER]
+    )
+    forward_x, forward_z = across[2], -across[0]  # Y x across
+    if np.hypot(forward_x, forward_z) < 1e-9:
+        raise ValueError("the pose has no heading: hips and shoulders lie on one vertical line")
+    return float(np.arctan2(forward_x, forward_z))
+
+
+def canonical_frame(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "4 4"]:
+    """``world_from_canonical`` of a motion: pelvis of frame 0 over the origin facing +Z, lowest joint at Y = 0.
+
+    The rotation is a pure yaw, so gravity keeps its direction. "Lowest" means over all joints and all frames
+    (``formats/humanml3d.md`` section 2, steps 2 to 4).
+
+    Args:
+        joints: World frame, metres, Y up.
+
+    Returns:
+        Rigid transform; maps canonical coordinates into the world.
+    """
+    yaw = facing_yaw(joints[0])
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    pelvis = joints[0, Joint.PELVIS]
+    world_from_canonical = np.eye(4)
+    world_from_canonical[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
+    world_from_canonical[:3, 3] = pelvis[0], joints[..., 1].min(), pelvis[2]
+    return world_from_canonical
+
+
+def transform_points(a_from_b: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*batch 3"]) -> np.ndarray:
+    """Points given in frame b, expressed in frame a."""
+    return points @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+
+
+def invert_rigid(a_from_b: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """``b_from_a`` of a rotation with translation."""
+    b_from_a = np.eye(4)
+    b_from_a[:3, :3] = a_from_b[:3, :3].T
+    b_from_a[:3, 3] = -a_from_b[:3, :3].T @ a_from_b[:3, 3]
+    return b_from_a
+
+
+def head_forward(
+    joints: Float[np.ndarray, "*batch 22 3"],
+    head_tilt_deg: float | Float[np.ndarray, "*batch"],  # noqa: F821
+) -> tuple[Float[np.ndarray, "*batch 3"], Bool[np.ndarray, "*batch"]]:
+    """Head-forward vector H from the joints alone (``formats/humanml3d.md`` section 8).
+
+    With h the unit vector neck to head and a the left-pointing shoulder axis made orthogonal to h,
+    ``H = cos(tilt) (a x h) + sin(tilt) h``; its ray starts at the head joint.
+
+    Args:
+        joints: Any frame with Y up, metres.
+        head_tilt_deg: Rest tilt of the neck-head bone from the vertical, towards the front, degrees; a constant of
+            the skeleton that the pose came from (column ``head_tilt_deg`` of the sequence table). Broadcasts against
+            the leading axes of ``joints``.
+
+    Returns:
+        Unit vectors, and a mask of degenerate poses: shoulder axis within about 6 degrees of the neck-head bone (lying
+        sideways), or head within 1 cm of the neck. Degenerate poses take the torso (pelvis to neck) as their vertical.
+        Poses without any torso or shoulder axis have H = 0.
+    """
+    neck, head = joints[..., Joint.NECK, :], joints[..., Joint.HEAD, :]
+    shoulders = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
+    up, neck_length = _normalised(head - neck)
+    left, sine = _orthogonal_part(shoulders, up)
+    degenerate = (neck_length < _SHORTEST_NECK) | (sine < _LYING_SIDEWAYS)
+    if degenerate.any():
+        torso_up, _ = _normalised(neck - joints[..., Joint.PELVIS, :])
+        torso_left, _ = _orthogonal_part(shoulders, torso_up)
+        up = np.where(degenerate[..., None], torso_up, up)
+        left = np.where(degenerate[..., None], torso_left, left)
+    tilt = np.where(degenerate, 0.0, np.deg2rad(np.asarray(head_tilt_deg, dtype=np.float64)))[..., None]
+    return np.cos(tilt) * np.cross(left, up) + np.sin(tilt) * up, degenerate
+
+
+def _normalised(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    length = np.linalg.norm(vectors, axis=-1)
+    return vectors / np.where(length > 0, length, 1.0)[..., None], length
+
+
+def _orthogonal_part(vectors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit part of ``vectors`` orthogonal to the unit ``axis``, and the sine of the angle between them."""
+    unit, _ = _normalised(vectors)
+    part = unit - (unit * axis).sum(axis=-1, keepdims=True) * axis
+    return _normalised(part)

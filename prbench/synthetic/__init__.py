@@ -1,0 +1,1 @@
+"""Procedural people with known truth: motion (``people``), sensor noise, and native files (``layouts``)."""
