@@ -79,10 +79,7 @@ def facing_yaw(joints: Float[np.ndarray, "22 3"]) -> float:
         ValueError: if hips and shoulders stand exactly above one another, so that no heading exists.
     """
     across = (
-        joints[Joint.RIGHT_HIP]
-        - joints[Joint.LEFT_HIP]
-        + joints[Joint.RIGHT_SHOULDER]
-        - joints[Joint.LEFT_SHOULDER]
+        joints[Joint.RIGHT_HIP] - joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_SHOULDER] - joints[Joint.LEFT_SHOULDER]
     )
     forward_x, forward_z = across[2], -across[0]  # Y x across
     if np.hypot(forward_x, forward_z) < 1e-9:
@@ -112,8 +109,12 @@ def canonical_frame(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarra
 
 
 def transform_points(a_from_b: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*batch 3"]) -> np.ndarray:
-    """Points given in frame b, expressed in frame a."""
-    return points @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+    """Points given in frame b, expressed in frame a.
+
+    Written out axis by axis: a matrix product may round differently with another number of threads or rows.
+    """
+    x, y, z = points[..., 0:1], points[..., 1:2], points[..., 2:3]
+    return x * a_from_b[:3, 0] + y * a_from_b[:3, 1] + z * a_from_b[:3, 2] + a_from_b[:3, 3]
 
 
 def invert_rigid(a_from_b: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -1,0 +1,1 @@
+"""The methods that come with prbench, each behind the same contract as anybody else's."""

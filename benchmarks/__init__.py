@@ -1,0 +1,1 @@
+"""Protocols and published numbers of the benchmarks. Data only."""

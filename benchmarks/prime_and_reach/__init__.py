@@ -1,0 +1,1 @@
+"""The prime-and-reach benchmark: its protocol. Data only."""

@@ -1,0 +1,181 @@
+"""Dataset manifests and the benchmark protocol as frozen data classes, read once from TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from functools import cache
+from importlib import resources
+from typing import Literal, TypeVar
+
+import msgspec
+
+from prbench.errors import InputFileError, UsageError
+
+Redistribution = Literal["none", "non-commercial", "yes"]
+
+
+class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where a dataset's body poses come from and how they map to the 22 joints."""
+
+    pose_source: str
+    head_tilt_deg: float
+    joint_mapping: tuple[str, ...]
+    """Native joint of each of the 22 joints; ``a+b`` is the mean of two."""
+
+
+class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """When an object counts as held: a contact point close to it, and the object moving. Metres and seconds."""
+
+    contact: Literal["middle_finger_base", "wrist", "hand_vertex"]
+    target: Literal["oriented_box", "origin"]
+    distance: float
+    moving_speed: float
+    moving_window: float
+    minimum_duration: float
+    join_gap: float
+    rest_tolerance: float
+    smallest_displacement: float
+    drop_hinged: bool
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One dataset: origin, licence, layout, and every number that its curation uses."""
+
+    schema: Literal[1]
+    name: str
+    title: str
+    homepage: str
+    how_to_obtain: str
+    licence: str
+    redistribution: Redistribution
+    citation: str
+    required_files: tuple[str, ...]
+    optional_files: tuple[str, ...]
+    rates_hz: dict[str, float]
+    body: BodySource
+    in_hand: InHandRule
+    in_hand_alternatives: dict[str, InHandRule] = {}
+    known_bad: dict[str, str] = {}
+    """Name (or beginning of the name) of a recording that must be skipped, and why."""
+    test_recordings: tuple[str, ...] = ()
+    validation_recordings: tuple[str, ...] = ()
+    train_recordings: tuple[str, ...] = ()
+
+    def in_hand_rule(self, name: str | None) -> InHandRule:
+        """The dataset's own rule, or one of its alternatives by name.
+
+        Raises:
+            UsageError: for a name that the manifest does not list.
+        """
+        if name is None:
+            return self.in_hand
+        if name not in self.in_hand_alternatives:
+            known = ", ".join(sorted(self.in_hand_alternatives)) or "none"
+            raise UsageError(f"{self.name} has no in-hand rule '{name}'; its alternatives are: {known}.")
+        return self.in_hand_alternatives[name]
+
+    def why_bad(self, recording_id: str) -> str | None:
+        """The reason why a recording must be skipped, or None."""
+        for name, reason in self.known_bad.items():
+            if recording_id == name or recording_id.startswith(f"{name}_"):
+                return reason
+        return None
+
+
+class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers of the path from event to sequence; metres and seconds."""
+
+    priming_window: float
+    near_miss_distance: float
+    lead: float
+    minimum_movement: float
+    ray_origin: Literal["eye", "camera"]
+    largest_interpolated_gap: float
+
+
+class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Shares of the hash range [0, 1) that decide a recording's split."""
+
+    test_from: float
+    validation_below: float
+
+
+class TextTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The text condition of each action."""
+
+    pick: str
+    put: str
+
+
+class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Constants of the six metrics; metres and seconds."""
+
+    prime_window: float
+    prime_duration: float
+    prime_distance: float
+    deceleration_tolerance: float
+    head_smoothing: float
+    reach_distance: float
+    location_error_distance: float
+    foot_height: float
+    foot_speed: float
+    foot_window: float
+
+
+class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One version of the benchmark's rules."""
+
+    version: int
+    fps: float
+    conditions: tuple[str, ...]
+    curation: CurationConstants
+    splits: SplitRule
+    text: TextTemplates
+    metrics: MetricConstants
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the values; equal rules have equal digests, however the file is laid out."""
+        return digest_of(self)
+
+
+def digest_of(constants: msgspec.Struct) -> str:
+    """SHA-256 of a manifest's, rule's or protocol's values."""
+    return hashlib.sha256(msgspec.json.encode(constants, order="sorted")).hexdigest()
+
+
+@cache
+def load_manifest(dataset: str) -> Manifest:
+    """The manifest of a dataset.
+
+    Raises:
+        UsageError: for a dataset without manifest.
+        InputFileError: if the file does not fit the data class (naming the key).
+    """
+    if dataset not in dataset_names():
+        raise UsageError(f"unknown dataset '{dataset}'; known ones are: {', '.join(dataset_names())}.")
+    return _read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
+
+
+@cache
+def load_protocol() -> BenchmarkProtocol:
+    """The protocol of the prime-and-reach benchmark."""
+    return _read_toml("prbench_benchmarks.prime_and_reach", "protocol.toml", BenchmarkProtocol)
+
+
+def dataset_names() -> tuple[str, ...]:
+    """Names of the datasets that have a manifest, sorted."""
+    files = resources.files("prbench_data_manifests").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+Loaded = TypeVar("Loaded", bound=msgspec.Struct)
+
+
+def _read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
+    file = resources.files(package) / name
+    try:
+        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise InputFileError(str(file), "", expected=f"the fields of {form.__name__}", found=str(error)) from error

@@ -1,0 +1,194 @@
+"""The streams of one recording, on one clock, in one frame.
+
+World frame: metres, Y up, right-handed. Times: seconds on the recording's clock, strictly increasing within a stream;
+every stream has its own. Quaternions: w x y z, Hamilton. Values are finite everywhere; where nothing was measured the
+``valid`` mask is False and the value is a harmless filler.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from prbench.timelines import interpolate, slerp
+
+Side = Literal["left", "right"]
+Action = Literal["pick", "put"]
+ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
+
+
+def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
+    assert times.ndim == 1 and (np.diff(times) > 0).all(), "times must increase strictly; readers check their files"
+    assert all(len(column) == len(times) for column in columns), "one row a time"
+    assert all(np.isfinite(column).all() for column in columns), "streams hold no NaN; readers mask instead"
+
+
+@dataclass(frozen=True)
+class GazeStream:
+    """Where the wearer looks: rays in the world."""
+
+    times: Float[np.ndarray, " n"]
+    origin: Float[np.ndarray, "n 3"]
+    """Between the eyes (central pupil frame)."""
+    direction: Float[np.ndarray, "n 3"]
+    """Unit vectors."""
+    valid: Bool[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        _check_stream(self.times, self.origin, self.direction, self.valid)
+
+
+@dataclass(frozen=True)
+class PoseStream:
+    """A rigid body in the world: ``world = rotation * local + position``."""
+
+    times: Float[np.ndarray, " n"]
+    position: Float[np.ndarray, "n 3"]
+    rotation: Float[np.ndarray, "n 4"]
+    valid: Bool[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        _check_stream(self.times, self.position, self.rotation, self.valid)
+
+
+@dataclass(frozen=True)
+class BodyStream:
+    """The 22 joints of :class:`prbench.skeleton.Joint`."""
+
+    times: Float[np.ndarray, " n"]
+    joints: Float[np.ndarray, "n 22 3"]
+    valid: Bool[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        _check_stream(self.times, self.joints, self.valid)
+
+
+@dataclass(frozen=True)
+class HandStream:
+    """One kind of contact point on one hand: a single point (k = 1) or mesh vertices."""
+
+    side: Side
+    contact: ContactPoint
+    times: Float[np.ndarray, " n"]
+    points: Float[np.ndarray, "n k 3"]
+    valid: Bool[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        _check_stream(self.times, self.points, self.valid)
+
+
+@dataclass(frozen=True)
+class ObjectTrack:
+    """One object: its pose over time and its box in its own frame.
+
+    A track of one sample is an object that does not move: its pose holds at all times.
+    """
+
+    object_id: str
+    """The dataset's own id as text; 16-digit ids do not survive a float."""
+    name: str
+    category: str
+    times: Float[np.ndarray, " n"]
+    position: Float[np.ndarray, "n 3"]
+    rotation: Float[np.ndarray, "n 4"]
+    valid: Bool[np.ndarray, " n"]
+    box_min: Float[np.ndarray, "3"]
+    """Lower corner in the object's frame; equal to ``box_max`` where the dataset knows points only."""
+    box_max: Float[np.ndarray, "3"]
+    movable: bool
+    """Whether the dataset tracks it; only such objects can be picked up."""
+
+    def __post_init__(self) -> None:
+        _check_stream(self.times, self.position, self.rotation, self.valid)
+
+    def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
+        """Position and rotation interpolated between valid samples, end values held beyond them."""
+        usable = self.valid if self.valid.any() else np.ones_like(self.valid)
+        times = self.times[usable]
+        return interpolate(times, self.position[usable], query), slerp(times, self.rotation[usable], query)
+
+    def world_box(
+        self, position: Float[np.ndarray, "m 3"], rotation: Float[np.ndarray, "m 4"]
+    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+        """World-aligned boxes (lower, upper corners) around the eight turned corners, one a pose."""
+        matrix = np.abs(Rotation.from_quat(rotation, scalar_first=True).as_matrix())
+        centre = position + Rotation.from_quat(rotation, scalar_first=True).apply((self.box_min + self.box_max) / 2)
+        reach = (matrix * ((self.box_max - self.box_min) / 2)).sum(axis=-1)
+        return centre - reach, centre + reach
+
+
+@dataclass(frozen=True)
+class OtherPerson:
+    """Somebody else in the scene: hands that may move objects too."""
+
+    person_id: str
+    hands: tuple[HandStream, ...]
+
+
+@dataclass(frozen=True)
+class AnnotatedEvent:
+    """A pick or put that the dataset itself lists."""
+
+    native_key: str
+    """What identifies it in the dataset."""
+    action: Action
+    object_id: str
+    object_name: str
+    event_time: float
+    location: Float[np.ndarray, "3"] | None
+    """None where the dataset gives no place."""
+    box_min: Float[np.ndarray, "3"] | None
+    box_max: Float[np.ndarray, "3"] | None
+    hand: Side | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Everything that one recording tells curation; the class that every reader yields, one at a time."""
+
+    dataset: str
+    recording_id: str
+    participant_id: str
+    pose_source: str
+    """Where the body comes from (``adt-optitrack``, ``egoallo``, …); ``none`` without a body."""
+    head_tilt_deg: float
+    """Rest tilt of that body's neck-head bone, degrees (``formats/humanml3d.md`` section 8)."""
+    span: tuple[float, float]
+    """First and last instant with ground truth, seconds."""
+    gaze: GazeStream
+    camera: PoseStream
+    """The scene camera of the glasses."""
+    head: PoseStream
+    """The glasses' central pupil frame: x left, y up, z forward."""
+    body: BodyStream | None
+    hands: tuple[HandStream, ...]
+    objects: tuple[ObjectTrack, ...]
+    other_people: tuple[OtherPerson, ...] = ()
+    annotated_events: tuple[AnnotatedEvent, ...] = ()
+    split_group: str = ""
+    """Recordings with one group share a split (concurrent twins); the recording's own id where it stands alone."""
+    hinged_objects: frozenset[str] = frozenset()
+    """Ids of doors, drawers and the like, where the dataset says so."""
+    world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
+    messages: tuple[str, ...] = ()
+    """What the reader noticed and the user should know."""
+
+    def hand_streams(self, contact: ContactPoint) -> tuple[HandStream, ...]:
+        """The wearer's streams of one kind of contact point."""
+        return tuple(stream for stream in self.hands if stream.contact == contact)
+
+    def object(self, object_id: str) -> ObjectTrack:
+        """The track of one object.
+
+        Raises:
+            KeyError: for an id that the recording does not hold.
+        """
+        for track in self.objects:
+            if track.object_id == object_id:
+                return track
+        raise KeyError(object_id)

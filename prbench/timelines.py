@@ -1,0 +1,167 @@
+"""Streams on one clock: nearest samples, resampling across no gap, clock mapping, and the grid of a sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation, Slerp
+
+from prbench.errors import StreamsDoNotOverlap
+
+
+def nearest_index(times: Float[np.ndarray, " n"], query: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+    """Index of the sample nearest to each query time; of two equally near ones the earlier.
+
+    Args:
+        times: Strictly increasing, at least one sample, seconds.
+        query: Seconds, any order.
+    """
+    right = np.clip(np.searchsorted(times, query), 1, max(len(times) - 1, 1))
+    if len(times) == 1:
+        return np.zeros(len(query), dtype=np.int64)
+    left = right - 1
+    return np.where(query - times[left] <= times[right] - query, left, right)
+
+
+def covered(
+    times: Float[np.ndarray, " n"],
+    valid: Bool[np.ndarray, " n"],
+    query: Float[np.ndarray, " m"],
+    *,
+    max_gap: float,
+    tolerance: float = 1e-6,
+) -> Bool[np.ndarray, " m"]:
+    """Whether each query time can be interpolated from *valid* neighbours that are at most ``max_gap`` apart.
+
+    A query that coincides with a valid sample is covered whatever its neighbours are. Nothing is extrapolated.
+
+    Args:
+        times: Strictly increasing, seconds.
+        valid: Samples that may be used.
+        query: Seconds.
+        max_gap: Largest distance between the two neighbours, seconds.
+        tolerance: Slack for equality of times, seconds.
+    """
+    usable = times[valid]
+    if len(usable) == 0:
+        return np.zeros(len(query), dtype=bool)
+    on_sample = np.abs(usable[nearest_index(usable, query)] - query) <= tolerance
+    right = np.searchsorted(usable, query)
+    between = (right > 0) & (right < len(usable))
+    step = usable[np.clip(right, 0, len(usable) - 1)] - usable[np.clip(right - 1, 0, len(usable) - 1)]
+    return on_sample | (between & (step <= max_gap + tolerance))
+
+
+def interpolate(
+    times: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "n *shape"],
+    query: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, "m *shape"]:
+    """Linear interpolation along the first axis; outside the range the end values are held.
+
+    Combine with :func:`covered`, which says where the result means something.
+
+    Args:
+        times: Strictly increasing, seconds; one sample or more.
+        values: One value a sample.
+        query: Seconds.
+    """
+    if len(times) == 1:
+        return np.broadcast_to(values, (len(query), *values.shape[1:])).copy()
+    right = np.clip(np.searchsorted(times, query), 1, len(times) - 1)
+    left = right - 1
+    weight = np.clip((query - times[left]) / (times[right] - times[left]), 0.0, 1.0)
+    weight = weight.reshape(-1, *(1,) * (values.ndim - 1))
+    return values[left] * (1 - weight) + values[right] * weight
+
+
+def slerp(
+    times: Float[np.ndarray, " n"],
+    quaternions: Float[np.ndarray, "n 4"],
+    query: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, "m 4"]:
+    """Spherical interpolation of rotations (w x y z) on the shorter arc; outside the range the end values are held."""
+    if len(times) == 1:
+        return np.broadcast_to(quaternions, (len(query), 4)).copy()
+    if len(query) == 0:
+        return np.empty((0, 4))
+    rotations = Rotation.from_quat(quaternions, scalar_first=True)
+    inside = np.clip(query, times[0], times[-1])
+    return Slerp(times, rotations)(inside).as_quat(scalar_first=True)
+
+
+@dataclass(frozen=True)
+class ClockMap:
+    """Affine map from one clock to another: ``target = source * (1 + drift_ppm * 1e-6) + offset``, seconds."""
+
+    offset: float = 0.0
+    drift_ppm: float = 0.0
+
+    def __call__(self, source: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Times on the target clock."""
+        return source * (1.0 + self.drift_ppm * 1e-6) + self.offset
+
+    def inverse(self, target: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Times on the source clock."""
+        return (target - self.offset) / (1.0 + self.drift_ppm * 1e-6)
+
+
+@dataclass(frozen=True)
+class SequenceGrid:
+    """The frame times of one sequence: uniform, ending exactly at the event (design, section 2)."""
+
+    start_time: float
+    fps: float
+    n_frames: int
+
+    @classmethod
+    def ending_at(cls, event_time: float, *, prime_time: float, lead: float, fps: float) -> SequenceGrid:
+        """The grid that covers ``[prime_time - lead, event_time]`` with its last frame on ``event_time``."""
+        n_frames = int(np.floor((event_time - prime_time + lead) * fps + 1e-6)) + 1
+        return cls(event_time - (n_frames - 1) / fps, fps, n_frames)
+
+    @property
+    def times(self) -> Float[np.ndarray, " n_frames"]:
+        """Frame times, seconds."""
+        return self.start_time + np.arange(self.n_frames) / self.fps
+
+
+def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str) -> tuple[float, float]:
+    """The span that all streams share.
+
+    Args:
+        ranges: First and last time of each stream, seconds.
+        recording: Name used in the error.
+
+    Raises:
+        StreamsDoNotOverlap: naming two streams without a common instant, both ranges and, where one exists, the unit
+            that would make them overlap.
+    """
+    start = max(begin for begin, _ in ranges.values())
+    end = min(end for _, end in ranges.values())
+    if start <= end:
+        return start, end
+    late = max(ranges, key=lambda name: ranges[name][0])
+    early = min(ranges, key=lambda name: ranges[name][1])
+    message = (
+        f"{recording}: streams do not overlap: {early} {_span(ranges[early])}, {late} {_span(ranges[late])}."
+        f" {_unit_hint(early, ranges[early], late, ranges[late])}"
+    )
+    raise StreamsDoNotOverlap(message)
+
+
+_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+
+
+def _span(span: tuple[float, float]) -> str:
+    return f"{span[0]:,.3f} … {span[1]:,.3f} s"
+
+
+def _unit_hint(early: str, early_span: tuple[float, float], late: str, late_span: tuple[float, float]) -> str:
+    for unit, scale in _UNITS.items():
+        if late_span[0] * scale <= early_span[1] and late_span[1] * scale >= early_span[0]:
+            return f"{late} would overlap if its times were {unit}; check the unit of its time column."
+    return "No change of unit makes them overlap; check that the files belong to one recording and one clock."

@@ -1,0 +1,31 @@
+"""Shared fixtures; every array annotation of prbench is checked while the tests run."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
+    install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def samples() -> Path:
+    """Folder of small real recordings and golden values; tests that need it are skipped without it."""
+    folder = os.environ.get("PRBENCH_SAMPLES", "")
+    if not folder:
+        pytest.skip("set PRBENCH_SAMPLES to the folder of sample recordings to run this test")
+    if not Path(folder).is_dir():
+        pytest.fail(f"PRBENCH_SAMPLES={folder} is no folder")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def reference_values(samples: Path) -> dict[str, dict]:
+    """Expected values of the native formats, by id."""
+    items = json.loads((samples.parent / "formats" / "reference-values.json").read_text())["items"]
+    return {item["id"]: item for item in items}
