@@ -18,7 +18,7 @@ def named_generator(*parts: str | int) -> np.random.Generator:
 
 
 def noise_seed(run_seed: int, sequence_id: str, sample: int) -> int:
-    """The seed of one generated motion: 63 bits that depend on run seed, sequence and sample alone (design, section 3)."""
+    """The seed of one generated motion: 63 bits that depend on nothing but run seed, sequence and sample."""
     digest = hashlib.sha256(f"{run_seed}/{sequence_id}/{sample}".encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 

@@ -127,7 +127,7 @@ def invert_rigid(a_from_b: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]
 
 def head_forward(
     joints: Float[np.ndarray, "*batch 22 3"],
-    head_tilt_deg: float | Float[np.ndarray, "*batch"],  # noqa: F821
+    head_tilt_deg: float | Float[np.ndarray, "*batch"],
 ) -> tuple[Float[np.ndarray, "*batch 3"], Bool[np.ndarray, "*batch"]]:
     """Head-forward vector H from the joints alone (``formats/humanml3d.md`` section 8).
 

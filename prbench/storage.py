@@ -32,10 +32,10 @@ def atomic_path(path: Path) -> Iterator[Path]:
     try:
         with _storage_errors(path):
             yield temporary
-            os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner can read
+            temporary.chmod(0o666 & ~_umask())  # mkstemp makes files that only their owner can read
             with open(temporary, "rb") as written:
                 os.fsync(written.fileno())
-            os.replace(temporary, path)
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -53,10 +53,10 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     try:
         with _storage_errors(path):
             yield temporary
-            os.chmod(temporary, 0o777 & ~_umask())
+            temporary.chmod(0o777 & ~_umask())
             if path.exists():
                 shutil.rmtree(path)
-            os.replace(temporary, path)
+            temporary.replace(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

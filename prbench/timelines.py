@@ -148,7 +148,7 @@ def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str
     early = min(ranges, key=lambda name: ranges[name][1])
     message = (
         f"{recording}: streams do not overlap: {early} {_span(ranges[early])}, {late} {_span(ranges[late])}."
-        f" {_unit_hint(early, ranges[early], late, ranges[late])}"
+        f" {_unit_hint(ranges[early], late, ranges[late])}"
     )
     raise StreamsDoNotOverlap(message)
 
@@ -160,7 +160,7 @@ def _span(span: tuple[float, float]) -> str:
     return f"{span[0]:,.3f} … {span[1]:,.3f} s"
 
 
-def _unit_hint(early: str, early_span: tuple[float, float], late: str, late_span: tuple[float, float]) -> str:
+def _unit_hint(early_span: tuple[float, float], late: str, late_span: tuple[float, float]) -> str:
     for unit, scale in _UNITS.items():
         if late_span[0] * scale <= early_span[1] and late_span[1] * scale >= early_span[0]:
             return f"{late} would overlap if its times were {unit}; check the unit of its time column."

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.skeleton import bone_lengths
+from prbench.timelines import nearest_index
 
 _BONE_TOLERANCE = 0.20  # share of the recording's median bone length
 _FASTEST_JOINT = 10.0  # m/s
@@ -42,3 +43,13 @@ def plausible_body_frames(
     isolated[-1] &= not fast[-2]
     shaped[index[isolated]] = False
     return shaped
+
+
+def hold_neighbours(values: Float[np.ndarray, "n *shape"], valid: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n *shape"]:
+    """Invalid rows replaced by the nearest valid one (of two equally near the earlier); zeros if none is valid."""
+    index = np.flatnonzero(valid)
+    if len(index) == 0:
+        return np.zeros_like(values)
+    if len(index) == len(values):
+        return values
+    return values[index[nearest_index(index.astype(np.float64), np.arange(len(values), dtype=np.float64))]]

@@ -22,7 +22,8 @@ ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
 
 
 def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
-    assert times.ndim == 1 and (np.diff(times) > 0).all(), "times must increase strictly; readers check their files"
+    assert times.ndim == 1, "one time a row"
+    assert (np.diff(times) > 0).all(), "times must increase strictly; readers check their files"
     assert all(len(column) == len(times) for column in columns), "one row a time"
     assert all(np.isfinite(column).all() for column in columns), "streams hold no NaN; readers mask instead"
 

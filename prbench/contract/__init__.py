@@ -1,0 +1,19 @@
+"""Everything that a third party imports to add a method."""
+
+from prbench.contract.adapter import ENTRY_POINT_GROUP, Adapter, LoadAdapter, Trainable
+from prbench.contract.conditions import GIVEN, Condition, ConditionBatch
+from prbench.contract.motions import Cost, Motions
+from prbench.contract.training_run import TrainingRun
+
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "GIVEN",
+    "Adapter",
+    "Condition",
+    "ConditionBatch",
+    "Cost",
+    "LoadAdapter",
+    "Motions",
+    "Trainable",
+    "TrainingRun",
+]

@@ -1,0 +1,65 @@
+"""The contract of a method: what a third party implements.
+
+An installed package offers a method by an entry point in the group ``prbench.adapters`` that names a callable
+``load(weights, *, options, device) -> Adapter``. Importing the module must be cheap: weights and heavy packages load
+on first use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from prbench.contract.conditions import Condition, ConditionBatch
+from prbench.contract.motions import Motions
+from prbench.contract.training_run import TrainingRun
+from prbench.sequences.table import SequenceTable
+
+ENTRY_POINT_GROUP = "prbench.adapters"
+
+
+@runtime_checkable
+class Adapter(Protocol):
+    """A motion generator.
+
+    Two optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
+    never cut) and ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
+    result to the table's grid).
+    """
+
+    name: str
+    conditions: frozenset[Condition]
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
+        """Generate one motion for each row, of exactly ``batch.n_frames`` frames.
+
+        Args:
+            batch: What the method may know. ``batch.noise_seed`` is the only source of randomness, so that neither
+                batch size nor order changes a motion.
+            seed: The run's seed, for the record only.
+        """
+        ...
+
+
+@runtime_checkable
+class Trainable(Adapter, Protocol):
+    """A method that learns from a table before it generates."""
+
+    def fit(self, train: SequenceTable, *, validation: SequenceTable | None, run: TrainingRun) -> None:
+        """Learn from the ``train`` split of ``train``; never look at its other splits."""
+        ...
+
+
+class LoadAdapter(Protocol):
+    """What an entry point names."""
+
+    def __call__(self, weights: Path | None, *, options: Mapping[str, str], device: str) -> Adapter:
+        """Make the adapter.
+
+        Args:
+            weights: A file or folder given by the user, or None for the method's default.
+            options: ``--option key=value`` as given; unknown keys must be refused with a ``ValueError``.
+            device: ``cpu``, ``cuda``, ``cuda:1`` …
+        """
+        ...

@@ -1,0 +1,70 @@
+"""Rows of the sequence table as NumPy arrays: views of Arrow's buffers wherever no row had to be left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Int, Shaped
+
+from prbench.skeleton import N_JOINTS
+
+
+@dataclass(frozen=True)
+class SequenceChunk:
+    """Some rows of a sequence table. Columns that were not asked for are absent from ``batch``."""
+
+    batch: pa.RecordBatch
+
+    def __len__(self) -> int:
+        return self.batch.num_rows
+
+    @property
+    def sequence_ids(self) -> list[str]:
+        """One id a row."""
+        return self.strings("sequence_id")
+
+    @property
+    def n_frames(self) -> Int[np.ndarray, " batch"]:
+        """Frames of each row."""
+        return self.numbers("n_frames").astype(np.int64)
+
+    @property
+    def offsets(self) -> Int[np.ndarray, " offsets"]:
+        """Where each row begins in the arrays that :meth:`frames` returns; one more than there are rows."""
+        return np.concatenate(([0], np.cumsum(self.n_frames)))
+
+    @property
+    def joints(self) -> Float[np.ndarray, "total 22 3"]:
+        """Joint positions of all rows after one another, canonical frames, metres, float32."""
+        return self.frames("joints").reshape(-1, N_JOINTS, 3)
+
+    def poses(self, name: str) -> Float[np.ndarray, "batch 22 3"]:
+        """``previous_joints`` or ``next_joints``."""
+        return self.vectors(name).reshape(-1, N_JOINTS, 3)
+
+    def strings(self, name: str) -> list[str]:
+        """A column of text; a missing value is an empty text."""
+        return [value or "" for value in self.batch.column(name).to_pylist()]
+
+    def numbers(self, name: str) -> Shaped[np.ndarray, " batch"]:
+        """A column of numbers; a missing value is NaN."""
+        return self.batch.column(name).to_numpy(zero_copy_only=False)
+
+    def vectors(self, name: str) -> Float[np.ndarray, "batch size"]:
+        """A column of fixed-size vectors."""
+        column = self.batch.column(name)
+        return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)
+
+    def frames(self, name: str) -> np.ndarray:
+        """A column of per-frame values, (total frames, size) or (total frames,); rows without a value have none."""
+        items = self.batch.column(name).flatten()
+        if not pa.types.is_fixed_size_list(items.type):
+            return items.to_numpy(zero_copy_only=False)
+        return items.flatten().to_numpy(zero_copy_only=False).reshape(len(items), items.type.list_size)
+
+    def take(self, rows: SequenceOf[int] | np.ndarray) -> SequenceChunk:
+        """The given rows, in the given order (copies)."""
+        return SequenceChunk(self.batch.take(pa.array(np.asarray(rows, dtype=np.int64))))

@@ -1,0 +1,83 @@
+"""``dataset.json``: what a built dataset is, where it came from and under which terms it may be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import TableError
+from prbench.storage import write_json
+
+FILE_NAME = "dataset.json"
+
+
+class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """How many candidates each stage left."""
+
+    recordings_found: int
+    recordings_read: int
+    recordings_failed: int
+    recordings_skipped: int
+    events: int
+    located: int
+    primed: int
+    long_enough: int
+    moved_enough: int
+    sequences: int
+
+
+class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
+    """A recording that was left out, and why."""
+
+    recording_id: str
+    status: str
+    message: str
+
+
+class DatasetInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """Provenance of one built dataset. Holds no time of day, host, absolute path or worker count."""
+
+    schema_version: int
+    protocol_version: int
+    protocol_digest: str
+    dataset: str
+    title: str
+    synthetic: bool
+    prbench_version: str
+    manifest_digest: str
+    input_digest: str
+    """Over the names and contents of all files that the readers used."""
+    options: dict[str, str]
+    counts: FunnelCounts
+    outcomes: dict[str, int]
+    quarantine: tuple[QuarantinedRecording, ...]
+    identity_digest: str
+    content_digest: str
+    licence: str
+    redistribution: str
+    homepage: str
+    citation: str
+
+    def write(self, folder: Path) -> None:
+        """Write ``dataset.json``."""
+        write_json(folder / FILE_NAME, msgspec.to_builtins(self))
+
+    @classmethod
+    def read(cls, folder: Path) -> DatasetInfo:
+        """Read ``dataset.json``.
+
+        Raises:
+            TableError: if the folder holds none, or it is damaged or of another version.
+        """
+        path = folder / FILE_NAME
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except FileNotFoundError as error:
+            raise TableError(
+                f"{folder}: expected a built dataset (a folder with {FILE_NAME}), found"
+                f" {'no such file in it' if folder.is_dir() else 'no such folder'}."
+                " Make one with `prbench build-dataset`."
+            ) from error
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise TableError(f"{path}: not a valid {FILE_NAME}: {error}. Build the dataset again.") from error

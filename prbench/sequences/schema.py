@@ -1,0 +1,160 @@
+"""The columns of a built dataset: sequences, events and recordings (design, section 2)."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from prbench.errors import TableError
+from prbench.skeleton import JOINT_SET, N_JOINTS
+
+SCHEMA_VERSION = 1
+READABLE_VERSIONS = (1,)
+
+OUTCOMES = (
+    "sequence",
+    "no_location",
+    "not_primed",
+    "too_short",
+    "minimum_movement",
+    "no_body",
+    "other_wearer",
+    "excluded_category",
+    "tracking_lost",
+)
+"""What can become of a candidate event."""
+
+_POSE = pa.list_(pa.float32(), N_JOINTS * 3)
+_POINT = pa.list_(pa.float32(), 3)
+_PRECISE_POINT = pa.list_(pa.float64(), 3)
+
+
+def _field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
+    return pa.field(name, kind, nullable=nullable)
+
+
+SEQUENCES = pa.schema(
+    [
+        _field("sequence_id", pa.string()),
+        _field("dataset", pa.string()),
+        _field("recording_id", pa.string()),
+        _field("participant_id", pa.string()),
+        _field("split", pa.string()),
+        _field("split_group", pa.string()),
+        _field("action", pa.string()),
+        _field("object_id", pa.string()),
+        _field("object_name", pa.string()),
+        _field("text", pa.string()),
+        _field("hand", pa.string(), nullable=True),
+        _field("fps", pa.float64()),
+        _field("n_frames", pa.int32()),
+        _field("start_time", pa.float64()),
+        _field("prime_time", pa.float64()),
+        _field("event_time", pa.float64()),
+        _field("prime_frame", pa.int32()),
+        _field("prime_gap", pa.float64()),
+        _field("preroll", pa.float64()),
+        _field("prime_kind", pa.string()),
+        _field("prime_time_uncertainty", pa.float64()),
+        _field("goal_location", _PRECISE_POINT),
+        _field("goal_box_world_min", _PRECISE_POINT),
+        _field("goal_box_world_max", _PRECISE_POINT),
+        _field("body_movement", pa.float64()),
+        _field("hand_movement", pa.float64()),
+        _field("pose_source", pa.string()),
+        _field("head_tilt_deg", pa.float64()),
+        _field("joints", pa.list_(_POSE)),
+        _field("previous_joints", _POSE),
+        _field("previous_source", pa.string()),
+        _field("next_joints", _POSE),
+        _field("next_source", pa.string()),
+        _field("head_position", pa.list_(_POINT), nullable=True),
+        _field("head_rotation", pa.list_(pa.list_(pa.float32(), 4)), nullable=True),
+        _field("gaze_origin", pa.list_(_POINT)),
+        _field("gaze_direction", pa.list_(_POINT)),
+        _field("gaze_valid", pa.list_(pa.bool_())),
+        _field("world_from_canonical", pa.list_(pa.float64(), 16)),
+        _field("extra", pa.map_(pa.string(), pa.string())),
+    ]
+)
+
+EVENTS = pa.schema(
+    [
+        _field("event_id", pa.string()),
+        _field("recording_id", pa.string()),
+        _field("sequence_id", pa.string(), nullable=True),
+        _field("object_id", pa.string()),
+        _field("object_name", pa.string()),
+        _field("action", pa.string()),
+        _field("hand", pa.string(), nullable=True),
+        _field("event_time", pa.float64()),
+        _field("prime_time", pa.float64(), nullable=True),
+        _field("prime_kind", pa.string(), nullable=True),
+        _field("location", _PRECISE_POINT, nullable=True),
+        _field("box_min", _PRECISE_POINT, nullable=True),
+        _field("box_max", _PRECISE_POINT, nullable=True),
+        _field("outcome", pa.string()),
+        _field("stage", pa.string()),
+        _field("value", pa.float64(), nullable=True),
+        _field("threshold", pa.float64(), nullable=True),
+    ]
+)
+
+RECORDINGS = pa.schema(
+    [
+        _field("recording_id", pa.string()),
+        _field("participant_id", pa.string()),
+        _field("split", pa.string()),
+        _field("split_group", pa.string()),
+        _field("duration", pa.float64()),
+        *(_field(outcome, pa.int32()) for outcome in OUTCOMES),
+        _field("status", pa.string()),
+        _field("message", pa.string()),
+    ]
+)
+
+UNITS = {
+    "length": "m",
+    "time": "s",
+    "angle": "deg where a name says so",
+    "quaternion": "w x y z",
+    "world": "Y up, right-handed",
+    "canonical": "pelvis of frame 0 over the origin facing +Z, lowest joint of the sequence at Y = 0",
+}
+
+
+def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
+    """The schema with version, joint set and units as Parquet metadata."""
+    return schema.with_metadata(
+        {
+            "prbench_schema_version": str(SCHEMA_VERSION),
+            "prbench_protocol_version": str(protocol_version),
+            "joint_set": JOINT_SET,
+            **{f"unit_{quantity}": unit for quantity, unit in UNITS.items()},
+        }
+    )
+
+
+def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:
+    """Refuse a file of an unknown version or with missing or differently typed columns; further columns are welcome.
+
+    Raises:
+        TableError: naming the file, what was expected and what was found.
+    """
+    metadata = schema.metadata or {}
+    version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
+    if version not in {str(known) for known in READABLE_VERSIONS}:
+        known = ", ".join(map(str, READABLE_VERSIONS))
+        raise TableError(
+            f"{source}: expected schema version {known}, found {version}."
+            " Build the dataset again with `prbench build-dataset`, or update prbench."
+        )
+    joint_set = metadata.get(b"joint_set", b"").decode()
+    if joint_set != JOINT_SET:
+        raise TableError(f"{source}: expected joint set {JOINT_SET}, found {joint_set or 'none'}.")
+    for field in expected:
+        index = schema.get_field_index(field.name)
+        if index < 0:
+            raise TableError(f"{source}: expected a column '{field.name}', found none. Build the dataset again.")
+        found = schema.field(index).type
+        if not found.equals(field.type):
+            raise TableError(f"{source}: column '{field.name}': expected {field.type}, found {found}.")

@@ -1,0 +1,176 @@
+"""Open a built dataset and stream its tables."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from prbench.errors import TableError
+from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.dataset_info import DatasetInfo
+from prbench.sequences.digests import ContentDigest, identity_digest
+from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, check_schema
+
+SPLITS = ("train", "validation", "test")
+
+
+@dataclass(frozen=True)
+class SequenceTable:
+    """A built dataset: its folder, its provenance, and its rows on demand."""
+
+    folder: Path
+    info: DatasetInfo
+
+    @classmethod
+    def open(cls, folder: Path) -> SequenceTable:
+        """Open a dataset folder and check versions, columns and that it holds sequences.
+
+        Raises:
+            TableError: naming the file, what was expected and what was found.
+        """
+        table = cls(folder, DatasetInfo.read(folder))
+        rows = 0
+        for path in table.part_paths("sequences"):
+            file = _open_parquet(path)
+            check_schema(file.schema_arrow, SEQUENCES, source=str(path))
+            rows += file.metadata.num_rows
+        if rows == 0:
+            raise TableError(
+                f"{folder}: the sequence table is empty. `{folder / 'dataset.json'}` holds the funnel that says why;"
+                " `prbench explain` tells the story of single events."
+            )
+        return table
+
+    def part_paths(self, name: str) -> list[Path]:
+        """The Parquet files of ``sequences``, ``events`` or ``recordings``, in order."""
+        return table_parts(self.folder, name)
+
+    def chunks(
+        self,
+        *,
+        split: str | None = None,
+        columns: SequenceOf[str] | None = None,
+        ids: frozenset[str] | None = None,
+        rows: int = 256,
+    ) -> Iterator[SequenceChunk]:
+        """Stream rows in table order.
+
+        Args:
+            split: Only this split.
+            columns: Only these columns; ``sequence_id`` and ``n_frames`` always come along.
+            ids: Only these sequences.
+            rows: Largest number of rows read at once.
+        """
+        wanted = list(SEQUENCES.names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
+        read = [*wanted, "split"] if split is not None and "split" not in wanted else wanted
+        for path in self.part_paths("sequences"):
+            for batch in _open_parquet(path).iter_batches(batch_size=rows, columns=read):
+                keep = _mask(batch, split, ids)
+                if not all(keep):
+                    batch = batch.filter(pa.array(keep, type=pa.bool_()))
+                if batch.num_rows:
+                    yield SequenceChunk(batch.select(wanted))
+
+    def scalars(self, *, split: str | None = None) -> pa.Table:
+        """All columns that hold one short value a row (no per-frame values, no poses)."""
+        names = [field.name for field in SEQUENCES if not _is_bulky(field.type)]
+        table = pa.concat_tables(pq.read_table(path, columns=names) for path in self.part_paths("sequences"))
+        if split is not None:
+            table = table.filter(pa.compute.equal(table["split"], split))
+        return table.combine_chunks()
+
+    def events(self) -> pa.Table:
+        """The ``events`` table."""
+        return self._read("events", EVENTS)
+
+    def recordings(self) -> pa.Table:
+        """The ``recordings`` table."""
+        return self._read("recordings", RECORDINGS)
+
+    @cached_property
+    def identity(self) -> str:
+        """Identity digest, computed from the rows."""
+        rows = self.scalars()
+        return identity_digest(
+            rows["sequence_id"].to_pylist(),
+            rows["split"].to_pylist(),
+            rows["action"].to_pylist(),
+            rows["n_frames"].to_pylist(),
+            protocol_version=self.info.protocol_version,
+        )
+
+    @cached_property
+    def content(self) -> str:
+        """Content digest, computed from the rows.
+
+        Raises:
+            TableError: if the rows are no longer those that the dataset was built with.
+        """
+        digest = ContentDigest()
+        for chunk in self.chunks():
+            digest.update(chunk.batch)
+        if digest.hexdigest() != self.info.content_digest:
+            raise TableError(
+                f"{self.folder}: the sequences are not the ones that dataset.json describes"
+                f" (content digest {digest.hexdigest()[:12]}…, expected {self.info.content_digest[:12]}…)."
+                " A file was changed after the build; build the dataset again."
+            )
+        return digest.hexdigest()
+
+    def _read(self, name: str, schema: pa.Schema) -> pa.Table:
+        tables = []
+        for path in self.part_paths(name):
+            file = _open_parquet(path)
+            check_schema(file.schema_arrow, schema, source=str(path))
+            tables.append(file.read())
+        return pa.concat_tables(tables)
+
+
+def table_parts(folder: Path, name: str) -> list[Path]:
+    """The Parquet files of one table: a single file, or the parts of a folder in order.
+
+    Raises:
+        TableError: if neither exists.
+    """
+    single, parts = folder / f"{name}.parquet", folder / name
+    if single.is_file():
+        return [single]
+    found = sorted(parts.glob("part-*.parquet"))
+    if not found:
+        raise TableError(f"{folder}: expected {name}.parquet or {name}/part-*.parquet, found neither.")
+    return found
+
+
+def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
+    """The ``limit`` ids with the smallest SHA-256, so that every recording has its share; in the order given."""
+    chosen = set(sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())[:limit])
+    return [name for name in sequence_ids if name in chosen]
+
+
+def _open_parquet(path: Path) -> pq.ParquetFile:
+    try:
+        return pq.ParquetFile(path)
+    except FileNotFoundError as error:
+        raise TableError(f"{path}: expected a Parquet file, found none.") from error
+    except (pa.ArrowInvalid, OSError) as error:
+        raise TableError(f"{path}: not a readable Parquet file ({error}). Build the dataset again.") from error
+
+
+def _mask(batch: pa.RecordBatch, split: str | None, ids: frozenset[str] | None) -> list[bool]:
+    keep = [True] * batch.num_rows
+    if split is not None:
+        keep = [value == split for value in batch.column("split").to_pylist()]
+    if ids is not None:
+        keep = [kept and name in ids for kept, name in zip(keep, batch.column("sequence_id").to_pylist())]
+    return keep
+
+
+def _is_bulky(kind: pa.DataType) -> bool:
+    return pa.types.is_list(kind) or (pa.types.is_fixed_size_list(kind) and kind.list_size > 16)

@@ -1,0 +1,80 @@
+"""Write a whole built dataset at once: three tables and ``dataset.json`` with its digests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+
+from prbench.errors import StorageError
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences.digests import ContentDigest, identity_digest
+from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
+from prbench.sequences.write import write_table, write_table_in_parts
+from prbench.storage import atomic_folder
+
+
+def write_dataset(
+    folder: Path,
+    info: DatasetInfo,
+    *,
+    sequences: Iterable[pa.RecordBatch],
+    events: Iterable[pa.RecordBatch],
+    recordings: Iterable[pa.RecordBatch],
+) -> DatasetInfo:
+    """Write the folder whole or not at all; a dataset that was there is replaced, anything else is not touched.
+
+    Args:
+        folder: The dataset folder.
+        info: Provenance; its two digests are filled in here.
+        sequences: Rows in table order (sorted by ``sequence_id``).
+        events: Rows of ``events``.
+        recordings: Rows of ``recordings``.
+
+    Returns:
+        The provenance as written.
+
+    Raises:
+        StorageError: if the folder holds something that is no dataset, or cannot be written.
+    """
+    if folder.exists() and any(folder.iterdir()) and not (folder / FILE_NAME).is_file():
+        raise StorageError(
+            f"{folder}: is not empty and holds no {FILE_NAME}, so it is no dataset that may be replaced."
+            " Choose an empty or new folder for --out."
+        )
+    version = info.protocol_version
+    with atomic_folder(folder) as temporary:
+        seen = _Digesting(info.protocol_version)
+        write_table_in_parts(temporary, "sequences", seen.pass_on(sequences), SEQUENCES, protocol_version=version)
+        write_table(temporary / "events.parquet", events, EVENTS, protocol_version=version)
+        write_table(temporary / "recordings.parquet", recordings, RECORDINGS, protocol_version=version)
+        info = msgspec.structs.replace(info, identity_digest=seen.identity(), content_digest=seen.content.hexdigest())
+        info.write(temporary)
+    return info
+
+
+class _Digesting:
+    """Passes batches on and remembers what the two digests need."""
+
+    def __init__(self, protocol_version: int) -> None:
+        self.content = ContentDigest()
+        self._protocol_version = protocol_version
+        self._columns: dict[str, list] = {"sequence_id": [], "split": [], "action": [], "n_frames": []}
+
+    def pass_on(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        for batch in batches:
+            self.content.update(batch)
+            for name, values in self._columns.items():
+                values.extend(batch.column(name).to_pylist())
+            yield batch
+
+    def identity(self) -> str:
+        return identity_digest(
+            self._columns["sequence_id"],
+            self._columns["split"],
+            self._columns["action"],
+            self._columns["n_frames"],
+            protocol_version=self._protocol_version,
+        )
