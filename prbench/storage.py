@@ -54,9 +54,11 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         with _storage_errors(path):
             yield temporary
             temporary.chmod(0o777 & ~_umask())
+            replaced = temporary.with_suffix(".replaced")
             if path.exists():
-                shutil.rmtree(path)
+                path.replace(replaced)
             temporary.replace(path)
+            shutil.rmtree(replaced, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -77,7 +79,7 @@ def _storage_errors(path: Path) -> Iterator[None]:
                 f"{path}: no space left on the device. Nothing half-written was kept;"
                 " free some space and run the same command again."
             ) from error
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR):
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST):
             raise StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.") from error
         raise
 

@@ -51,6 +51,7 @@ class Trainable(Adapter, Protocol):
         ...
 
 
+@runtime_checkable
 class LoadAdapter(Protocol):
     """What an entry point names."""
 

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from prbench.errors import TableError
@@ -83,7 +84,7 @@ class SequenceTable:
         names = [field.name for field in SEQUENCES if not _is_bulky(field.type)]
         table = pa.concat_tables(pq.read_table(path, columns=names) for path in self.part_paths("sequences"))
         if split is not None:
-            table = table.filter(pa.compute.equal(table["split"], split))
+            table = table.filter(pc.equal(table["split"], split))
         return table.combine_chunks()
 
     def events(self) -> pa.Table:

@@ -80,9 +80,9 @@ class _PartWriter:
             schema,
             compression="zstd",
             compression_level=1,
-            use_dictionary=_leaves(schema, floating=False),
+            use_dictionary=_leaves(schema, floating=False),  # type: ignore[arg-type] - the stub knows bool only
             column_encoding=dict.fromkeys(_leaves(schema, floating=True), "BYTE_STREAM_SPLIT"),
-            write_statistics=_leaves(schema, floating=False),
+            write_statistics=_leaves(schema, floating=False),  # type: ignore[arg-type]
         )
 
     @property

@@ -1,0 +1,78 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import json
+
+import pytest
+
+from prbench.errors import InputFileError, StorageError
+from prbench.storage import atomic_folder, atomic_path, file_digest, inside, read_json, text_digest, write_json
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_trace(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"old": 1})
+    with pytest.raises(RuntimeError), atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("killed here")
+    assert json.loads(path.read_text()) == {"old": 1}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_full_disk_is_one_clear_error(tmp_path):
+    with pytest.raises(StorageError, match=r"a\.parquet: no space left"), atomic_path(tmp_path / "a.parquet"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_place_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="Choose another folder"), atomic_path(tmp_path / "file" / "x.json"):
+        pass
+
+
+def test_a_folder_takes_the_place_of_the_old_one_only_when_complete(tmp_path):
+    folder = tmp_path / "d"
+    with atomic_folder(folder) as temporary:
+        (temporary / "one").write_text("1")
+    with pytest.raises(RuntimeError), atomic_folder(folder) as temporary:
+        (temporary / "two").write_text("2")
+        raise RuntimeError
+    assert [entry.name for entry in folder.iterdir()] == ["one"]
+    with atomic_folder(folder) as temporary:
+        (temporary / "three").write_text("3")
+    assert [entry.name for entry in folder.iterdir()] == ["three"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["d"]
+
+
+def test_equal_values_give_equal_json_bytes(tmp_path):
+    write_json(tmp_path / "a.json", {"x": 1, "a": [1.5, "é"]})
+    write_json(tmp_path / "b.json", {"a": [1.5, "é"], "x": 1})
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    assert file_digest(tmp_path / "a.json") == file_digest(tmp_path / "b.json")
+
+
+def test_nan_never_reaches_json(tmp_path):
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_truncated_json_names_line_and_remedy(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"x": 1,\n "y"')
+    with pytest.raises(InputFileError, match=r"a\.json, line 2 column \d+: expected valid JSON.*truncated"):
+        read_json(path)
+
+
+def test_paths_never_lead_out_of_their_root(tmp_path):
+    assert inside(tmp_path, "a/b") == (tmp_path / "a" / "b").resolve()
+    for wrong in ("../x", "/etc/passwd", "a/../../x"):
+        with pytest.raises(InputFileError, match="leads out of it"):
+            inside(tmp_path, wrong)
+
+
+def test_text_digest_keeps_borders():
+    assert text_digest("ab", "c") != text_digest("a", "bc")
