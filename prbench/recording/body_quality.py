@@ -45,7 +45,9 @@ def plausible_body_frames(
     return shaped
 
 
-def hold_neighbours(values: Float[np.ndarray, "n *shape"], valid: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n *shape"]:
+def hold_neighbours(
+    values: Float[np.ndarray, "n *shape"], valid: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "n *shape"]:
     """Invalid rows replaced by the nearest valid one (of two equally near the earlier); zeros if none is valid."""
     index = np.flatnonzero(valid)
     if len(index) == 0:

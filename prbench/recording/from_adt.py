@@ -17,17 +17,23 @@ from prbench.recording.body_quality import hold_neighbours, plausible_body_frame
 from prbench.recording.from_aria import gaze_in_world, part_poses
 from prbench.recording.streams import (
     BodyStream,
+    ContactPoint,
     GazeStream,
     HandStream,
     ObjectTrack,
     OtherPerson,
     PoseStream,
     Recording,
+    Side,
 )
 from prbench.timelines import require_overlap
 
 _ASSUMED_SIZE: GlassesSize = "DVT-L"
-_SIDES = ("left", "right")
+_SIDES: tuple[Side, Side] = ("left", "right")
+_CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
+    ("wrist", adt.WRIST_JOINTS),
+    ("middle_finger_base", adt.MIDDLE_FINGER_BASES),
+)
 
 
 def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset: str) -> Recording:
@@ -89,7 +95,7 @@ def body_and_hands(person: adt.AdtSkeleton, manifest: Manifest) -> tuple[BodyStr
     joints = adt.body_joints(native, manifest.body.joint_mapping)
     valid = plausible_body_frames(times, joints)
     hands = []
-    for contact, pair in (("wrist", adt.WRIST_JOINTS), ("middle_finger_base", adt.MIDDLE_FINGER_BASES)):
+    for contact, pair in _CONTACTS:
         for side, index in zip(_SIDES, pair, strict=True):
             measured = valid & _measured(native[:, index])
             points = hold_neighbours(native[:, index, None], measured)

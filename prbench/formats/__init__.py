@@ -1,0 +1,1 @@
+"""Names and constants of native formats, shared by readers and synthetic layouts."""

@@ -1,0 +1,43 @@
+"""Reader of Aria Digital Twin, layouts v1.x and v2.0 (``formats/adt.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import RecordingUnusable
+from prbench.manifests import load_manifest
+from prbench.readers.adt.layouts import find_recordings
+from prbench.readers.adt.readings import read_readings
+from prbench.readers.found import RecordingFiles
+from prbench.recording import Recording
+from prbench.recording.from_adt import recording_from_adt
+
+__all__ = ["READER", "AdtReader", "find_recordings", "read_readings", "read_recording"]
+
+
+def read_recording(found: RecordingFiles) -> Recording:
+    """Read one recording (see :class:`prbench.readers.Reader` for what it raises)."""
+    manifest = load_manifest("adt")
+    reason = manifest.why_bad(found.recording_id)
+    if reason:
+        raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+    return recording_from_adt(read_readings(found), manifest, dataset=found.dataset)
+
+
+@dataclass(frozen=True)
+class AdtReader:
+    """See :class:`prbench.readers.Reader`."""
+
+    dataset: str = "adt"
+
+    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+        """See :func:`find_recordings`."""
+        return find_recordings(root)
+
+    def read(self, found: RecordingFiles) -> Recording:
+        """See :func:`read_recording`."""
+        return read_recording(found)
+
+
+READER = AdtReader()

@@ -1,0 +1,122 @@
+"""Where the files of ADT recordings lie: one flat folder each (v2.0), or one sub-folder a device (v1.x)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import InputFileError
+from prbench.formats import adt
+from prbench.formats.aria_mps import CALIBRATION_FILE
+from prbench.readers.aria_mps import find_gaze_file
+from prbench.readers.files import decode_json
+from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.storage import inside
+
+METADATA, INSTANCES, OBJECTS, BOXES = "metadata", "instances", "objects", "boxes"
+TRAJECTORY, GAZE, ASSOCIATION, CALIBRATION = "trajectory", "gaze", "association", "calibration"
+SKELETON_PREFIX = "skeleton:"
+"""Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
+
+_FILES = {
+    INSTANCES: (adt.INSTANCES_FILE,),
+    OBJECTS: (adt.OBJECTS_FILE,),
+    BOXES: (adt.BOXES_FILE,),
+    TRAJECTORY: (adt.TRAJECTORY_FILE,),
+    GAZE: (adt.GAZE_FILE,),
+    ASSOCIATION: (adt.ASSOCIATION_FILE, adt.ASSOCIATION_FILE_BEFORE_1_1),
+    CALIBRATION: (f"{adt.MPS_FOLDER}/slam/{CALIBRATION_FILE}", f"{adt.MPS_FOLDER}/trajectory/{CALIBRATION_FILE}"),
+}
+
+
+class Subtour(msgspec.Struct):
+    """One pair of glasses of a v1.x sequence, with its sub-folder."""
+
+    subtour_name: str
+    device_serial: str
+
+
+class Metadata(msgspec.Struct):
+    """``metadata.json`` of either layout."""
+
+    gt_time_domain: str = ""
+    """Checked when the recording is read."""
+    serial: str = ""
+    """Of the glasses; empty in v1.x, where every subtour has its own."""
+    concurrent_sequence: str = ""
+    dataset_version: str = adt.FIRST_VERSION
+    subtours: dict[str, Subtour] | tuple[Subtour, ...] | None = None
+
+    def subtour_list(self) -> tuple[Subtour, ...]:
+        """The subtours of a v1.x sequence, by name; none in v2.0."""
+        if self.subtours is None:
+            return ()
+        entries = self.subtours.values() if isinstance(self.subtours, dict) else self.subtours
+        return tuple(sorted(entries, key=lambda entry: entry.subtour_name))
+
+
+METADATA_DECODER = msgspec.json.Decoder(Metadata)
+
+
+def subtour_id(sequence: str, subtour: str) -> str:
+    """Recording id of one pair of glasses of a v1.x sequence."""
+    return f"{sequence}_{subtour}"
+
+
+def find_recordings(root: Path) -> tuple[RecordingFiles, ...]:
+    """List the recordings of an ADT folder: the dataset's, a v1.x sequence, or a single recording.
+
+    Raises:
+        InputFileError: if ``root`` holds none, saying what was looked for and what was found; or if a metadata file is
+            no JSON.
+    """
+    root = root.expanduser().resolve()
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="a folder of ADT recordings", found="no such folder")
+    synthetic = read_synthetic_tree(root) is not None
+    folders = [root] if metadata_file(root) else sorted(path for path in root.iterdir() if path.is_dir())
+    found = [recording for folder in folders for recording in _recordings_in(folder, synthetic=synthetic)]
+    if not found:
+        names = [path.name for path in sorted(root.iterdir())]
+        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        raise InputFileError(
+            root,
+            "",
+            expected=f"recordings of ADT: folders that hold {adt.METADATA_FILE} (or {adt.METADATA_FILE_BEFORE_1_1})",
+            found=listed or "an empty folder",
+            remedy="Give the folder whose sub-folders are the recordings, or one recording.",
+        )
+    return tuple(sorted(found, key=lambda recording: recording.recording_id))
+
+
+def metadata_file(folder: Path) -> Path | None:
+    """The metadata of a sequence, under its present or its old name; None if there is none."""
+    names = (adt.METADATA_FILE, adt.METADATA_FILE_BEFORE_1_1)
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _recordings_in(folder: Path, *, synthetic: bool) -> list[RecordingFiles]:
+    metadata_path = metadata_file(folder)
+    if metadata_path is None:
+        return []
+    dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
+    subtours = decode_json(metadata_path, METADATA_DECODER).subtour_list()
+    places = [(subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name)) for tour in subtours]
+    return [
+        RecordingFiles(dataset, recording_id, place, (input_file(METADATA, metadata_path), *_input_files(place)))
+        for recording_id, place in places or [(folder.name, folder)]
+    ]
+
+
+def _input_files(folder: Path) -> list[InputFile]:
+    files = []
+    for role, names in _FILES.items():
+        path = next((folder / name for name in names if (folder / name).is_file()), None)
+        if path is None and role == GAZE:
+            path = find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze")
+        if path is not None:
+            files.append(input_file(role, path))
+    skeletons = sorted(folder.glob("Skeleton_*.json"))
+    return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]

@@ -1,0 +1,77 @@
+"""The files of one ADT recording → :class:`prbench.formats.adt.AdtReadings`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prbench.errors import InputFileError
+from prbench.formats import adt
+from prbench.readers.adt import layouts
+from prbench.readers.adt.objects import read_objects
+from prbench.readers.adt.skeletons import read_skeletons
+from prbench.readers.aria_mps import read_first_calibration, read_gaze_angles, read_trajectory
+from prbench.readers.files import decode_json
+from prbench.readers.found import RecordingFiles
+
+
+def read_readings(found: RecordingFiles) -> adt.AdtReadings:
+    """Read all that curation needs of one recording.
+
+    Raises:
+        InputFileError: for a missing or damaged file, an unknown time domain, or a scene that is not Y up.
+    """
+    serial, concurrent = _read_identity(found)
+    objects, remarks = read_objects(
+        found.require(layouts.INSTANCES, adt.INSTANCES_FILE),
+        found.require(layouts.BOXES, adt.BOXES_FILE),
+        found.require(layouts.OBJECTS, adt.OBJECTS_FILE),
+    )
+    calibration_path = found.path(layouts.CALIBRATION)
+    calibration = None if calibration_path is None else read_first_calibration(calibration_path)
+    return adt.AdtReadings(
+        recording_id=found.recording_id,
+        serial=serial,
+        concurrent=concurrent,
+        glasses_size=None if calibration is None else calibration.size,
+        device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
+        glasses=_read_glasses(found),
+        gaze=read_gaze_angles(found.require(layouts.GAZE, adt.GAZE_FILE)),
+        objects=objects,
+        skeletons=read_skeletons(found),
+        messages=remarks,
+    )
+
+
+def _read_identity(found: RecordingFiles) -> tuple[str, str]:
+    """Serial of the glasses, and the id of the concurrent recording (empty if there is none)."""
+    path = found.require(layouts.METADATA, adt.METADATA_FILE)
+    metadata = decode_json(path, layouts.METADATA_DECODER)
+    if metadata.gt_time_domain != adt.TIME_DOMAIN:
+        raise InputFileError(
+            path,
+            "gt_time_domain",
+            expected=f"'{adt.TIME_DOMAIN}' (the device clock)",
+            found=f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing",
+            remedy="Times on another clock would not meet gaze and poses; use a release on the device clock.",
+        )
+    tours = metadata.subtour_list()
+    if not tours:
+        return metadata.serial, metadata.concurrent_sequence
+    own = next(tour for tour in tours if layouts.subtour_id(path.parent.name, tour.subtour_name) == found.recording_id)
+    others = [tour for tour in tours if tour is not own]
+    concurrent = min((layouts.subtour_id(path.parent.name, tour.subtour_name) for tour in others), default="")
+    return own.device_serial, concurrent
+
+
+def _read_glasses(found: RecordingFiles) -> adt.GlassesPoses:
+    path = found.require(layouts.TRAJECTORY, adt.TRAJECTORY_FILE)
+    trajectory = read_trajectory(path)
+    if np.linalg.norm(trajectory.up - np.array(adt.UP)) > 1e-3:
+        raise InputFileError(
+            path,
+            "gravity columns",
+            expected="gravity along -Y (ADT scenes are Y up)",
+            found=f"up = {np.round(trajectory.up, 3).tolist()}",
+            remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
+        )
+    return adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)

@@ -1,0 +1,58 @@
+"""What a reader's cheap search returns: recordings on disk, with their input files and sizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import InputFileError
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """One file that reading a recording depends on."""
+
+    role: str
+    """What the reader takes it for; unique within a recording."""
+    path: Path
+    size: int
+    """Bytes."""
+
+
+@dataclass(frozen=True)
+class RecordingFiles:
+    """One recording that was found, not yet read."""
+
+    dataset: str
+    """Name that the recording will carry: the reader's, or ``synthetic-`` before it."""
+    recording_id: str
+    folder: Path
+    files: tuple[InputFile, ...]
+    """Every input that was found; a missing required one is reported by reading, not by searching."""
+
+    def path(self, role: str) -> Path | None:
+        """The file of one role, or None where it was not found."""
+        return next((file.path for file in self.files if file.role == role), None)
+
+    def require(self, role: str, name: str) -> Path:
+        """The file of one role.
+
+        Raises:
+            InputFileError: if it was not found; ``name`` tells the user what was looked for.
+        """
+        path = self.path(role)
+        if path is None:
+            present = ", ".join(sorted(file.path.name for file in self.files)) or "none of the expected files"
+            raise InputFileError(
+                self.folder / name,
+                "",
+                expected="this file",
+                found=f"no such file beside {present}",
+                remedy="Download the recording again.",
+            )
+        return path
+
+
+def input_file(role: str, path: Path) -> InputFile:
+    """An existing file with its size."""
+    return InputFile(role, path, path.stat().st_size)
