@@ -1,0 +1,60 @@
+"""Arguments that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+
+def command(
+    commands: argparse._SubParsersAction,
+    name: str,
+    *,
+    summary: str,
+    example: str,
+    execute: Callable[[argparse.Namespace], int],
+) -> argparse.ArgumentParser:
+    """Add one command with a help page that ends in an example."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"example:\n  {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(execute=execute)
+    return parser
+
+
+def add_data(parser: argparse.ArgumentParser, *, required: bool, help: str = "built dataset folder(s)") -> None:
+    """``--data DIR…``, repeatable."""
+    parser.add_argument(
+        "--data", type=Path, nargs="+", action="extend", metavar="DIR", default=None, required=required, help=help
+    )
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """``--workers N``; results do not depend on it."""
+    parser.add_argument(
+        "--workers", type=positive, default=1, metavar="N", help="processes to use (default 1); changes no result"
+    )
+
+
+def positive(text: str) -> int:
+    """A whole number of at least 1."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, found '{text}'")
+    return value
+
+
+def key_value(text: str) -> tuple[str, str]:
+    """``key=value``."""
+    key, separator, value = text.partition("=")
+    if not separator or not key:
+        raise argparse.ArgumentTypeError(f"expected key=value, found '{text}'")
+    return key, value

@@ -1,0 +1,62 @@
+"""``prbench``: find the command, run it, and turn a user's error into one message and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import prbench
+from prbench.cli import adapters, build_dataset, explain, leaderboard, run, score, synthesize
+from prbench.errors import PrbenchError
+
+_COMMANDS = (run, build_dataset, explain, synthesize, score, leaderboard, adapters)
+
+_EXAMPLES = """\
+examples:
+  prbench run --method static --condition none              score a method on embedded synthetic data
+  prbench build-dataset adt --root ADT --out tables/adt     turn licensed recordings into a table
+  prbench run --method static --condition none --data tables/adt --out runs/static
+  prbench leaderboard export runs/* --format md
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Returns:
+        0 on success; the ``exit_code`` of a :class:`PrbenchError`; 2 for wrong arguments; 130 after Ctrl-C.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a console that lacks a character shows a substitute, not a traceback
+            stream.reconfigure(errors="replace")
+    parser = _parser()
+    chosen = parser.parse_args(arguments)
+    if not hasattr(chosen, "execute"):
+        parser.print_help()
+        return 2
+    try:
+        return chosen.execute(chosen)
+    except PrbenchError as error:
+        print(f"prbench: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("prbench: interrupted; finished parts are kept, the same command resumes.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output went away, as `| head` does
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="prbench",
+        description="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"prbench {prbench.__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    for command in _COMMANDS:
+        command.add_parser(commands)
+    return parser
