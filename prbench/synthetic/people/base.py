@@ -1,0 +1,166 @@
+"""The path of the body over the floor: turn, walk, turn; or shuffle (``methods/synthetic-recordings.md`` section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.synthetic.people.channels import blend, eased_trapezoid, wrap
+from prbench.synthetic.people.person import Habits
+
+WALK_FROM = 0.7
+_STAY_WITHIN = 0.04
+_STAY_TURN = np.deg2rad(12.0)
+
+
+@dataclass(frozen=True)
+class BasePose:
+    """The point under the pelvis and the heading, which is never wrapped."""
+
+    x: float
+    z: float
+    heading: float
+
+    @property
+    def point(self) -> Float[np.ndarray, "3"]:
+        """On the floor."""
+        return np.array([self.x, 0.0, self.z])
+
+    @property
+    def left(self) -> Float[np.ndarray, "3"]:
+        """Unit vector to the left."""
+        return np.array([np.cos(self.heading), 0.0, -np.sin(self.heading)])
+
+    @property
+    def forward(self) -> Float[np.ndarray, "3"]:
+        """Unit vector ahead."""
+        return np.array([np.sin(self.heading), 0.0, np.cos(self.heading)])
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One change of place. Times in seconds of the recording."""
+
+    kind: Literal["walk", "shuffle"]
+    start: BasePose
+    goal: BasePose
+    begin: float
+    end: float
+    """Base at rest from here on."""
+    arrival: float
+    """End of the translation."""
+    speed: float
+    course: float
+    """Heading while walking, unwrapped against the start."""
+    first_turn: float
+    """Duration of the turn into the course."""
+    last_turn: float
+    translation_begin: float
+
+    @property
+    def distance(self) -> float:
+        """Metres between start and goal."""
+        return float(np.hypot(self.goal.x - self.start.x, self.goal.z - self.start.z))
+
+    @property
+    def total_turn(self) -> float:
+        """Sum of the turns' sizes, radians."""
+        if self.kind == "shuffle":
+            return abs(self.goal.heading - self.start.heading)
+        return abs(self.course - self.start.heading) + abs(self.goal.heading - self.course)
+
+
+def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, begin: float) -> Segment | None:
+    """Plan the way from one standing place to another.
+
+    Args:
+        habits: Of the person.
+        pace: The preset's speed factor.
+        start: Where the person stands.
+        goal: Where to; its heading is understood modulo full turns.
+        begin: Motor start.
+
+    Returns:
+        The segment, with ``goal`` unwrapped so that the person turns the short way; None if the feet may stay.
+    """
+    distance = float(np.hypot(goal.x - start.x, goal.z - start.z))
+    speed = habits.walk_speed * pace * (1.0 - np.exp(-(distance + 0.15) / 0.75))
+    if distance > WALK_FROM:
+        return _plan_walk(habits, speed, distance, start, goal, begin)
+    turn = float(wrap(goal.heading - start.heading))
+    if distance < _STAY_WITHIN and abs(turn) < _STAY_TURN:
+        return None
+    duration = max(
+        0.55 + 0.8 * distance / max(speed, 0.25), 0.8 + 0.75 * distance, abs(turn) / habits.turn_rate + 0.3
+    )
+    end = begin + duration
+    goal = BasePose(goal.x, goal.z, start.heading + turn)
+    return Segment("shuffle", start, goal, begin, end, end, speed, start.heading, duration, 0.0, begin)
+
+
+def _plan_walk(
+    habits: Habits, speed: float, distance: float, start: BasePose, goal: BasePose, begin: float
+) -> Segment:
+    bearing = np.arctan2(goal.x - start.x, goal.z - start.z)
+    turn_in = float(wrap(bearing - start.heading))
+    course = start.heading + turn_in
+    turn_out = float(wrap(goal.heading - course))
+    first_turn = max(0.3, abs(turn_in) / habits.turn_rate - 0.15) + 0.25
+    last_turn = max(0.9, abs(turn_out) / habits.turn_rate)
+    translation_begin = begin + 0.55 * first_turn
+    arrival = translation_begin + distance / speed + 0.45
+    end = arrival + 0.15 * last_turn
+    goal = BasePose(goal.x, goal.z, course + turn_out)
+    return Segment(
+        "walk", start, goal, begin, end, arrival, speed, course, first_turn, last_turn, translation_begin
+    )
+
+
+@dataclass(frozen=True)
+class BasePath:
+    """Base pose at every frame."""
+
+    x: Float[np.ndarray, " n"]
+    z: Float[np.ndarray, " n"]
+    heading: Float[np.ndarray, " n"]
+    speed: Float[np.ndarray, " n"]
+    """Metres per second."""
+
+    @property
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """Under the pelvis, on the floor."""
+        return np.stack([self.x, np.zeros_like(self.x), self.z], axis=-1)
+
+    def pose(self, index: int) -> BasePose:
+        """At one frame."""
+        return BasePose(float(self.x[index]), float(self.z[index]), float(self.heading[index]))
+
+
+def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.ndarray, " n"]) -> BasePath:
+    """Base pose at every frame of a recording that begins standing at ``start``."""
+    position = np.tile([start.x, start.z], (times.size, 1))
+    heading = np.full(times.size, start.heading)
+    for segment in segments:
+        if segment.kind == "shuffle":
+            duration = segment.end - segment.begin
+            blend(position, times, segment.begin, duration, np.array([segment.goal.x, segment.goal.z]))
+            blend(heading, times, segment.begin, duration, segment.goal.heading)
+        else:
+            blend(heading, times, segment.begin, segment.first_turn, segment.course)
+            last_begin = segment.arrival - 0.85 * segment.last_turn
+            blend(heading, times, last_begin, segment.end - last_begin, segment.goal.heading)
+            _translate(position, times, segment)
+    velocity = np.gradient(position, times, axis=0)
+    return BasePath(position[:, 0], position[:, 1], heading, np.hypot(velocity[:, 0], velocity[:, 1]))
+
+
+def _translate(position: np.ndarray, times: np.ndarray, segment: Segment) -> None:
+    first = int(np.searchsorted(times, segment.translation_begin))
+    duration = segment.arrival - segment.translation_begin
+    up, down = min(0.5 / duration, 0.45), min(0.65 / duration, 0.5)
+    progress = eased_trapezoid((times[first:] - segment.translation_begin) / duration, up, down)
+    origin, goal = np.array([segment.start.x, segment.start.z]), np.array([segment.goal.x, segment.goal.z])
+    position[first:] = origin + progress[:, None] * (goal - origin)

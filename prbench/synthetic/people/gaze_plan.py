@@ -1,0 +1,201 @@
+"""When a person looks where: one list of fixations that later drives eye, head and trunk.
+
+Source: ``methods/synthetic-recordings.md`` section 5, schedule of an event.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.synthetic.people.base import BasePath
+from prbench.synthetic.people.channels import wrap
+from prbench.synthetic.people.fills import Avoidance, FillDrawer
+from prbench.synthetic.people.plan import Plan, Reach
+from prbench.synthetic.people.presets import Preset
+
+_SHORTEST_LOOK = 0.15
+_WINDOW = 10.0  # seconds before an event in which a look can prime
+_GAP_LIMITS = (0.35, 9.7)
+_WIDEST_BEARING = np.deg2rad(86.0)
+
+
+@dataclass(frozen=True)
+class Look:
+    """One fixation of the plan."""
+
+    start: float
+    end: float
+    point: Float[np.ndarray, "3"]
+    is_goal: bool
+    reach: int | None
+
+
+@dataclass(frozen=True)
+class GazePlan:
+    """Fixations in order of time without gaps, and the planned prime of every reach (None: not primed)."""
+
+    looks: tuple[Look, ...]
+    primes: tuple[float | None, ...]
+    kinds: tuple[str, ...]
+    """``plain``, ``near`` or ``unprimed`` for every reach."""
+
+
+class _Timeline:
+    """Looks that never overlap; who comes first keeps the time."""
+
+    def __init__(self) -> None:
+        self.looks: list[Look] = []
+
+    def free_parts(self, start: float, end: float) -> list[tuple[float, float]]:
+        """What is left of an interval."""
+        parts = [(start, end)]
+        for look in self.looks:
+            parts = [
+                piece
+                for begin, stop in parts
+                for piece in ((begin, min(stop, look.start)), (max(begin, look.end), stop))
+                if piece[1] - piece[0] > 1e-9
+            ]
+        return parts
+
+    def add(self, look: Look) -> None:
+        """Add the parts of a look whose time is free and long enough."""
+        for begin, stop in self.free_parts(look.start, look.end):
+            if stop - begin >= _SHORTEST_LOOK:
+                self.looks.append(Look(begin, stop, look.point, look.is_goal, look.reach))
+
+
+def plan_gaze(
+    plan: Plan,
+    base: BasePath,
+    eye: Float[np.ndarray, "n 3"],
+    times: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+) -> GazePlan:
+    """Schedule all looks of a recording.
+
+    Args:
+        plan: Events and their times.
+        base: Base pose at every frame.
+        eye: About where the eyes will be.
+        times: Frame times, seconds.
+        rng: The recording's gaze generator.
+    """
+    scheduler = _Scheduler(plan, base, eye, times, rng)
+    timeline = _Timeline()
+    kinds = tuple(scheduler.kind(reach) for reach in plan.reaches)
+    primes = tuple(
+        None if kind == "unprimed" else scheduler.prime_time(reach)
+        for reach, kind in zip(plan.reaches, kinds, strict=True)
+    )
+    looks = [
+        scheduler.goal_looks(reach, prime, kind)
+        for reach, prime, kind in zip(plan.reaches, primes, kinds, strict=True)
+        if prime is not None
+    ]
+    for priority in range(3):
+        for parts in looks:
+            for look in parts[priority]:
+                timeline.add(look)
+    goals = sorted(timeline.looks, key=lambda look: look.start)
+    avoid = [Avoidance(r.centre, r.event - _WINDOW, r.event if p is None else p) for r, p in zip(plan.reaches, primes, strict=True)]
+    drawer = FillDrawer(plan, base, eye, times, avoid, rng)
+    return GazePlan(tuple(_with_fills(goals, drawer, float(times[-1]))), primes, kinds)
+
+
+def _with_fills(goals: list[Look], drawer: FillDrawer, end: float) -> list[Look]:
+    looks: list[Look] = []
+    now = 0.0
+    last = Look(end, end, np.zeros(3), False, None)
+    for goal in (*goals, last):
+        while goal.start - now > 1e-9:
+            duration, point = drawer.draw(now, goal.start, looks[-1].point if looks else None)
+            looks.append(Look(now, now + duration, point, False, None))
+            now += duration
+        if goal is not last:
+            looks.append(goal)
+            now = goal.end
+    return looks
+
+
+class _Scheduler:
+    """The draws of section 5 for single events."""
+
+    def __init__(
+        self, plan: Plan, base: BasePath, eye: np.ndarray, times: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        self.plan, self.base, self.eye, self.times, self.rng = plan, base, eye, times, rng
+
+    def kind(self, reach: Reach) -> str:
+        """Whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
+        preset, chance = self.plan.preset, self.rng.random()
+        if reach.tag != "plain":
+            return "plain"
+        if chance < preset.unprimed:
+            return "unprimed"
+        return "near" if chance < preset.unprimed + preset.near_miss else "plain"
+
+    def prime_time(self, reach: Reach) -> float:
+        """When the first look at the goal begins."""
+        preset, rng = self.plan.preset, self.rng
+        if preset.gap:
+            prime = reach.event - _draw_gap(preset, rng)
+        else:
+            prime = reach.motor_start + float(rng.normal(1.0, 0.6))
+        prime = float(np.clip(prime, 0.4, reach.event - _GAP_LIMITS[0]))
+        if reach.number > 0:
+            previous = self.plan.reaches[reach.number - 1].event
+            if previous - 0.6 <= prime <= previous + 0.15:
+                prime = previous + 0.15 + float(rng.uniform(0.02, 0.1))
+        index = int(np.searchsorted(self.times, prime))
+        offset = reach.centre - self.base.points[index]
+        bearing = wrap(np.arctan2(offset[0], offset[2]) - self.base.heading[index])
+        if abs(bearing) > _WIDEST_BEARING:
+            prime = max(prime, reach.motor_start + float(rng.uniform(-0.1, 0.2)))
+        return min(prime, reach.event - _GAP_LIMITS[0])
+
+    def goal_looks(self, reach: Reach, prime: float, kind: str) -> tuple[list[Look], list[Look], list[Look]]:
+        """Prime; guide; returns in between. In the order in which they claim time."""
+        rng = self.rng
+        guide = max(prime, reach.reach_start - float(rng.uniform(0.0, 0.45)))
+        dwell = self.plan.preset.prime_look * np.exp(0.5 * rng.standard_normal())
+        end = prime + float(np.clip(dwell, 0.25, 2.0))
+        if guide - end <= 0.25:
+            end = max(end, guide)
+        early = rng.random() < 0.08
+        leave = reach.event + (-float(rng.uniform(0.15, 0.40)) if early else float(rng.uniform(-0.05, 0.3)))
+        first = self._look(prime, end, reach, kind)
+        last = self._look(max(guide, end), leave, reach, "plain")
+        returns = []
+        now = end
+        while guide - now > 0.25:
+            now += float(rng.uniform(0.4, 1.5))
+            if now + 0.4 < guide and rng.random() < 0.45:
+                returns.append(self._look(now, now + 0.4, reach, "plain"))
+                now += 0.4
+        return [first], [last] if last.end > last.start else [], returns
+
+    def _look(self, start: float, end: float, reach: Reach, kind: str) -> Look:
+        point = reach.centre + 0.3 * reach.half_world * self.rng.standard_normal(3)
+        if kind == "near":
+            point = self._beside(start, reach)
+        return Look(start, end, point, True, reach.number)
+
+    def _beside(self, start: float, reach: Reach) -> np.ndarray:
+        """A point that the ray passes 1 to 3.5 cm beside the box."""
+        index = min(int(np.searchsorted(self.times, start)), self.times.size - 1)
+        sight = reach.centre - self.eye[index]
+        sideways = np.array([sight[2], 0.0, -sight[0]]) / np.hypot(sight[0], sight[2])
+        if self.rng.random() < 0.5:
+            sideways = -sideways
+        extent = float(np.abs(sideways) @ reach.half_world)
+        return reach.centre + (extent + float(self.rng.uniform(0.01, 0.035))) * sideways
+
+
+def _draw_gap(preset: Preset, rng: np.random.Generator) -> float:
+    weights = np.array([part[0] for part in preset.gap])
+    _, median, spread = preset.gap[int(rng.choice(len(weights), p=weights / weights.sum()))]
+    return float(np.clip(median * np.exp(spread * rng.standard_normal()), *_GAP_LIMITS))

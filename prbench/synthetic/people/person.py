@@ -1,0 +1,161 @@
+"""People: bone lengths and habits (``methods/synthetic-recordings.md`` section 2)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import cast
+
+import numpy as np
+
+from prbench.synthetic.people.presets import Preset
+from prbench.synthetic.performance import PersonStyle, Side
+
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Body:
+    """Bone offsets in metres; sideways parts are given for the left and mirrored for the right."""
+
+    stature: float
+    hip: tuple[float, float, float]
+    thigh: float
+    shin: float
+    ankle_height: float
+    """Ankle above the ball of the flat foot."""
+    foot_length: float
+    """Ankle to ball, forward."""
+    spine: tuple[tuple[float, float, float], ...]
+    """Pelvis to spine1, spine1 to spine2, spine2 to spine3, spine3 to neck."""
+    neck_length: float
+    neck_tilt: float
+    """Radians."""
+    collar: tuple[float, float, float]
+    shoulder: tuple[float, float, float]
+    upper_arm: float
+    forearm: float
+    hand: float
+    """Wrist to middle-finger base."""
+    eye: tuple[float, float, float]
+    """Head joint to eyes in the head's frame."""
+
+    @property
+    def leg(self) -> float:
+        """Thigh plus shin."""
+        return self.thigh + self.shin
+
+    @property
+    def arm(self) -> float:
+        """Upper arm plus forearm."""
+        return self.upper_arm + self.forearm
+
+
+@dataclass(frozen=True)
+class Habits:
+    """How a person moves. Radians, seconds, metres."""
+
+    walk_speed: float
+    walk_ratio: float
+    """Metres per (step a minute)."""
+    half_stance: float
+    toe_out: float
+    arm_swing: float
+    stoop: float
+    elbow_flare: float
+    goal_gain: float
+    fill_gain: float
+    goal_gain_vertical: float
+    fill_gain_vertical: float
+    eye_only_range: float
+    head_lag: float
+    neck_share: float
+    chest_share: float
+    pelvis_share: float
+    trunk_time: float
+    reach_time: float
+    turn_rate: float
+    """Radians per second, mean over a turn."""
+    right_handed: float
+
+
+@dataclass(frozen=True)
+class Person:
+    """A body and its habits."""
+
+    participant_id: str
+    body: Body
+    habits: Habits
+
+    def style(self) -> PersonStyle:
+        """The public record of this person."""
+        drawn = {name: float(value) for name, value in asdict(self.habits).items()}
+        lengths = {name: cast(float, getattr(self.body, name)) for name in ("thigh", "shin", "upper_arm", "forearm")}
+        return PersonStyle(
+            participant_id=self.participant_id,
+            stature=self.body.stature,
+            neck_tilt_deg=float(np.rad2deg(self.body.neck_tilt)),
+            preferred_hand=SIDES[int(self.habits.right_handed)],
+            parameters=drawn | lengths,
+        )
+
+
+def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -> Person:
+    """Draw one person for a preset."""
+    stature = float(np.clip(rng.normal(1.70, 0.095), 1.50, 1.95))
+    return Person(participant_id, _draw_body(preset, stature, rng), _draw_habits(stature, rng))
+
+
+def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body:
+    leg, arm, shoulders, trunk = (
+        1.0 + sd * float(np.clip(rng.standard_normal(), -2.7, 2.7)) for sd in (0.03, 0.03, 0.05, 0.025)
+    )
+    up, forward = preset.spine_up, (-0.010, 0.004, 0.002)
+    spine = [(0.0, u * trunk * stature, f * trunk * stature) for u, f in zip(up, forward, strict=True)]
+    spine.append(_scaled(preset.neck_offset, trunk * stature))
+    return Body(
+        stature=stature,
+        hip=_scaled((0.036 * shoulders, -0.048, -0.006), stature),
+        thigh=0.2252 * leg * stature,
+        shin=0.2466 * leg * stature,
+        ankle_height=0.036 * stature,
+        foot_length=0.076 * stature,
+        spine=tuple(spine),
+        neck_length=preset.neck_length * stature,
+        neck_tilt=float(np.deg2rad(preset.neck_tilt_deg)),
+        collar=_scaled((0.041 * shoulders, 0.060 * trunk, -0.010), stature),
+        shoulder=_scaled((0.0695 * shoulders, 0.012, -0.008), stature),
+        upper_arm=0.149 * arm * stature,
+        forearm=0.154 * arm * stature,
+        hand=0.047 * stature,
+        eye=_scaled((0.0, 0.012, 0.055), stature),
+    )
+
+
+def _draw_habits(stature: float, rng: np.random.Generator) -> Habits:
+    head_turner = rng.uniform(0.82, 1.0)
+    return Habits(
+        walk_speed=float(np.clip(rng.normal(1.15, 0.12), 0.85, 1.45)),
+        walk_ratio=float(rng.normal(0.0063, 0.0005)) * stature / 1.7,
+        half_stance=float(rng.uniform(0.07, 0.12)),
+        toe_out=float(np.deg2rad(rng.uniform(3.0, 11.0))),
+        arm_swing=float(np.deg2rad(rng.uniform(14.0, 28.0))),
+        stoop=float(np.deg2rad(rng.uniform(0.0, 6.0))),
+        elbow_flare=float(rng.uniform(0.25, 0.55)),
+        goal_gain=float(head_turner),
+        fill_gain=float(rng.uniform(0.50, 0.75)),
+        goal_gain_vertical=float(rng.uniform(0.80, 1.0)),
+        fill_gain_vertical=float(rng.uniform(0.35, 0.60)),
+        eye_only_range=float(np.deg2rad(rng.uniform(8.0, 18.0))),
+        head_lag=float(rng.uniform(0.020, 0.090)),
+        neck_share=float(rng.uniform(0.85, 1.0)),
+        chest_share=float(rng.uniform(0.45, 0.65)),
+        pelvis_share=float(rng.uniform(0.10, 0.22)),
+        trunk_time=float(rng.uniform(0.10, 0.18)),
+        reach_time=float(rng.uniform(0.85, 1.15)),
+        turn_rate=float(np.deg2rad(rng.uniform(62.0, 90.0))),
+        right_handed=float(rng.random() < 0.9),
+    )
+
+
+def _scaled(offset: tuple[float, float, float], scale: float) -> tuple[float, float, float]:
+    return offset[0] * scale, offset[1] * scale, offset[2] * scale

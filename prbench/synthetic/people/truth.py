@@ -1,0 +1,171 @@
+"""What truly happened: event times, boxes, and when noise-free gaze first met the goal.
+
+Source: ``methods/synthetic-recordings.md`` sections 6 and 10.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.rays import near_miss, slab_test
+from prbench.skeleton import WRISTS
+from prbench.synthetic.people.gaze_plan import GazePlan
+from prbench.synthetic.people.person import SIDES
+from prbench.synthetic.people.plan import Plan, Reach
+from prbench.synthetic.performance import ObjectMotion, TrueEvent
+
+WINDOW = 10.0
+NEAR_MISS = 0.05
+_MOVED = 0.001
+_LASTING = 0.050
+_PREROLL = 2.0
+_MINIMUM_MOVEMENT = 0.20
+_GAZE_PERIOD = 1.0 / 30.0
+_THIN_MOVEMENT, _THIN_RAY = 0.02, 0.005
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The finished motion, as far as truth needs it."""
+
+    times: Float[np.ndarray, " n"]
+    joints: Float[np.ndarray, "n 22 3"]
+    eye: Float[np.ndarray, "n 3"]
+    gaze: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """When and how a box is first seen before an event."""
+
+    lasting: float | None
+    """First instant of a look of at least 50 ms."""
+    first: float | None
+    kind: str | None
+    marginal: bool
+    """So close to a border that noise decides."""
+
+
+def true_events(
+    plan: Plan, gaze: GazePlan, scene: Scene, objects: list[ObjectMotion], recording_id: str
+) -> tuple[TrueEvent, ...]:
+    """The truth about every pick, put and provocation of a recording."""
+    events = []
+    for reach, prime, kind in zip(plan.reaches, gaze.primes, gaze.kinds, strict=True):
+        tag = reach.tag if reach.tag != "plain" else kind
+        events.append(_true_event(plan, reach, prime, tag, scene, objects[reach.item], recording_id))
+    return tuple(events)
+
+
+def _true_event(
+    plan: Plan, reach: Reach, prime: float | None, tag: str, scene: Scene, motion: ObjectMotion, recording_id: str
+) -> TrueEvent:
+    event_time = exact_event_time(reach, motion, scene.times)
+    low, high = reach.centre - reach.half_world, reach.centre + reach.half_world
+    sight = first_sight(scene, low, high, event_time)
+    expected, margin = _expected(reach, sight, scene)
+    return TrueEvent(
+        event_id=f"{recording_id}/{reach.number:03d}",
+        action="put" if reach.action == "put" else "pick",
+        tag=tag,
+        object_id=motion.object_id,
+        object_name=motion.name,
+        hand=SIDES[reach.hand],
+        contact_time=reach.contact,
+        event_time=event_time,
+        release_time=reach.event + 0.15,
+        goal=reach.centre,
+        box_min=low,
+        box_max=high,
+        prime_planned=prime,
+        prime_time=sight.lasting,
+        prime_first=sight.first,
+        prime_kind="hit" if sight.kind == "hit" else "near_miss" if sight.kind else None,
+        motor_start=reach.motor_start,
+        reach_start=reach.reach_start,
+        expected=expected,
+        thin=sight.marginal or margin < _THIN_MOVEMENT,
+    )
+
+
+def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> float:
+    """First (pick) or last (put) instant at which the object is more than 1 mm from its rest; crossing interpolated."""
+    if len(motion.position) == 1:
+        return reach.event
+    first, last = np.searchsorted(times, [reach.event - 1.0, reach.event + 1.0])
+    away = np.linalg.norm(motion.position[first:last] - reach.centre, axis=1)
+    beyond = np.flatnonzero(away > _MOVED)
+    if not beyond.size:
+        return reach.event
+    far = int(beyond[0] if reach.action == "pick" else beyond[-1])
+    near = far - 1 if reach.action == "pick" else far + 1
+    if not 0 <= near < len(away):
+        return float(times[first + far])
+    share = (_MOVED - away[near]) / (away[far] - away[near])
+    return float(times[first + near] + share * (times[first + far] - times[first + near]))
+
+
+def first_sight(scene: Scene, low: np.ndarray, high: np.ndarray, event_time: float) -> Sight:
+    """First look at a box in the ten seconds before an event, with noise-free gaze."""
+    first, last = np.searchsorted(scene.times, [event_time - WINDOW, event_time], side="left")
+    last = min(int(last) + int(scene.times[min(last, scene.times.size - 1)] == event_time), scene.times.size)
+    origins, directions, times = scene.eye[first:last], scene.gaze[first:last], scene.times[first:last]
+    hit = slab_test(origins, directions, low[None], high[None]).hit[:, 0]
+    passed = near_miss(origins, directions, low[None], high[None])
+    distance = np.where(passed.along[:, 0] >= 0.0, passed.distance[:, 0], np.inf)
+    seen = hit | (distance <= NEAR_MISS)
+    begins = np.flatnonzero(seen & ~np.concatenate([[False], seen[:-1]]))
+    ends = np.flatnonzero(seen & ~np.concatenate([seen[1:], [False]])) + 1
+    step = float(scene.times[1] - scene.times[0])
+    lasting = [i for i in range(len(begins)) if (ends[i] - begins[i]) * step >= _LASTING]
+    start = None if not lasting else int(begins[lasting[0]])
+    earliest = None if not len(begins) else int(begins[0])
+    marginal = _is_marginal(distance, hit, times, begins, ends, start, step, event_time)
+    return Sight(
+        None if start is None else float(times[start]),
+        None if earliest is None else float(times[earliest]),
+        None if start is None else ("hit" if hit[start] else "near_miss"),
+        marginal,
+    )
+
+
+def _is_marginal(
+    distance: np.ndarray,
+    hit: np.ndarray,
+    times: np.ndarray,
+    begins: np.ndarray,
+    ends: np.ndarray,
+    start: int | None,
+    step: float,
+    event_time: float,
+) -> bool:
+    """Whether a gaze sample more or less, or 5 mm, would change whether and when the event is primed."""
+    upto = len(times) if start is None else start
+    almost = (np.abs(distance[:upto] - NEAR_MISS) < _THIN_RAY) & ~hit[:upto]
+    if start is None:
+        return bool(almost.any() or len(begins))
+    settled = times[start] + 2 * _GAZE_PERIOD
+    brief = bool(np.any((ends - begins) * step < 2 * _GAZE_PERIOD)) and begins[0] < start
+    distinct = bool(almost[: max(start - int(0.1 / step), 0)].any())
+    at_border = times[start] < event_time - WINDOW + _GAZE_PERIOD or settled > event_time
+    look = slice(start, min(start + max(2, int(2 * _GAZE_PERIOD / step)), len(times)))
+    grazing = bool(np.all(~hit[look] & (np.abs(distance[look] - NEAR_MISS) < _THIN_RAY)))
+    return brief or distinct or at_border or grazing
+
+
+def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
+    """The outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
+    if reach.action not in ("pick", "put"):
+        return "not_an_event", np.inf
+    if sight.lasting is None:
+        return "not_primed", np.inf
+    start = sight.lasting - _PREROLL
+    if start < scene.times[0]:
+        return "too_short", np.inf
+    wrists = scene.joints[int(np.searchsorted(scene.times, start)), WRISTS]
+    nearest = float(np.linalg.norm(wrists - reach.centre, axis=1).min())
+    margin = abs(nearest - _MINIMUM_MOVEMENT)
+    return ("minimum_movement" if nearest < _MINIMUM_MOVEMENT else "sequence"), margin

@@ -1,0 +1,197 @@
+"""Rooms: furniture around a free floor, objects that never move, and spots to put things.
+
+Source: ``methods/synthetic-recordings.md`` section 1. The free floor of a room is a rectangle around the origin; the
+front edges of the furniture lie on its border, so that straight walks are free of obstacles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.synthetic.people.geometry import UP
+from prbench.synthetic.people.presets import ObjectKind, Preset, SurfaceKind
+
+_SEATED_TABLE_HEIGHT = 0.74
+_DEEPEST_SPOT = 0.38
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A place to put things, along one wall of the free floor."""
+
+    kind: SurfaceKind
+    edge_centre: Float[np.ndarray, "3"]
+    """Middle of the front edge, at the height of the surface."""
+    normal: Float[np.ndarray, "3"]
+    """Horizontal, from the surface to the person before it."""
+    width: float
+    weight: float
+    """Share of the room's goals on this surface."""
+
+    @property
+    def height(self) -> float:
+        """Height of the surface, metres."""
+        return float(self.edge_centre[1])
+
+    @property
+    def facing(self) -> float:
+        """Heading of a person who faces the surface, radians."""
+        return float(np.arctan2(-self.normal[0], -self.normal[2]))
+
+    @property
+    def left(self) -> Float[np.ndarray, "3"]:
+        """Unit vector along the edge, to the left of a person who faces the surface."""
+        return np.cross(UP, -self.normal)
+
+    def point(self, lateral: float, depth: float) -> Float[np.ndarray, "3"]:
+        """The point ``lateral`` to the left of the middle and ``depth`` behind the front edge."""
+        return self.edge_centre + lateral * self.left - depth * self.normal
+
+
+@dataclass(frozen=True)
+class Item:
+    """One object: its kind, its box, and where it stands at first."""
+
+    kind: ObjectKind
+    half_extents: Float[np.ndarray, "3"]
+    position: Float[np.ndarray, "3"]
+    """Centre of the box."""
+    yaw: float
+
+
+@dataclass(frozen=True)
+class Room:
+    """The furniture of one room and the objects in it that never move."""
+
+    room_id: str
+    floor: tuple[float, float]
+    surfaces: tuple[Surface, ...]
+    bystanders: tuple[Item, ...]
+
+
+def draw_room(preset: Preset, room_id: str, rng: np.random.Generator, n_bystanders: int | None = None) -> Room:
+    """Furnish one room.
+
+    Args:
+        preset: Whose room.
+        room_id: Its name.
+        rng: The room's own generator.
+        n_bystanders: Objects that never move; drawn between 3 and 12 if None.
+    """
+    surfaces = _draw_surfaces(preset, rng)
+    drawn = int(rng.integers(3, 13))
+    items: list[Item] = []
+    for number in range(drawn if n_bystanders is None else n_bystanders):
+        items.append(_draw_bystander(preset, surfaces, items, number, rng))
+    return Room(room_id, preset.room, surfaces, tuple(items))
+
+
+def seated(room: Room, rng: np.random.Generator) -> Room:
+    """The same room with its one table lowered for a person who sits at it."""
+    height = _SEATED_TABLE_HEIGHT + 0.04 * float(rng.standard_normal())
+    drop = np.array([0.0, room.surfaces[0].height - height, 0.0])
+    surfaces = tuple(replace(surface, edge_centre=surface.edge_centre - drop) for surface in room.surfaces)
+    bystanders = tuple(replace(item, position=item.position - drop) for item in room.bystanders)
+    return replace(room, surfaces=surfaces, bystanders=bystanders)
+
+
+def draw_item_shape(kind: ObjectKind, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Half extents of an object's box and its yaw."""
+    drawn = np.array([rng.uniform(0.025, 0.06), rng.uniform(0.03, 0.10), rng.uniform(0.025, 0.06)])
+    yaw = float(rng.uniform(-np.pi, np.pi))
+    return (drawn if kind.half_extents is None else np.array(kind.half_extents)), yaw
+
+
+def world_half_extents(half_extents: Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "3"]:
+    """Half extents of the world-aligned box around a box turned by ``yaw``."""
+    cosine, sine = abs(np.cos(yaw)), abs(np.sin(yaw))
+    x, y, z = half_extents
+    return np.array([cosine * x + sine * z, y, sine * x + cosine * z])
+
+
+def draw_spot(
+    surface: Surface,
+    half_extents: Float[np.ndarray, "3"],
+    yaw: float,
+    rng: np.random.Generator,
+    around: tuple[float, float] | None = None,
+) -> Float[np.ndarray, "3"]:
+    """Centre of a box that stands on a free spot of a surface.
+
+    Args:
+        surface: Where.
+        half_extents: Of the box, in its own frame.
+        yaw: Of the box.
+        rng: Generator.
+        around: Lateral position of the previous spot and the spread around it; the whole width if None.
+    """
+    half_depth = float(np.abs(world_half_extents(half_extents, yaw) @ np.abs(surface.normal)))
+    deepest = min(_DEEPEST_SPOT, surface.kind.depth - 0.04)
+    depth = rng.uniform(min(0.05 + half_depth, deepest), deepest)
+    reach = surface.width / 2.0 - 0.03
+    lateral = rng.uniform(-reach, reach) if around is None else np.clip(rng.normal(*around), -reach, reach)
+    return surface.point(float(lateral), float(depth)) + half_extents[1] * UP
+
+
+def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, ...]:
+    kinds = _draw_kinds(preset, rng)
+    surfaces: list[Surface] = []
+    for number, kind in enumerate(kinds):
+        height = kind.height + 0.04 * float(rng.standard_normal())
+        weight = kind.weight / sum(other is kind for other in kinds)
+        on_same_wall = surfaces[number % 4 :: 4]
+        surfaces.append(_place_surface(preset, kind, number % 4, height, weight, on_same_wall, rng))
+    return tuple(surfaces)
+
+
+def _draw_kinds(preset: Preset, rng: np.random.Generator) -> list[SurfaceKind]:
+    """One surface of each kind, as far as there is room, and the others by weight."""
+    weights = np.array([kind.weight for kind in preset.surfaces])
+    first = rng.permutation(len(preset.surfaces))
+    rest = rng.choice(len(preset.surfaces), preset.n_surfaces, p=weights / weights.sum())
+    return [preset.surfaces[i] for i in (*first, *rest)][: preset.n_surfaces]
+
+
+def _place_surface(
+    preset: Preset,
+    kind: SurfaceKind,
+    wall: int,
+    height: float,
+    weight: float,
+    others: list[Surface],
+    rng: np.random.Generator,
+) -> Surface:
+    normal = np.array([(0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)][wall])
+    across, along = (preset.room[1], preset.room[0]) if wall % 2 == 0 else preset.room
+    middle = -normal * across / 2.0 + height * UP
+    width = 1.4 if preset.table_only else float(rng.uniform(0.7, 1.3))
+    for attempt in range(60):
+        width = max(0.5, width * (0.97 if attempt else 1.0))
+        shift = 0.0 if preset.table_only else float(rng.uniform(-0.5, 0.5)) * (along - width)
+        surface = Surface(kind, middle, normal, width, weight)
+        surface = replace(surface, edge_centre=surface.point(shift, 0.0))
+        clear = [
+            abs(float((surface.edge_centre - other.edge_centre) @ surface.left)) > (width + other.width) / 2 + 0.05
+            for other in others
+        ]
+        if all(clear):
+            break
+    return surface
+
+
+def _draw_bystander(
+    preset: Preset, surfaces: tuple[Surface, ...], items: list[Item], number: int, rng: np.random.Generator
+) -> Item:
+    """Somewhere on the furniture; beyond a dozen, on boards above it, out of everybody's way."""
+    kind = preset.objects[int(rng.integers(len(preset.objects)))]
+    half_extents, yaw = draw_item_shape(kind, rng)
+    level = number // 12
+    for _ in range(20):
+        surface = surfaces[int(rng.integers(len(surfaces)))]
+        position = draw_spot(surface, half_extents, yaw, rng) + (level > 0) * (1.0 + 0.22 * level) * UP
+        if all(np.linalg.norm(position - item.position) > 0.2 for item in items):
+            break
+    return Item(kind, half_extents, position, yaw)
