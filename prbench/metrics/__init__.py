@@ -1,0 +1,79 @@
+"""The six metrics of the study and their variants: pure functions over ragged batches, one value a sequence.
+
+Definitions: ``methods/metrics.md``; *Prime and Reach*, section 5.2. Constants come from the protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import MotionBatch
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, find_families
+from prbench.metrics.scoring import CHUNK_FRAMES, score_pair
+from prbench.metrics.targets import UNKNOWN_HAND, GazeRays, ScoringPair, ScoringTargets
+
+FAMILIES: tuple[MetricFamily, ...] = find_families(__name__, __path__)
+METRICS: tuple[MetricInfo, ...] = tuple(
+    sorted((info for family in FAMILIES for info in family.metrics), key=lambda info: info.position)
+)
+"""All metrics in the order in which they are printed."""
+
+__all__ = [
+    "FAMILIES",
+    "METRICS",
+    "UNKNOWN_HAND",
+    "GazeRays",
+    "MetricFamily",
+    "MetricInfo",
+    "MetricValues",
+    "MotionBatch",
+    "ScoringTargets",
+    "score",
+]
+
+
+def score(
+    predicted: MotionBatch,
+    recorded: MotionBatch,
+    targets: ScoringTargets,
+    constants: MetricConstants,
+    *,
+    metrics: Collection[str] | None = None,
+    allow_length_mismatch: bool = False,
+    chunk_frames: int = CHUNK_FRAMES,
+    threads: int = 2,
+) -> dict[str, MetricValues]:
+    """Score predicted motions against the recorded ones.
+
+    Every sequence is scored on its own: neither its neighbours, nor their order, nor the size of the chunks changes a
+    bit of its values.
+
+    Args:
+        predicted: Canonical frame, metres.
+        recorded: The recorded motions of the same sequences, in the same order.
+        targets: Their goals.
+        constants: Of the protocol.
+        metrics: Ids of the wanted metrics; all by default, ``prime_success_gaze`` only where ``targets`` hold gaze.
+        allow_length_mismatch: Accept motions of another length than the recorded one: the final frame is then each
+            motion's own, MPJPE takes the frames that both have, and the values carry the flag ``length_mismatch``.
+        chunk_frames: Frames that are worked on at once; a matter of speed and memory only.
+        threads: Chunks that are worked on at the same time; likewise.
+
+    Returns:
+        The values by metric id, in printed order.
+
+    Raises:
+        ValueError: for lengths that differ, sequences that are too short (one frame suffices for Goal MPJPE and
+            Location Error, everything else needs two), NaN or infinity (naming sequence and frame, counted from 0),
+            or an unknown metric.
+    """
+    return score_pair(
+        ScoringPair(predicted, recorded, targets),
+        constants,
+        FAMILIES,
+        metrics=metrics,
+        allow_length_mismatch=allow_length_mismatch,
+        chunk_frames=chunk_frames,
+        threads=threads,
+    )

@@ -1,0 +1,181 @@
+"""Motions of different lengths in one array: the form in which every metric takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.skeleton import N_JOINTS
+
+ROUNDING = 1e-6
+"""Metres. Positions are stored as float32, which resolves no more than this a few metres from the origin; a value that
+lies on a threshold up to this much counts as on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBatch:
+    """Ragged batch: the frames of all sequences one after the other, and where each sequence begins.
+
+    Raises:
+        ValueError: if the offsets do not start at 0, do not end at the number of frames, or leave a sequence empty.
+    """
+
+    values: Float[np.ndarray, "frames 22 3"]
+    """Joint positions, canonical frame, metres; float32 or float64."""
+    offsets: Int[np.ndarray, " sequences_and_1"]
+    """Row of the first frame of each sequence, then the number of all frames."""
+
+    def __post_init__(self) -> None:
+        if self.values.shape[1:] != (N_JOINTS, 3):
+            raise ValueError(f"expected joints of shape (frames, {N_JOINTS}, 3), found {self.values.shape}")
+        if self.offsets[0] != 0 or self.offsets[-1] != len(self.values):
+            raise ValueError(
+                f"offsets must run from 0 to {len(self.values)}, found {self.offsets[0]} to {self.offsets[-1]}"
+            )
+        empty = np.flatnonzero(np.diff(self.offsets) < 1)
+        if empty.size:
+            raise ValueError(f"sequence {empty[0]} has no frames")
+
+    @classmethod
+    def from_motions(cls, motions: Sequence[Float[np.ndarray, "_ 22 3"]]) -> MotionBatch:
+        """Join motions of any lengths; the values are copied."""
+        lengths = [len(motion) for motion in motions]
+        values = np.concatenate(motions) if motions else np.empty((0, N_JOINTS, 3))
+        return cls(values, np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]))
+
+    @classmethod
+    def from_padded(cls, values: Float[np.ndarray, "n padded 22 3"], n_frames: Int[np.ndarray, " n"]) -> MotionBatch:
+        """Take the first ``n_frames[i]`` frames of each row; what the padding holds leaves no trace."""
+        too_long = np.flatnonzero((n_frames > values.shape[1]) | (n_frames < 1))
+        if too_long.size:
+            row = too_long[0]
+            raise ValueError(f"sequence {row}: {n_frames[row]} frames asked of {values.shape[1]} padded ones")
+        kept = np.arange(values.shape[1]) < n_frames[:, None]
+        return cls(values[kept], np.concatenate([[0], np.cumsum(n_frames, dtype=np.int64)]))
+
+    @property
+    def n_sequences(self) -> int:
+        """Number of sequences."""
+        return len(self.offsets) - 1
+
+    @property
+    def n_frames(self) -> Int[np.ndarray, " n"]:
+        """Frames of each sequence."""
+        return np.diff(self.offsets)
+
+    @property
+    def first(self) -> Int[np.ndarray, " n"]:
+        """Row of each sequence's first frame."""
+        return self.offsets[:-1]
+
+    @property
+    def last(self) -> Int[np.ndarray, " n"]:
+        """Row of each sequence's last frame."""
+        return self.offsets[1:] - 1
+
+    @cached_property
+    def sequence_of_row(self) -> Int[np.ndarray, " frames"]:
+        """Which sequence each row belongs to."""
+        return np.repeat(np.arange(self.n_sequences), self.n_frames)
+
+    @cached_property
+    def columns(self) -> Float[np.ndarray, "22 3 frames"]:
+        """The joints in float64, time last: ``columns[Joint.HEAD]`` is the x, y and z track of the head."""
+        rows = self.values.reshape(len(self.values), -1)
+        return np.ascontiguousarray(rows.T, dtype=np.float64).reshape(N_JOINTS, 3, -1)
+
+    def part(self, start: int, stop: int) -> MotionBatch:
+        """Sequences ``start`` to ``stop - 1``, without copying."""
+        begin, end = self.offsets[start], self.offsets[stop]
+        return MotionBatch(self.values[begin:end], self.offsets[start : stop + 1] - begin)
+
+    def shortened(self, n_frames: Int[np.ndarray, " n"]) -> MotionBatch:
+        """The first ``n_frames[i]`` frames of each sequence."""
+        rows = ranges(self.first, n_frames)
+        return MotionBatch(self.values[rows], np.concatenate([[0], np.cumsum(n_frames, dtype=np.int64)]))
+
+    def chunk_bounds(self, max_frames: int) -> Iterator[tuple[int, int]]:
+        """Consecutive runs of whole sequences with at most ``max_frames`` frames (or one sequence) each."""
+        start = 0
+        while start < self.n_sequences:
+            stop = int(np.searchsorted(self.offsets, self.offsets[start] + max_frames, side="right")) - 1
+            stop = max(stop, start + 1)
+            yield start, stop
+            start = stop
+
+    def require_frames(self, minimum: int) -> None:
+        """Refuse sequences that are too short.
+
+        Raises:
+            ValueError: naming the first such sequence.
+        """
+        short = np.flatnonzero(self.n_frames < minimum)
+        if short.size:
+            raise ValueError(f"sequence {short[0]}: expected {minimum} frames or more, found {self.n_frames[short[0]]}")
+
+    def require_finite(self, name: str, *, counted_from: int = 0) -> None:
+        """Refuse NaN and infinity.
+
+        Args:
+            name: Of the motion, for the error.
+            counted_from: Number of this batch's first sequence, for the error.
+
+        Raises:
+            ValueError: naming sequence and frame.
+        """
+        if np.isfinite(self.values).all():
+            return
+        row = int(np.flatnonzero(~np.isfinite(self.values).all(axis=(1, 2)))[0])
+        sequence = int(np.searchsorted(self.offsets, row, side="right")) - 1
+        frame = row - int(self.offsets[sequence])
+        raise ValueError(f"{name} motion, sequence {sequence + counted_from}, frame {frame}: a joint is not finite")
+
+
+def require_equal_lengths(predicted: MotionBatch, recorded: MotionBatch) -> None:
+    """Refuse motions that are not frame by frame comparable (methods/metrics.md, section 0).
+
+    Raises:
+        ValueError: naming the first sequence whose length differs.
+    """
+    if predicted.n_sequences != recorded.n_sequences:
+        raise ValueError(f"expected {recorded.n_sequences} predicted motions, found {predicted.n_sequences}")
+    different = np.flatnonzero(predicted.n_frames != recorded.n_frames)
+    if different.size:
+        i = different[0]
+        raise ValueError(f"sequence {i}: expected {recorded.n_frames[i]} frames, found {predicted.n_frames[i]}")
+
+
+def ranges(starts: Int[np.ndarray, " n"], counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, " total"]:
+    """``starts[i], starts[i] + 1, …`` (``counts[i]`` numbers), one range after the other."""
+    ends = np.cumsum(counts)
+    return np.arange(ends[-1] if len(ends) else 0) + np.repeat(starts - (ends - counts), counts)
+
+
+def sum_rows(rows: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " n"]:
+    """Sum over the first axis in a fixed order; ``rows.sum(axis=0)`` rounds differently when n is 1."""
+    total = rows[0].copy()
+    for row in rows[1:]:
+        total += row
+    return total
+
+
+def odd_window(seconds: float, fps: float) -> int:
+    """Frames of a centred moving window: ``round(seconds * fps)``, made odd by adding one."""
+    return 2 * (int(np.floor(seconds * fps + 0.5 + 1e-9)) // 2) + 1
+
+
+def moving_sum(values: Float[np.ndarray, "k frames"], batch: MotionBatch, window: int) -> Float[np.ndarray, "k frames"]:
+    """Sum over a centred window of frames, with zeros beyond both ends of each sequence."""
+    half = window // 2
+    spaced_row = np.arange(values.shape[1]) + half * (batch.sequence_of_row + 1)  # zeros keep the sequences apart
+    spaced = np.zeros((len(values), values.shape[1] + half * (batch.n_sequences + 1)))
+    spaced[:, spaced_row] = values
+    width = spaced.shape[1] - 2 * half
+    total = spaced[:, :width].copy()
+    for shift in range(1, window):
+        total += spaced[:, shift : shift + width]
+    return total[:, spaced_row - half]

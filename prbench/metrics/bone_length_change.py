@@ -1,0 +1,47 @@
+"""Bone length change: whether the body that moves stays the same body."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import ROUNDING, MotionBatch
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair
+from prbench.skeleton import BONES
+
+
+def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Largest relative change of a bone against frame 0: max over bones and frames of ``|length / length_0 - 1|``.
+
+    Args:
+        motion: Metres, any frame.
+
+    Returns:
+        The change (methods/metrics.md, section 9), and which sequences have a bone of zero length in frame 0. Such a
+        bone has no relative change and is left out.
+    """
+    parents, children = np.transpose(BONES)
+    squared = motion.columns[children]
+    squared -= motion.columns[parents]
+    squared *= squared
+    squared = squared[:, 0] + squared[:, 1] + squared[:, 2]  # (bones, frames)
+    initial = np.sqrt(squared[:, motion.first])
+    longest = np.sqrt(np.maximum.reduceat(squared, motion.first, axis=1))
+    shortest = np.sqrt(np.minimum.reduceat(squared, motion.first, axis=1))
+    missing = np.less(initial, ROUNDING)
+    deviation = np.maximum(longest - initial, initial - shortest)
+    change = np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial))
+    return change.max(axis=0), missing.any(axis=0)
+
+
+def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
+    change, missing = bone_length_change(pair.predicted)
+    return (MetricValues("bone_length_change", change, {"zero_length_bone": missing}),)
+
+
+FAMILY = MetricFamily(
+    (MetricInfo("bone_length_change", "Bone length change", "ratio", higher_is_better=False, main=False, position=16),),
+    _compute,
+)

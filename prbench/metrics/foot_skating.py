@@ -1,0 +1,110 @@
+"""Foot Skating after Guided Motion Diffusion, and the share of frames in which it can happen at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import ROUNDING, MotionBatch, moving_sum, odd_window
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair
+from prbench.skeleton import TOES
+
+Fps = float | Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class ToeSteps:
+    """The steps of both toes from each frame to the next; a sequence's last frame has none and holds zeros."""
+
+    speed: Float[np.ndarray, "2 frames"]
+    """Horizontal, m/s."""
+    averaged_speed: Float[np.ndarray, "2 frames"]
+    """Moving average of ``speed`` with zeros beyond both ends."""
+    contact: Bool[np.ndarray, "2 frames"]
+    """Toe below ``foot_height`` before and after the step."""
+
+
+def foot_skating(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Float[np.ndarray, " n"]:
+    """Share of frame transitions in which a toe slides over the floor (methods/metrics.md, section 6).
+
+    A toe slides if it stays below ``foot_height`` while both its horizontal speed and the moving average of that speed
+    exceed ``foot_speed``. Heights are absolute: the floor is Y = 0.
+
+    Args:
+        motion: Canonical frame, metres, two frames or more.
+        fps: Frames per second.
+        constants: Of the protocol; ``foot_window`` is 5 frames at 20 fps and any other odd number at other rates.
+    """
+    steps = toe_steps(motion, fps, constants)
+    return _share_of_transitions(_sliding(steps, constants), motion)
+
+
+def contact_share(motion: MotionBatch, constants: MetricConstants) -> Float[np.ndarray, " n"]:
+    """Share of frame transitions in which a toe stays below ``foot_height``; where it is 0, nothing can skate."""
+    return _share_of_transitions(_contact(motion, constants), motion)
+
+
+def toe_steps(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> ToeSteps:
+    """Speeds and contacts of the toe joints (``TOES``).
+
+    Raises:
+        ValueError: if a sequence has fewer than two frames.
+    """
+    motion.require_frames(2)
+    fps_of_sequence = np.broadcast_to(np.asarray(fps, dtype=np.float64), (motion.n_sequences,))
+    speed = np.zeros((len(TOES), len(motion.values)))
+    for toe, track in zip(speed, motion.columns[list(TOES)], strict=True):
+        toe[:-1] = np.sqrt(np.diff(track[0]) ** 2 + np.diff(track[2]) ** 2)
+    speed *= fps_of_sequence[motion.sequence_of_row]
+    speed[:, motion.last] = 0.0
+    return ToeSteps(speed, _averaged(speed, motion, fps_of_sequence, constants), _contact(motion, constants))
+
+
+def _averaged(speed: np.ndarray, motion: MotionBatch, fps: np.ndarray, constants: MetricConstants) -> np.ndarray:
+    windows = np.array([odd_window(constants.foot_window, rate) for rate in np.unique(fps)])
+    window_of_sequence = windows[np.searchsorted(np.unique(fps), fps)]
+    averaged = np.empty_like(speed)
+    for window in np.unique(windows):
+        rows = (window_of_sequence == window)[motion.sequence_of_row]
+        averaged[:, rows] = moving_sum(speed, motion, int(window))[:, rows] / window
+    return averaged
+
+
+def _contact(motion: MotionBatch, constants: MetricConstants) -> np.ndarray:
+    low = motion.columns[list(TOES), 1] < constants.foot_height - ROUNDING
+    contact = np.zeros_like(low)
+    contact[:, :-1] = low[:, :-1] & low[:, 1:]
+    contact[:, motion.last] = False
+    return contact
+
+
+def _sliding(steps: ToeSteps, constants: MetricConstants) -> np.ndarray:
+    limit = constants.foot_speed + ROUNDING
+    return steps.contact & (steps.speed > limit) & (steps.averaged_speed > limit)
+
+
+def _share_of_transitions(of_toes: np.ndarray, motion: MotionBatch) -> np.ndarray:
+    motion.require_frames(2)
+    either = (of_toes[0] | of_toes[1]).astype(np.int64)
+    return np.add.reduceat(either, motion.first) / (motion.n_frames - 1)
+
+
+def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:
+    motion = pair.predicted
+    steps = toe_steps(motion, pair.targets.fps, constants)
+    sliding = _share_of_transitions(_sliding(steps, constants), motion)
+    contact = _share_of_transitions(steps.contact, motion)
+    return MetricValues("foot_skating", sliding, {}), MetricValues("contact_share", contact, {})
+
+
+FAMILY = MetricFamily(
+    (
+        MetricInfo("foot_skating", "Foot Skating", "ratio", higher_is_better=False, main=True, position=6),
+        MetricInfo("contact_share", "Foot contact", "ratio", higher_is_better=None, main=False, position=15),
+    ),
+    _compute,
+)

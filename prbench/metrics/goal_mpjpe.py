@@ -1,0 +1,36 @@
+"""Goal MPJPE: how far the pose at the end lies from the recorded one."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import MotionBatch
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair
+
+
+def goal_mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Mean per-joint position error at the last frame, metres (methods/metrics.md, section 4).
+
+    Global positions, no alignment, pelvis included. Each motion's own last frame counts.
+
+    Args:
+        predicted: Canonical frame, metres.
+        recorded: Same frame and unit.
+    """
+    predicted_goal = predicted.values[predicted.last].astype(np.float64)
+    recorded_goal = recorded.values[recorded.last].astype(np.float64)
+    return np.linalg.norm(predicted_goal - recorded_goal, axis=-1).mean(axis=-1)
+
+
+def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
+    return (MetricValues("goal_mpjpe", goal_mpjpe(pair.predicted, pair.recorded), {}),)
+
+
+FAMILY = MetricFamily(
+    (MetricInfo("goal_mpjpe", "Goal MPJPE", "m", higher_is_better=False, main=True, position=3),),
+    _compute,
+    minimum_frames=1,
+)

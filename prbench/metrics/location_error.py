@@ -1,0 +1,53 @@
+"""Location Error: whether the body ends up somewhere else than the recorded one."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import ROUNDING, MotionBatch
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair
+from prbench.skeleton import Joint
+
+
+def location_error(
+    predicted: MotionBatch, recorded: MotionBatch, constants: MetricConstants, *, horizontal: bool = False
+) -> Float[np.ndarray, " n"]:
+    """1 where the final pelvis is ``location_error_distance`` or more from the recorded one (methods/metrics.md, 3).
+
+    Args:
+        predicted: Canonical frame, metres.
+        recorded: Same frame and unit.
+        constants: Of the protocol.
+        horizontal: Compare x and z only, as Guided Motion Diffusion does.
+    """
+    axes = [0, 2] if horizontal else [0, 1, 2]
+    predicted_end = predicted.values[predicted.last, Joint.PELVIS].astype(np.float64)
+    recorded_end = recorded.values[recorded.last, Joint.PELVIS].astype(np.float64)
+    distance = np.linalg.norm((predicted_end - recorded_end)[:, axes], axis=-1)
+    return (distance >= constants.location_error_distance - ROUNDING).astype(np.float64)
+
+
+def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:
+    full = location_error(pair.predicted, pair.recorded, constants)
+    horizontal = location_error(pair.predicted, pair.recorded, constants, horizontal=True)
+    return MetricValues("location_error", full, {}), MetricValues("location_error_horizontal", horizontal, {})
+
+
+FAMILY = MetricFamily(
+    (
+        MetricInfo("location_error", "Location Error", "rate", higher_is_better=False, main=True, position=4),
+        MetricInfo(
+            "location_error_horizontal",
+            "Location Error (horizontal)",
+            "rate",
+            higher_is_better=False,
+            main=False,
+            position=14,
+        ),
+    ),
+    _compute,
+    minimum_frames=1,
+)

@@ -1,0 +1,48 @@
+"""MPJPE: how far the whole predicted motion lies from the recorded one."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import MotionBatch, require_equal_lengths, sum_rows
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair
+from prbench.skeleton import N_JOINTS
+
+
+def mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Mean per-joint position error of each sequence, metres (methods/metrics.md, section 5).
+
+    Mean over all frames and joints of the distance between predicted and recorded joint. Global positions, no
+    alignment, first frame and pelvis included. Average it over sequences, never over pooled frames.
+
+    Args:
+        predicted: Canonical frame, metres.
+        recorded: Same frame, unit and lengths.
+
+    Raises:
+        ValueError: if a length differs.
+    """
+    require_equal_lengths(predicted, recorded)
+    error = predicted.columns - recorded.columns
+    error *= error
+    squared = error[:, 0]
+    squared += error[:, 1]
+    squared += error[:, 2]
+    per_frame = sum_rows(np.sqrt(squared))
+    return np.add.reduceat(per_frame, predicted.first) / (N_JOINTS * predicted.n_frames)
+
+
+def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
+    shorter = np.minimum(pair.predicted.n_frames, pair.recorded.n_frames)
+    if (pair.predicted.n_frames == pair.recorded.n_frames).all():
+        return (MetricValues("mpjpe", mpjpe(pair.predicted, pair.recorded), {}),)
+    return (MetricValues("mpjpe", mpjpe(pair.predicted.shortened(shorter), pair.recorded.shortened(shorter)), {}),)
+
+
+FAMILY = MetricFamily(
+    (MetricInfo("mpjpe", "MPJPE", "m", higher_is_better=False, main=True, position=5),),
+    _compute,
+)

@@ -1,0 +1,159 @@
+"""How close a looking ray passes the goal and how fast it turns, frame by frame: the evidence for priming."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import MotionBatch, moving_sum, odd_window, ranges
+from prbench.metrics.targets import GazeRays
+from prbench.skeleton import Joint, head_forward
+
+_TIME_TOLERANCE = 1e-9  # seconds
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateFrames:
+    """The frames of each sequence at which priming may begin (methods/metrics.md, section 1).
+
+    Frames around the prime time, of which frames 0 and 1 (whose head direction has no acceleration) and the last
+    ``hold`` frames (whose stay on the target cannot be seen to its end) are left out.
+    """
+
+    first: Int[np.ndarray, " n"]
+    last: Int[np.ndarray, " n"]
+    """Inclusive; before ``first`` where a sequence has no candidate."""
+    hold: Int[np.ndarray, " n"]
+    """K: the ray must stay on the target in frame t and the K frames after it."""
+
+    @property
+    def count(self) -> Int[np.ndarray, " n"]:
+        """Number of candidates of each sequence."""
+        return np.maximum(self.last - self.first + 1, 0)
+
+
+def candidate_frames(
+    n_frames: Int[np.ndarray, " n"],
+    prime_time: Float[np.ndarray, " n"],
+    fps: Float[np.ndarray, " n"],
+    constants: MetricConstants,
+) -> CandidateFrames:
+    """Frames t with t / fps in ``[prime_time - prime_window, prime_time + prime_window]`` and room for the stay."""
+    hold = np.ceil(constants.prime_duration * fps - 1e-9).astype(np.int64)
+    begin = np.ceil((prime_time - constants.prime_window - _TIME_TOLERANCE) * fps).astype(np.int64)
+    end = np.floor((prime_time + constants.prime_window + _TIME_TOLERANCE) * fps).astype(np.int64)
+    return CandidateFrames(np.maximum(begin, 2), np.minimum(end, n_frames - 1 - hold), hold)
+
+
+@dataclass(frozen=True, eq=False)
+class RayTrack:
+    """Distance and turning speed of a ray in the frames that the candidates of each sequence depend on."""
+
+    distance: Float[np.ndarray, " rows"]
+    """From the goal to the ray (not the line), metres."""
+    speed: Float[np.ndarray, " rows"]
+    """Turn since the frame before, rad/s; NaN where that is unknown."""
+    usable: Bool[np.ndarray, " rows"]
+    """False where the ray itself is not to be trusted; such a frame is off target."""
+    sequence: Int[np.ndarray, " rows"]
+    row_of_frame_0: Int[np.ndarray, " n"]
+    """``row_of_frame_0[i] + t`` is the row of frame t of sequence i, where the track holds that frame."""
+
+
+def head_track(
+    motion: MotionBatch,
+    candidates: CandidateFrames,
+    goal_location: Float[np.ndarray, "n 3"],
+    head_tilt_deg: Float[np.ndarray, " n"],
+    fps: Float[np.ndarray, " n"],
+    constants: MetricConstants,
+) -> RayTrack:
+    """The head-forward ray against the goal; frames without a defined head frame are not usable.
+
+    Args:
+        motion: Canonical frame, metres.
+        candidates: Decide which frames are looked at.
+        goal_location: Same frame and unit.
+        head_tilt_deg: See :func:`prbench.skeleton.head_forward`.
+        fps: Frames per second.
+        constants: Of the protocol; with ``head_smoothing`` above 0 the joints are averaged over time first.
+    """
+    rows, sequence, row_of_frame_0 = _rows_looked_at(motion, candidates)
+    values = motion.values if constants.head_smoothing == 0 else _smoothed(motion, fps, constants.head_smoothing)
+    joints = values[rows].astype(np.float64)
+    direction, degenerate = head_forward(joints, head_tilt_deg[sequence])
+    distance = ray_distance(joints[:, Joint.HEAD], direction, goal_location[sequence])
+    speed = _turning_speed(direction, sequence, fps)
+    return RayTrack(distance, speed, ~degenerate, sequence, row_of_frame_0)
+
+
+def gaze_track(
+    motion: MotionBatch,
+    gaze: GazeRays,
+    candidates: CandidateFrames,
+    goal_location: Float[np.ndarray, "n 3"],
+    fps: Float[np.ndarray, " n"],
+) -> RayTrack:
+    """The recorded gaze ray against the goal.
+
+    An invalid sample is off target, and the turn into it and out of it is unknown.
+
+    Args:
+        motion: The recorded motion whose frames the gaze belongs to.
+        gaze: One ray a frame.
+        candidates: Decide which frames are looked at.
+        goal_location: Canonical frame, metres.
+        fps: Frames per second.
+    """
+    rows, sequence, row_of_frame_0 = _rows_looked_at(motion, candidates)
+    origin, direction = gaze.origin[rows].astype(np.float64), gaze.direction[rows].astype(np.float64)
+    valid = gaze.valid[rows]
+    distance = ray_distance(origin, direction, goal_location[sequence])
+    speed = _turning_speed(direction, sequence, fps)
+    speed[~valid] = np.nan
+    speed[1:][~valid[:-1]] = np.nan
+    return RayTrack(distance, speed, valid, sequence, row_of_frame_0)
+
+
+def ray_distance(
+    origin: Float[np.ndarray, "rows 3"], direction: Float[np.ndarray, "rows 3"], point: Float[np.ndarray, "rows 3"]
+) -> Float[np.ndarray, " rows"]:
+    """Distance between a point and a ray; a point behind the ray's origin is as far as the origin."""
+    to_point = point - origin
+    along = np.maximum((to_point * direction).sum(axis=-1, keepdims=True), 0.0)
+    return np.linalg.norm(to_point - along * direction, axis=-1)
+
+
+def _turning_speed(direction: np.ndarray, sequence: np.ndarray, fps: np.ndarray) -> np.ndarray:
+    before, after = direction[:-1], direction[1:]
+    sine = np.linalg.norm(np.cross(before, after), axis=-1)
+    cosine = (before * after).sum(axis=-1)
+    speed = np.full(len(direction), np.nan)
+    speed[1:] = fps[sequence[1:]] * np.arctan2(sine, cosine)
+    speed[1:][sequence[1:] != sequence[:-1]] = np.nan
+    return speed
+
+
+def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of the motion that some candidate depends on, the sequence of each, and where frame 0 would lie."""
+    before = np.maximum(candidates.hold, 2)  # turning speeds reach back this far
+    begin = np.maximum(candidates.first - before, 0)
+    count = np.where(candidates.count > 0, candidates.last + candidates.hold + 1 - begin, 0)
+    rows = ranges(motion.first + begin, count)
+    sequence = np.repeat(np.arange(motion.n_sequences), count)
+    return rows, sequence, np.cumsum(count) - count - begin
+
+
+def _smoothed(motion: MotionBatch, fps: np.ndarray, seconds: float) -> np.ndarray:
+    """Joints averaged over a centred window, which is shorter near the ends of a sequence."""
+    flat = motion.columns.reshape(-1, len(motion.values))
+    smooth = np.empty_like(flat)
+    window_of_row = np.array([odd_window(seconds, rate) for rate in fps])[motion.sequence_of_row]
+    for window in np.unique(window_of_row):
+        rows = window_of_row == window
+        counts = moving_sum(np.ones((1, len(motion.values))), motion, int(window))
+        smooth[:, rows] = (moving_sum(flat, motion, int(window)) / counts)[:, rows]
+    return smooth.T.reshape(motion.values.shape)

@@ -1,0 +1,203 @@
+"""Prime Success: the worked cases A to F, the two readings, the edges of the window, and its laws."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from prbench.metrics import GazeRays, score
+from prbench.metrics.prime_success import prime_success
+from prbench.metrics.prime_success_gaze import prime_success_gaze
+from prbench.metrics.ray_track import candidate_frames, head_track, ray_distance
+from prbench.skeleton import Joint, head_forward
+from tests.metrics.motions import CONSTANTS, FPS, batch, looking, random_problem, standing, targets
+
+A = (40, 25, 12, 5, 3, 3, 3, 3)
+
+
+def both(angles, **changes) -> tuple[float, float]:
+    constants = msgspec.structs.replace(CONSTANTS, **{k: v for k, v in changes.items() if k.startswith("prime_d")})
+    where = targets(**{k: v for k, v in changes.items() if not k.startswith("prime_d")})
+    motion = batch(looking(angles))
+    return tuple(float(prime_success(motion, where, constants, variant=v)[0]) for v in ("equation", "onset"))
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        pytest.param(A, (1, 1), id="A: turns in and settles"),
+        pytest.param((0,) * 7, (0, 0), id="B: looks there from the start, motionless"),
+        pytest.param((20, 15, 10, 5, 0, -5, -10), (0, 0), id="C: sweeps over at constant speed"),
+        pytest.param((180, 181, 180, 180, 179, 180, 180), (0, 0), id="D: looks away"),
+        pytest.param((6, 5, 4, 4, 4, 4, 4), (1, 0), id="E: never off target"),
+        pytest.param((12, 5, 12, 5, 3, 3, 3), (1, 1), id="F: glances, leaves, comes back"),
+    ],
+)
+def test_worked_cases(angles: tuple[float, ...], expected: tuple[float, float]) -> None:
+    assert both(angles) == expected
+
+
+def test_distances_and_speeds_of_case_a() -> None:
+    motion, where = batch(looking(A)), targets()
+    candidates = candidate_frames(motion.n_frames, where.prime_time, where.fps_of_sequence, CONSTANTS)
+    track = head_track(motion, candidates, where.goal_location, where.head_tilt_deg, where.fps_of_sequence, CONSTANTS)
+    assert track.row_of_frame_0[0] == 0
+    np.testing.assert_allclose(track.distance[:5], [1.2856, 0.8452, 0.4158, 0.1743, 0.1047], atol=5e-5)
+    np.testing.assert_allclose(np.rad2deg(track.speed[1:]), [300, 260, 140, 40, 0, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("prime_time", "expected"), [(1.2, (1, 0)), (1.25, (1, 0)), (1.3, (0, 0)), (1.15, (1, 1))])
+def test_only_frames_around_the_prime_time_are_candidates(prime_time: float, expected: tuple[float, float]) -> None:
+    assert both(A, prime_time=prime_time) == expected
+
+
+def test_a_prime_time_without_candidates_is_flagged() -> None:
+    motion = batch(looking(A), looking(A))
+    values = score(motion, motion, targets(2, prime_time=(1.3, 1.25)), CONSTANTS)["prime_success"]
+    assert values.value.tolist() == [0, 1]
+    assert values.flag == ["no_candidate_frames", None]
+
+
+def test_a_stay_that_the_end_cuts_off_does_not_count() -> None:
+    assert both(A[:6]) == (1, 1)  # frames 3, 4 and 5 are on target
+    assert both(A[:5]) == (0, 0)
+
+
+def test_case_e_has_an_onset_at_a_smaller_distance() -> None:
+    assert both((6, 5, 4, 4, 4, 4, 4), prime_distance=0.25)[1] == 0
+    assert both((6, 5, 4, 4, 4, 4, 4), prime_distance=0.15)[1] == 1
+
+
+def test_a_longer_stay_needs_more_frames_on_target() -> None:
+    glance = (40, 25, 12, 5, 3, 3, 12, 25)
+    assert both(glance, prime_duration=0.1) == (1, 1)
+    assert both(glance, prime_duration=0.101) == (0, 0)
+
+
+def test_three_frames_of_stay_at_25_frames_per_second() -> None:
+    where = targets(2, fps=np.array([20.0, 25.0]))
+    frames = candidate_frames(np.array([8, 8]), where.prime_time, where.fps_of_sequence, CONSTANTS)
+    assert frames.hold.tolist() == [2, 3]
+    assert frames.last.tolist() == [5, 4]
+
+
+def test_a_goal_behind_the_head_is_as_far_as_the_head() -> None:
+    origin, forward = np.array([[0, 1.6, 0.0]]), np.array([[0, 0, 1.0]])
+    assert ray_distance(origin, forward, np.array([[0, 1.6, -2.0]])) == pytest.approx(2.0)
+    assert ray_distance(origin, forward, np.array([[0.3, 1.6, 2.0]])) == pytest.approx(0.3)
+
+
+def test_a_degenerate_head_is_off_target_and_flagged() -> None:
+    motion = looking(A)
+    motion[5, Joint.HEAD] = motion[5, Joint.NECK]  # in every stay: frames 3 to 5, 4 to 6, 5 to 7
+    values = score(batch(motion), batch(motion), targets(), CONSTANTS)["prime_success"]
+    assert values.value.tolist() == [0]
+    assert values.flag == ["degenerate_head_frames"]
+
+
+def test_smoothing_the_joints_first_removes_a_tremor() -> None:
+    tremor = [4 + (-1) ** t * (1 + 0.2 * (t % 3)) for t in range(20)]
+    smoothing = msgspec.structs.replace(CONSTANTS, head_smoothing=2.0)
+    motion, where = batch(looking(tremor)), targets(prime_time=0.5)
+    assert prime_success(motion, where, CONSTANTS) == 1
+    track = head_track(
+        motion,
+        candidate_frames(np.array([20]), where.prime_time, where.fps_of_sequence, smoothing),
+        where.goal_location,
+        where.head_tilt_deg,
+        where.fps_of_sequence,
+        smoothing,
+    )
+    assert np.nanmax(track.speed) < np.deg2rad(2 * FPS) / 3  # the tremor itself turns 2 degrees a frame or more
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_success_grows_with_distance_and_window(seed: int) -> None:
+    predicted, _, where = random_problem(seed, np.random.default_rng(seed).integers(2, 120, 60))
+
+    def at(distance: float, window: float, variant) -> np.ndarray:
+        constants = msgspec.structs.replace(CONSTANTS, prime_distance=distance, prime_window=window)
+        return prime_success(predicted, where, constants, variant=variant)
+
+    by_distance = np.stack([at(d, 1.0, "equation") for d in np.linspace(0, 1, 11)])
+    assert (np.diff(by_distance, axis=0) >= 0).all()
+    assert by_distance[0].sum() < by_distance[-1].sum()
+    for variant in ("equation", "onset"):
+        by_window = np.stack([at(0.4, w, variant) for w in (0, 0.25, 0.5, 0.75, 1, 1.25)])
+        assert (np.diff(by_window, axis=0) >= 0).all()
+        assert by_window[0].sum() < by_window[-1].sum()
+
+
+def slow_prime_success(joints, goal, tilt, prime_time, fps, constants, variant) -> float:
+    """The definition of methods/metrics.md, section 1, frame by frame."""
+    n, hold = len(joints), int(np.ceil(constants.prime_duration * fps - 1e-9))
+    forward, bad = head_forward(joints, tilt)
+    offset = goal - joints[:, Joint.HEAD]
+    near = [v - max(float(v @ h), 0) * h for v, h in zip(offset, forward, strict=True)]
+    on = [np.linalg.norm(d) <= constants.prime_distance and not b for d, b in zip(near, bad, strict=True)]
+    turn = [np.arctan2(np.linalg.norm(np.cross(g, h)), g @ h) * fps for g, h in pairwise(forward)]
+    speed = [np.nan, *turn]
+    for t in range(2, n - hold):
+        if abs(t / fps - prime_time) > constants.prime_window + 1e-9 or not all(on[t : t + hold + 1]):
+            continue
+        if variant == "equation" and speed[t] - speed[t - 1] < -constants.deceleration_tolerance:
+            return 1.0
+        if variant == "onset" and t >= hold and not on[t - 1]:
+            change = np.mean(speed[t + 1 : t + hold + 1]) - np.mean(speed[t - hold + 1 : t + 1])
+            if change < -constants.deceleration_tolerance:
+                return 1.0
+    return 0.0
+
+
+@pytest.mark.parametrize("variant", ["equation", "onset"])
+@pytest.mark.parametrize("seed", range(4))
+def test_agrees_with_the_definition_frame_by_frame(seed: int, variant) -> None:
+    lengths = np.random.default_rng(seed).integers(2, 200, 80)
+    predicted, _, where = random_problem(seed, lengths)
+    fps = np.where(np.arange(80) % 3 == 0, 30.0, 20.0)
+    where = targets(80, goal=where.goal_location, prime_time=where.prime_time, tilt=where.head_tilt_deg, fps=fps)
+    constants = msgspec.structs.replace(CONSTANTS, prime_distance=0.4)
+    expected = [
+        slow_prime_success(predicted.values[a:b], goal, 7.4, time, rate, constants, variant)
+        for a, b, goal, time, rate in zip(
+            predicted.first, predicted.last + 1, where.goal_location, where.prime_time, fps, strict=True
+        )
+    ]
+    assert 0 < sum(expected) < 80
+    assert prime_success(predicted, where, constants, variant=variant).tolist() == expected
+
+
+def gaze_of(motion: np.ndarray, valid=None) -> GazeRays:
+    direction, _ = head_forward(motion, 0.0)
+    return GazeRays(motion[:, Joint.HEAD], direction, np.ones(len(motion), bool) if valid is None else valid)
+
+
+def test_gaze_that_follows_the_head_succeeds_where_the_head_does() -> None:
+    for angles in (A, (0,) * 7, (20, 15, 10, 5, 0, -5, -10), (6, 5, 4, 4, 4, 4, 4)):
+        motion = looking(angles)
+        where = targets(gaze=gaze_of(motion))
+        assert prime_success_gaze(batch(motion), where, CONSTANTS) == prime_success(batch(motion), where, CONSTANTS)
+
+
+def test_an_invalid_gaze_sample_is_off_target_and_hides_the_turn() -> None:
+    motion = looking(A)
+    for lost, expected in [(4, 0), (5, 0), (6, 1), (2, 1), (0, 1)]:
+        valid = np.arange(len(A)) != lost
+        assert prime_success_gaze(batch(motion), targets(gaze=gaze_of(motion, valid)), CONSTANTS) == expected, lost
+
+
+def test_gaze_is_scored_only_where_it_is_handed_in() -> None:
+    motion = batch(looking(A))
+    assert "prime_success_gaze" not in score(motion, motion, targets(), CONSTANTS)
+    gaze = gaze_of(looking(A))
+    assert score(motion, motion, targets(gaze=gaze), CONSTANTS)["prime_success_gaze"].value == 1
+    with pytest.raises(ValueError, match="no gaze"):
+        score(motion, motion, targets(), CONSTANTS, metrics=["prime_success_gaze"])
+
+
+def test_a_single_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match="sequence 1: expected 2 frames or more, found 1"):
+        prime_success(batch(standing(5), standing(1)), targets(2), CONSTANTS)

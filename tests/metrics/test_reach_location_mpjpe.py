@@ -1,0 +1,127 @@
+"""Reach Success, Location Error, Goal MPJPE and MPJPE: worked cases and slow references."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from prbench.metrics.goal_mpjpe import goal_mpjpe
+from prbench.metrics.location_error import location_error
+from prbench.metrics.mpjpe import mpjpe
+from prbench.metrics.reach_success import reach_success, reach_wrist
+from prbench.skeleton import Joint
+from tests.metrics.motions import CONSTANTS, batch, random_problem, standing
+
+GOAL = np.array([[0.0, 1.0, 0.0]])
+
+
+def wrists_at(left, right) -> np.ndarray:
+    """Wrists on the x axis at these distances from the goal, left on +x."""
+    motion = standing(len(left))
+    motion[:, Joint.LEFT_WRIST] = GOAL + np.outer(left, (1, 0, 0))
+    motion[:, Joint.RIGHT_WRIST] = GOAL - np.outer(right, (1, 0, 0))
+    return motion
+
+
+def test_reach_counts_any_frame_and_final_the_last_one() -> None:
+    motion = batch(wrists_at([0.30, 0.099, 0.25], [0.4, 0.4, 0.101]))
+    assert reach_success(motion, GOAL, CONSTANTS) == 1
+    assert reach_success(motion, GOAL, CONSTANTS, final=True) == 0
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("distance", "expected"), [(0.10, 1), (0.1001, 0), (0.0999, 1)])
+def test_exactly_ten_centimetres_is_a_success(distance: float, expected: float, dtype) -> None:
+    for shift in (0.0, 0.3, 2.7):
+        motion = wrists_at([0.5, distance], [0.5, 0.5]) + shift
+        assert reach_success(batch(motion.astype(dtype)), GOAL + shift, CONSTANTS, final=True) == expected
+
+
+def test_either_wrist_succeeds() -> None:
+    motions = batch(
+        wrists_at([0.5, 0.05], [0.5, 0.5]), wrists_at([0.5, 0.5], [0.5, 0.05]), wrists_at([0.5] * 2, [0.5] * 2)
+    )
+    assert reach_success(motions, np.repeat(GOAL, 3, axis=0), CONSTANTS).tolist() == [1, 1, 0]
+
+
+@pytest.mark.parametrize(("hand", "expected"), [(0, 1), (1, 0), (-1, 0)])
+def test_reach_wrist_aims_at_the_recorded_reaching_wrist(hand: int, expected: float) -> None:
+    recorded = batch(wrists_at([0.9, 0.30], [0.9, 0.20]))  # the right one ends nearer to the goal
+    predicted = batch(wrists_at([0.9, 0.35, 0.9], [0.9, 0.9, 0.9]))  # 5 cm from the recorded left one, in some frame
+    assert reach_wrist(predicted, recorded, GOAL, np.array([hand]), CONSTANTS) == expected
+
+
+def test_recorded_motion_reaches_its_own_wrist() -> None:
+    _, recorded, where = random_problem(0, np.random.default_rng(0).integers(2, 200, 50))
+    assert reach_wrist(recorded, recorded, where.goal_location, where.hand, CONSTANTS).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(
+    ("offset", "full", "horizontal"),
+    [((0.3, 0, 0.4), 1, 1), ((0.3, 0.1, 0.38), 0, 0), ((0.3, 0.2, 0.38), 1, 0), ((0, 0, 0), 0, 0)],
+)
+def test_location_error_worked_cases(offset: tuple, full: float, horizontal: float, dtype) -> None:
+    for place in (0.0, 1.1, -3.3):
+        recorded = standing(3) + place
+        predicted = recorded.copy()
+        predicted[-1] += offset
+        pair = batch(predicted.astype(dtype)), batch(recorded.astype(dtype))
+        assert location_error(*pair, CONSTANTS) == full
+        assert location_error(*pair, CONSTANTS, horizontal=True) == horizontal
+
+
+def test_only_the_last_pelvis_counts_for_location_error() -> None:
+    predicted = standing(3)
+    predicted[:2] += 5.0
+    predicted[2, 1:] += 5.0
+    assert location_error(batch(predicted), batch(standing(3)), CONSTANTS) == 0
+
+
+def test_five_centimetres_in_the_last_of_four_frames() -> None:
+    predicted = standing(4)
+    predicted[-1] += (0.03, 0.04, 0.0)
+    pair = batch(predicted), batch(standing(4))
+    assert goal_mpjpe(*pair) == pytest.approx(0.05)
+    assert mpjpe(*pair) == pytest.approx(0.0125)
+
+
+def test_one_joint_of_22_in_the_first_of_two_frames() -> None:
+    predicted = standing(2)
+    predicted[0, Joint.PELVIS] += (0, 0, 0.44)
+    pair = batch(predicted), batch(standing(2))
+    assert goal_mpjpe(*pair) == 0
+    assert mpjpe(*pair) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_agree_with_slow_references(seed: int) -> None:
+    lengths = np.random.default_rng(seed).integers(1, 200, 60)
+    predicted, recorded, where = random_problem(seed, lengths)
+    constants = msgspec.structs.replace(CONSTANTS, location_error_distance=0.15, reach_distance=0.2)
+    reach = reach_success(predicted, where.goal_location, constants)
+    final = reach_success(predicted, where.goal_location, constants, final=True)
+    wrist = reach_wrist(predicted, recorded, where.goal_location, where.hand, constants)
+    error, goal_error, lost = (
+        mpjpe(predicted, recorded),
+        goal_mpjpe(predicted, recorded),
+        location_error(predicted, recorded, constants),
+    )
+    for i, (a, b) in enumerate(zip(predicted.offsets, predicted.offsets[1:], strict=False)):
+        p, r, goal = predicted.values[a:b], recorded.values[a:b], where.goal_location[i]
+        near = [min(np.linalg.norm(frame[j] - goal) for j in (20, 21)) for frame in p]
+        assert (reach[i], final[i]) == (min(near) <= 0.2, near[-1] <= 0.2)
+        side = where.hand[i] if where.hand[i] >= 0 else np.argmin([np.linalg.norm(r[-1, j] - goal) for j in (20, 21)])
+        assert wrist[i] == (min(np.linalg.norm(frame[j] - r[-1, 20 + side]) for frame in p for j in (20, 21)) <= 0.2)
+        distances = [[np.linalg.norm(p[t, j] - r[t, j]) for j in range(22)] for t in range(b - a)]
+        assert error[i] == pytest.approx(np.mean(distances), rel=1e-12)
+        assert goal_error[i] == pytest.approx(np.mean(distances[-1]), rel=1e-12)
+        assert lost[i] == (distances[-1][0] >= 0.15)
+    for rate in (reach, final, wrist, lost):
+        assert 0 < rate.sum() < 60
+
+
+def test_unequal_lengths_are_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="sequence 1: expected 4 frames, found 3"):
+        mpjpe(batch(standing(2), standing(3)), batch(standing(2), standing(4)))

@@ -1,0 +1,173 @@
+"""All metrics at once: laws that hold for every one of them, the length contract, and the registry."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets, score
+from tests.metrics.motions import CONSTANTS, batch, random_problem, standing, targets, turned
+
+EASIER = msgspec.structs.replace(CONSTANTS, prime_distance=0.4, reach_distance=0.2, location_error_distance=0.15)
+LENGTHS = (2, 3, 4, 5, 17, 60, 200, 31, 2, 120, 44, 7)
+
+
+def values(*problem, **options) -> dict[str, list[float]]:
+    return {metric: found.value.tolist() for metric, found in score(*problem, EASIER, **options).items()}
+
+
+def reordered(motion: MotionBatch, order) -> MotionBatch:
+    return batch(*(motion.values[motion.offsets[i] : motion.offsets[i + 1]] for i in order))
+
+
+def reordered_targets(where: ScoringTargets, order) -> ScoringTargets:
+    return targets(
+        len(order),
+        goal=where.goal_location[order],
+        prime_time=where.prime_time[order],
+        hand=where.hand[order],
+        tilt=where.head_tilt_deg[order],
+    )
+
+
+def test_the_metrics_stand_in_printed_order() -> None:
+    main = [info.id for info in METRICS if info.main]
+    assert main == ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
+    beside = {info.id for info in METRICS if not info.main}
+    assert beside == {
+        "prime_success_onset",
+        "reach_success_final",
+        "reach_wrist",
+        "location_error_horizontal",
+        "contact_share",
+        "bone_length_change",
+        "prime_success_gaze",
+    }
+    assert list(score(*random_problem(0, [5]), CONSTANTS)) == [m.id for m in METRICS if m.id != "prime_success_gaze"]
+
+
+def test_recorded_motion_has_no_error_at_all() -> None:
+    _, recorded, where = random_problem(1, LENGTHS, dtype=np.float32)
+    found = values(recorded, recorded, where)
+    for metric in ("goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal"):
+        assert found[metric] == [0.0] * len(LENGTHS), metric
+    assert found["reach_wrist"] == [1.0] * len(LENGTHS)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_chunks_and_threads_do_not_change_a_bit(dtype) -> None:
+    problem = random_problem(2, LENGTHS * 3, dtype=dtype)
+    whole = values(*problem, chunk_frames=10**9, threads=1)
+    for chunk_frames in (1, 50, 333):
+        assert values(*problem, chunk_frames=chunk_frames) == whole
+
+
+@settings(max_examples=25, deadline=None)
+@given(order=st.permutations(range(len(LENGTHS))), seed=st.integers(0, 99))
+def test_the_order_of_the_batch_does_not_change_a_bit(order: list[int], seed: int) -> None:
+    predicted, recorded, where = random_problem(seed, LENGTHS)
+    straight = values(predicted, recorded, where)
+    mixed = values(reordered(predicted, order), reordered(recorded, order), reordered_targets(where, order))
+    assert mixed == {metric: [found[i] for i in order] for metric, found in straight.items()}
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    yaw=st.floats(-3.2, 3.2),
+    shift=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+    seed=st.integers(0, 99),
+)
+def test_turning_and_moving_the_world_changes_no_score(yaw: float, shift: tuple[float, float], seed: int) -> None:
+    predicted, recorded, where = random_problem(seed, LENGTHS)
+    move = np.array([shift[0], 0.0, shift[1]])
+
+    def moved(motion: MotionBatch) -> MotionBatch:
+        return MotionBatch(turned(motion.values, yaw) + move, motion.offsets)
+
+    goal = turned(where.goal_location[:, None], yaw)[:, 0] + move
+    there = targets_with_goal(where, goal)
+    before, after = values(predicted, recorded, where), values(moved(predicted), moved(recorded), there)
+    for metric in before:
+        np.testing.assert_allclose(after[metric], before[metric], atol=1e-9, err_msg=metric)
+
+
+def targets_with_goal(where: ScoringTargets, goal: np.ndarray) -> ScoringTargets:
+    return ScoringTargets(goal, where.prime_time, where.hand, where.head_tilt_deg, where.fps)
+
+
+def test_padding_never_reaches_the_score() -> None:
+    predicted, recorded, where = random_problem(3, LENGTHS)
+    padded = [np.full((len(LENGTHS), 250, 22, 3), fill) for fill in (np.nan, 1e9)]
+    for motion, target in zip((predicted, recorded), padded, strict=True):
+        for i, n in enumerate(LENGTHS):
+            target[i, :n] = motion.values[motion.offsets[i] : motion.offsets[i] + n]
+    batches = [MotionBatch.from_padded(values, np.array(LENGTHS)) for values in padded]
+    assert values(*batches, where) == values(predicted, recorded, where)
+
+
+@pytest.mark.parametrize(("spoilt", "name"), [(0, "predicted"), (1, "recorded")])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_value_that_is_not_finite_is_named(spoilt: int, name: str, bad: float) -> None:
+    problem = random_problem(4, LENGTHS)
+    motion = problem[spoilt]
+    motion.values[motion.offsets[6] + 101, 7, 1] = bad
+    for chunk_frames in (10, 10**6):
+        with pytest.raises(ValueError, match=f"{name} motion, sequence 6, frame 101: a joint is not finite"):
+            score(*problem, CONSTANTS, chunk_frames=chunk_frames)
+
+
+def test_other_lengths_are_refused_unless_allowed() -> None:
+    predicted, recorded = batch(standing(6), standing(3)), batch(standing(6), standing(5))
+    recorded.values[6 + 3 :] += (1.0, 0.0, 0.0)  # the frames that the second prediction lacks
+    where = targets(2)
+    with pytest.raises(ValueError, match="sequence 1: expected 5 frames, found 3"):
+        score(predicted, recorded, where, CONSTANTS)
+    found = score(predicted, recorded, where, CONSTANTS, allow_length_mismatch=True)
+    assert found["mpjpe"].value.tolist() == [0.0, 0.0]
+    assert found["goal_mpjpe"].value == pytest.approx([0.0, 1.0])
+    assert found["location_error"].value.tolist() == [0.0, 1.0]
+    assert found["mpjpe"].flag == [None, "length_mismatch"]
+    assert found["prime_success"].flag == [None, "no_candidate_frames;length_mismatch"]
+    assert found["contact_share"].value.tolist() == [1.0, 1.0]
+
+
+def test_one_frame_is_enough_for_goal_mpjpe_and_location_error_only() -> None:
+    one = batch(standing(1), standing(3))
+    found = score(one, one, targets(2), CONSTANTS, metrics=["goal_mpjpe", "location_error"])
+    assert {metric: v.value.tolist() for metric, v in found.items()} == {"goal_mpjpe": [0, 0], "location_error": [0, 0]}
+    with pytest.raises(ValueError, match="sequence 0: expected 2 frames or more, found 1"):
+        score(one, one, targets(2), CONSTANTS)
+
+
+def test_an_unknown_metric_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match="unknown metric 'fid'; known ones are: prime_success, "):
+        score(*random_problem(0, [5]), CONSTANTS, metrics=["fid"])
+
+
+def test_no_sequences_give_no_values() -> None:
+    none = MotionBatch(np.empty((0, 22, 3), np.float32), np.array([0]))
+    found = score(none, none, targets(0), CONSTANTS)
+    assert len(found) == len(METRICS) - 1
+    assert all(len(v.value) == 0 for v in found.values())
+
+
+def test_wrong_forms_are_refused() -> None:
+    with pytest.raises(ValueError, match="sequence 1 has no frames"):
+        MotionBatch(standing(3), np.array([0, 3, 3]))
+    with pytest.raises(ValueError, match="offsets must run from 0 to 3, found 0 to 2"):
+        MotionBatch(standing(3), np.array([0, 2]))
+    with pytest.raises(ValueError, match="sequence 1: 6 frames asked of 5"):
+        MotionBatch.from_padded(np.zeros((2, 5, 22, 3)), np.array([5, 6]))
+    with pytest.raises(ValueError, match="sequence 0: its prime time is not finite"):
+        targets(prime_time=np.nan)
+    with pytest.raises(ValueError, match=r"expected 0 \(left\), 1 \(right\) or -1"):
+        targets(hand=2)
+    one, two = batch(standing(3)), batch(standing(3), standing(3))
+    with pytest.raises(ValueError, match="as many predicted as recorded motions and targets, found 2, 1 and 1"):
+        score(two, one, targets(1), CONSTANTS)
+    short = GazeRays(np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2, bool))
+    with pytest.raises(ValueError, match="expected 3 gaze rays, found 2"):
+        score(one, one, targets(gaze=short), CONSTANTS)
