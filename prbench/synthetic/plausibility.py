@@ -1,0 +1,238 @@
+"""Numbers that a believable human motion keeps to, measured on performances.
+
+Source of the limits: ``methods/synthetic-recordings.md`` section 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.manifests import load_protocol
+from prbench.metrics.batch import MotionBatch
+from prbench.metrics.foot_skating import contact_share, foot_skating
+from prbench.metrics.smoothness import jitter
+from prbench.skeleton import WRISTS, Joint, bone_lengths
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.true_clips import FPS, true_clips
+
+_HIPS, _KNEES = [Joint.LEFT_HIP, Joint.RIGHT_HIP], [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]
+_ANKLES, _BALLS = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE], [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
+_SHOULDERS, _ELBOWS = [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER], [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]
+_JERK_RATE = 60.0
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """Extremes over some performances. Metres, seconds, degrees."""
+
+    foot_skating_mean: float
+    foot_skating_worst: float
+    contact_share: float
+    """Share of frame transitions with a toe on the floor, mean over sequences."""
+    planted_slide: float
+    """Farthest that a planted ball of the foot moves along the floor while planted."""
+    bone_length_change: float
+    knee_smallest: float
+    knee_largest: float
+    knees_bent_backwards: float
+    """Share of frames."""
+    elbow_smallest: float
+    elbow_largest: float
+    lowest_joint: float
+    foot_to_pelvis_yaw: float
+    head_yaw_rate: float
+    ball_speed: float
+    wrist_speed: float
+    pelvis_speed: float
+    pelvis_jerk: float
+    joint_jerk: float
+    """99.9 % of all joints and frames."""
+    jitter_mean: float
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The range in which one number of :class:`Plausibility` must lie, borders excluded."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Check:
+    """One number against its limit."""
+
+    name: str
+    value: float
+    limit: Limit
+
+    @property
+    def holds(self) -> bool:
+        """Whether the number lies inside its range."""
+        return self.limit.low < self.value < self.limit.high
+
+
+_INF = float("inf")
+
+
+def limits() -> dict[str, Limit]:
+    """The range of every number."""
+    return {
+        "foot_skating_mean": Limit(-_INF, 0.02),
+        "foot_skating_worst": Limit(-_INF, 0.10),
+        "contact_share": Limit(0.6, _INF),
+        "planted_slide": Limit(-_INF, 1e-4),
+        "bone_length_change": Limit(-_INF, 1e-6),
+        "knee_smallest": Limit(40.0, _INF),
+        "knee_largest": Limit(-_INF, 178.0),
+        "knees_bent_backwards": Limit(-_INF, 1e-9),
+        "elbow_smallest": Limit(25.0, _INF),
+        "elbow_largest": Limit(-_INF, 175.0),
+        "lowest_joint": Limit(-0.01, _INF),
+        "foot_to_pelvis_yaw": Limit(-_INF, 90.0),
+        "head_yaw_rate": Limit(-_INF, 300.0),
+        "ball_speed": Limit(-_INF, 8.0),
+        "wrist_speed": Limit(-_INF, 4.5),
+        "pelvis_speed": Limit(-_INF, 2.2),
+        "pelvis_jerk": Limit(-_INF, 1500.0),
+        "joint_jerk": Limit(-_INF, 8000.0),
+        "jitter_mean": Limit(5.0, 80.0),
+    }
+
+
+def checks(numbers: Plausibility) -> list[Check]:
+    """Every number beside its limit."""
+    ranges = limits()
+    return [Check(item.name, getattr(numbers, item.name), ranges[item.name]) for item in fields(numbers)]
+
+
+def measure(performances: Sequence[Performance]) -> Plausibility:
+    """Extremes, means and shares over performances.
+
+    Raises:
+        ValueError: if none of them holds an event that should become a sequence.
+    """
+    clips = [clip for performance in performances for clip in true_clips(performance)]
+    if not clips:
+        raise ValueError("expected at least one primed event in the performances, found none")
+    on_floor = [clip.joints - [0.0, clip.joints[..., 1].min(), 0.0] for clip in clips]
+    batch, constants = MotionBatch.from_motions(on_floor), load_protocol().metrics
+    skating = foot_skating(batch, FPS, constants)
+    extremes = np.array([_extremes(performance) for performance in performances])
+    knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0)
+    jerk = np.concatenate([_jerk(performance).ravel() for performance in performances])
+    (slide, bones, knees_high, backwards, elbows_high, foot_yaw, head, ball, wrist, pelvis, pelvis_jerk) = extremes[
+        :, 3:
+    ].max(axis=0)
+    return Plausibility(
+        foot_skating_mean=float(skating.mean()),
+        foot_skating_worst=float(skating.max()),
+        contact_share=float(contact_share(batch, constants).mean()),
+        planted_slide=slide,
+        bone_length_change=bones,
+        knee_smallest=knees_low,
+        knee_largest=knees_high,
+        knees_bent_backwards=backwards,
+        elbow_smallest=elbows_low,
+        elbow_largest=elbows_high,
+        lowest_joint=lowest,
+        foot_to_pelvis_yaw=foot_yaw,
+        head_yaw_rate=head,
+        ball_speed=ball,
+        wrist_speed=wrist,
+        pelvis_speed=pelvis,
+        pelvis_jerk=pelvis_jerk,
+        joint_jerk=float(np.quantile(jerk, 0.999)),
+        jitter_mean=float(jitter(batch, FPS).mean()),
+    )
+
+
+def _extremes(performance: Performance) -> tuple[float, ...]:
+    """Three minima, then eleven maxima of one performance."""
+    joints, rate = performance.joints, performance.rate
+    knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
+    elbows = _inner_angle(joints[:, _SHOULDERS], joints[:, _ELBOWS], joints[:, WRISTS])
+    lengths = bone_lengths(joints)
+    pelvis_forward = _axis(performance.rotations[:, Joint.PELVIS], 2)
+    head_forward = _axis(performance.head_rotation, 2)
+    head_yaw = np.unwrap(np.arctan2(head_forward[:, 0], head_forward[:, 2]))
+    return (
+        float(knees.min()),
+        float(elbows.min()),
+        float(joints[..., 1].min()),
+        _planted_slide(performance),
+        float(np.abs(lengths / lengths[0] - 1.0).max()),
+        float(knees.max()),
+        _share_backwards(joints, pelvis_forward),
+        float(elbows.max()),
+        _foot_to_pelvis_yaw(joints, pelvis_forward),
+        float(np.rad2deg(np.abs(np.diff(head_yaw)).max() * rate)),
+        *(_top_speed(joints[:, index], rate) for index in (_BALLS, list(WRISTS), [Joint.PELVIS])),
+        float(_jerk(performance)[:, Joint.PELVIS].max()),
+    )
+
+
+def _inner_angle(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle at a joint, degrees."""
+    first, second = a - middle, b - middle
+    cross = np.linalg.norm(np.cross(first, second), axis=-1)
+    return np.rad2deg(np.arctan2(cross, (first * second).sum(axis=-1)))
+
+
+def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray, "n 3"]:
+    """One column of the rotation matrices: 2 is forward."""
+    w, x, y, z = quaternions.T
+    columns = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack(columns[axis], axis=-1)
+
+
+def _planted_slide(performance: Performance) -> float:
+    """Farthest horizontal way of a ball within one stretch of contact."""
+    farthest = 0.0
+    for side, ball in enumerate(_BALLS):
+        planted = performance.planted[:, side]
+        stretch = np.cumsum(~planted)
+        moved = np.hypot(*np.diff(performance.joints[:, ball][:, [0, 2]], axis=0).T)
+        both = planted[1:] & planted[:-1]
+        sums = np.bincount(stretch[1:][both], weights=moved[both], minlength=1)
+        farthest = max(farthest, float(sums.max(initial=0.0)))
+    return farthest
+
+
+def _share_backwards(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
+    """Share of frames in which a knee lies behind the line from hip to ankle, seen along pelvis and foot."""
+    hips, knees, ankles = joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES]
+    foot = joints[:, _BALLS] - ankles
+    foot[..., 1] = 0.0
+    forward = foot / np.linalg.norm(foot, axis=-1, keepdims=True) + pelvis_forward[:, None]
+    along = (ankles - hips) / np.linalg.norm(ankles - hips, axis=-1, keepdims=True)
+    bulge = knees - hips
+    bulge -= (bulge * along).sum(axis=-1, keepdims=True) * along
+    forward -= (forward * along).sum(axis=-1, keepdims=True) * along
+    return float(((bulge * forward).sum(axis=-1) < 0.0).mean())
+
+
+def _foot_to_pelvis_yaw(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
+    foot = joints[:, _BALLS] - joints[:, _ANKLES]
+    cross = foot[..., 0] * pelvis_forward[:, None, 2] - foot[..., 2] * pelvis_forward[:, None, 0]
+    dot = foot[..., 0] * pelvis_forward[:, None, 0] + foot[..., 2] * pelvis_forward[:, None, 2]
+    return float(np.rad2deg(np.abs(np.arctan2(cross, dot))).max())
+
+
+def _top_speed(points: np.ndarray, rate: float) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max() * rate)
+
+
+def _jerk(performance: Performance) -> Float[np.ndarray, "m 22"]:
+    """Third difference quotient on a 60 Hz grid, m/s³."""
+    stride = max(1, round(performance.rate / _JERK_RATE))
+    rate = performance.rate / stride
+    return np.linalg.norm(np.diff(performance.joints[::stride], n=3, axis=0), axis=-1) * rate**3
