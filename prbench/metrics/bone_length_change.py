@@ -30,10 +30,10 @@ def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bo
     initial = np.sqrt(squared[:, motion.first])
     longest = np.sqrt(np.maximum.reduceat(squared, motion.first, axis=1))
     shortest = np.sqrt(np.minimum.reduceat(squared, motion.first, axis=1))
-    missing = np.less(initial, ROUNDING)
+    missing = initial < ROUNDING
     deviation = np.maximum(longest - initial, initial - shortest)
     change = np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial))
-    return change.max(axis=0), missing.any(axis=0)
+    return change.max(axis=0), np.asarray(missing.any(axis=0))
 
 
 def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:

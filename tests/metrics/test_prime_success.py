@@ -77,6 +77,19 @@ def test_a_longer_stay_needs_more_frames_on_target() -> None:
     assert both(glance, prime_duration=0.101) == (0, 0)
 
 
+@pytest.mark.parametrize("variant", ["equation", "onset"])
+def test_rounding_of_a_constant_sweep_is_no_deceleration(variant) -> None:
+    sweeps = [looking(20 - speed * np.arange(30)) for speed in np.linspace(0.05, 6, 40)]
+    assert not prime_success(batch(*sweeps), targets(40, prime_time=0.7), CONSTANTS, variant=variant).any()
+
+
+def test_each_sequence_has_the_stay_of_its_own_frame_rate() -> None:
+    slow_down = (12, 12, 5, 3, 0)  # 0, 140, 40 and 60 degrees a second: the two turns after frame 2 are the slower ones
+    where = targets(2, fps=np.array([20.0, 30.0]))
+    motions = batch(looking(slow_down), looking(A))
+    assert prime_success(motions, where, CONSTANTS, variant="onset").tolist() == [1, 1]
+
+
 def test_three_frames_of_stay_at_25_frames_per_second() -> None:
     where = targets(2, fps=np.array([20.0, 25.0]))
     frames = candidate_frames(np.array([8, 8]), where.prime_time, where.fps_of_sequence, CONSTANTS)
@@ -186,6 +199,13 @@ def test_an_invalid_gaze_sample_is_off_target_and_hides_the_turn() -> None:
     motion = looking(A)
     for lost, expected in [(4, 0), (5, 0), (6, 1), (2, 1), (0, 1)]:
         valid = np.arange(len(A)) != lost
+        assert prime_success_gaze(batch(motion), targets(gaze=gaze_of(motion, valid)), CONSTANTS) == expected, lost
+
+
+def test_the_turn_out_of_an_invalid_gaze_sample_is_no_deceleration() -> None:
+    motion = looking(A[:6])  # only a stay from frame 3 on fits in
+    for lost, expected in [(0, 1), (1, 0), (2, 0)]:
+        valid = np.arange(6) != lost
         assert prime_success_gaze(batch(motion), targets(gaze=gaze_of(motion, valid)), CONSTANTS) == expected, lost
 
 
