@@ -85,11 +85,8 @@ def require_increasing(
         )
 
 
-def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> np.ndarray:
+def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> None:
     """Refuse poses that are no numbers or no rotations.
-
-    Returns:
-        The quaternions with unit length.
 
     Raises:
         InputFileError: naming the first bad line.
@@ -114,7 +111,6 @@ def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Floa
             found=f"length {length[row]:.4f}",
             remedy=_COPY_AGAIN,
         )
-    return rotation / length[:, None]
 
 
 def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded]) -> Decoded:

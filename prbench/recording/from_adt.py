@@ -112,7 +112,7 @@ def object_track(entry: adt.AdtObject, *, start: float) -> ObjectTrack:
         category=entry.category,
         times=times,
         position=entry.position,
-        rotation=entry.rotation,
+        rotation=entry.rotation / np.linalg.norm(entry.rotation, axis=1, keepdims=True),
         valid=np.ones(len(times), dtype=bool),
         box_min=entry.box_min,
         box_max=entry.box_max,
@@ -145,7 +145,8 @@ def _device_poses(readings: adt.AdtReadings) -> PoseStream:
             found="none",
             remedy="Copy or download the recording again.",
         )
-    return PoseStream(poses.time_us / 1e6, poses.position, poses.rotation, poses.quality > 0)
+    rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
+    return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
 
 
 def _measured(points: np.ndarray) -> Bool[np.ndarray, " n"]:

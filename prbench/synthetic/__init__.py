@@ -1,1 +1,4 @@
 """Procedural people with known truth: motion (``people``), sensor noise, and native files (``layouts``)."""
+
+GENERATOR_VERSION = 1
+"""Counts changes after which the same seed gives another world; part of every generator's name."""

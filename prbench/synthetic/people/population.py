@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from prbench.randomness import named_generator
+from prbench.synthetic import GENERATOR_VERSION
 
-GENERATOR_VERSION = 1
 TEST_SHARE, VALIDATION_SHARE = 0.30, 0.10
 
 World = Literal["default", "large"]

@@ -1,0 +1,61 @@
+"""Sensor errors: switches, and the random stream of each (``methods/synthetic-recordings.md`` sections 8 and 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from prbench.randomness import named_generator
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.performance import Performance
+
+
+@dataclass(frozen=True)
+class Switches:
+    """Which errors are on. Every error draws from a stream of its own, so none changes what another one draws."""
+
+    pose_noise: bool = True
+    """White noise of the glasses' poses."""
+    pose_losses: bool = True
+    """Poses of quality 0."""
+    gaze_bias: bool = True
+    """A constant angle a recording."""
+    gaze_jitter: bool = True
+    gaze_losses: bool = True
+    """Missing gaze rows."""
+    blinks: bool = True
+    """Gaze rows without angles."""
+    gaze_clock: bool = True
+    """Time stamps of gaze off by some microseconds."""
+    body_noise: bool = True
+    """White noise of the suit's joints."""
+    body_wobble: bool = True
+    """Slow shifts of the suit's segments."""
+    body_losses: bool = True
+    """Frames at the origin or with a joint thrown off, and occluded markers."""
+    object_noise: bool = True
+
+    @classmethod
+    def ideal(cls) -> Switches:
+        """Every error off: readings are the truth, rounded."""
+        return cls(**dict.fromkeys((field.name for field in fields(cls)), False))
+
+
+def sensor_generator(performance: Performance, purpose: str) -> np.random.Generator:
+    """The random stream of one purpose of one recording; independent of all others and of the number of recordings."""
+    return named_generator(
+        "prbench-synth",
+        GENERATOR_VERSION,
+        performance.seed,
+        performance.preset,
+        performance.world,
+        "recording",
+        performance.index,
+        purpose,
+    )
+
+
+def strength(switch: bool, noise: float) -> float:
+    """Factor on the size (or probability) of an error: the noise level, or 0 where it is off."""
+    return noise if switch else 0.0

@@ -1,0 +1,80 @@
+"""Native ADT files: what is written comes back, in both layouts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from prbench.readers.adt import find_recordings, read_readings, read_recording
+from prbench.synthetic.layouts import adt as layout
+from prbench.synthetic.recordings import recording_from_readings
+from prbench.synthetic.sensors.adt import sense
+from tests.comparing import differences
+
+
+@pytest.fixture(scope="module")
+def readings(performance):
+    return sense(performance, noise=5.0)  # bad frames, blinks and losses included
+
+
+def test_files_and_memory_give_the_same_recording_bit_for_bit(readings, tmp_path) -> None:
+    layout.write(readings, tmp_path / readings.recording_id)
+    (found,) = find_recordings(tmp_path)
+    from_files = read_recording(found)
+    from_memory = replace(recording_from_readings(readings), dataset="adt")
+    assert list(differences(from_files, from_memory)) == []
+
+
+def test_two_writings_give_the_same_bytes(readings, tmp_path) -> None:
+    for name in ("first", "second"):
+        layout.write(readings, tmp_path / name)
+    for path in (tmp_path / "first").iterdir():
+        assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.2"])
+def test_the_older_layout_holds_one_recording_a_pair_of_glasses(performance_for_two, tmp_path, version) -> None:
+    first = replace(sense(performance_for_two), concurrent="")
+    second = replace(first, serial=first.skeletons[1].serial)
+    layout.write_v1({"M1292": first, "71292": second}, tmp_path / "Apartment_seq1", version=version)
+    assert (tmp_path / "Apartment_seq1" / ("gt-metadata.json" if version == "1.0" else "metadata.json")).is_file()
+    by_id = {found.recording_id: read_recording(found) for found in find_recordings(tmp_path)}
+    assert list(by_id) == ["Apartment_seq1_71292", "Apartment_seq1_M1292"]
+    assert {recording.split_group for recording in by_id.values()} == {"Apartment_seq1_71292"}
+    wearers = {recording.participant_id for recording in by_id.values()}
+    assert wearers == {performance_for_two.person.participant_id, "S777"}
+    assert all(len(recording.other_people) == 1 for recording in by_id.values())
+    assert all(len(recording.other_people[0].hands) == 4 for recording in by_id.values())
+    assert [f.recording_id for f in find_recordings(tmp_path / "Apartment_seq1")] == list(by_id), "one sequence as root"
+
+
+def test_the_twin_with_the_smaller_id_names_the_split_group(readings, tmp_path) -> None:
+    for twin, group in (("A_before", "A_before"), ("Z_after", readings.recording_id)):
+        layout.write(replace(readings, concurrent=twin), tmp_path / twin / readings.recording_id)
+        (found,) = find_recordings(tmp_path / twin)
+        assert read_recording(found).split_group == group
+
+
+def test_without_a_skeleton_there_is_no_body_and_nothing_is_refused(readings, tmp_path) -> None:
+    layout.write(replace(readings, skeletons=()), tmp_path / "alone")
+    recording = read_recording(find_recordings(tmp_path / "alone")[0])
+    assert recording.body is None
+    assert recording.hands == ()
+    assert recording.pose_source == "none"
+    assert recording.participant_id == "unknown"
+
+
+def test_a_skeleton_without_glasses_is_somebody_else(readings, tmp_path) -> None:
+    stranger = replace(readings.skeletons[0], serial="NONE", name="Skeleton_C")
+    layout.write(replace(readings, skeletons=(stranger,)), tmp_path / "stranger")
+    recording = read_recording(find_recordings(tmp_path / "stranger")[0])
+    assert recording.body is None
+    assert [person.person_id for person in recording.other_people] == ["Skeleton_C"]
+
+
+def test_readings_survive_the_text(readings, tmp_path) -> None:
+    layout.write(readings, tmp_path / readings.recording_id)
+    back = read_readings(find_recordings(tmp_path)[0])
+    markers_are_not_read = tuple(replace(person, markers=None) for person in readings.skeletons)
+    assert list(differences(back, replace(readings, skeletons=markers_are_not_read))) == []
