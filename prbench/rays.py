@@ -109,5 +109,5 @@ def near_miss(
     component = np.abs(to_centre)
     moving = component > 0
     ratio = np.divide(half[None], component, out=np.full_like(component, np.inf), where=moving).min(axis=-1)
-    inside_length = np.where(np.isfinite(ratio), ratio * length, 0.0)
+    inside_length = np.where(np.isfinite(ratio), ratio, 0.0) * length
     return NearMisses(np.maximum(length - inside_length, 0.0), along)

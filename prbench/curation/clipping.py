@@ -1,0 +1,152 @@
+"""From a primed event to a clip: frames on the grid that ends at the event, in the world frame (design, section 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.curation.events import Decision
+from prbench.manifests import BenchmarkProtocol
+from prbench.recording import BodyStream, GazeStream, PoseStream, Recording
+from prbench.sequences.sequence import FrameSource
+from prbench.skeleton import facing_yaw
+from prbench.timelines import SequenceGrid, covered, interpolate, slerp
+
+_SLACK = 1e-6  # seconds; streams of one recording are written with different rounding
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One sequence in the world frame, metres; quaternions w x y z."""
+
+    grid: SequenceGrid
+    joints: Float[np.ndarray, "n 22 3"]
+    previous_joints: Float[np.ndarray, "22 3"]
+    previous_source: FrameSource
+    next_joints: Float[np.ndarray, "22 3"]
+    next_source: FrameSource
+    head_position: Float[np.ndarray, "n 3"] | None
+    head_rotation: Float[np.ndarray, "n 4"] | None
+    gaze_origin: Float[np.ndarray, "n 3"]
+    gaze_direction: Float[np.ndarray, "n 3"]
+    gaze_valid: Bool[np.ndarray, " n"]
+
+
+def clip(recording: Recording, *, prime_time: float, event_time: float, protocol: BenchmarkProtocol) -> Clip | Decision:
+    """Cut ``[prime_time - lead, event_time]`` out of a recording and put it on the protocol's grid.
+
+    Returns:
+        The clip, or why there is none: ``no_body`` (also for a first frame without a heading), or ``too_short``
+        because the recording does not cover the span (stage ``clipping``; value and threshold: seconds available and
+        needed) or the body has a gap in it (stage ``body``; value and threshold: longest gap and longest that is
+        interpolated, seconds).
+    """
+    constants = protocol.curation
+    grid = SequenceGrid.ending_at(event_time, prime_time=prime_time, lead=constants.lead, fps=protocol.fps)
+    if recording.body is None:
+        return Decision("no_body", "body")
+    uncovered = _outside(recording.span, grid) or _body_gap(recording.body, grid, constants.largest_interpolated_gap)
+    if uncovered is not None:
+        return uncovered
+    step, max_gap = 1 / grid.fps, constants.largest_interpolated_gap
+    times = grid.times
+    joints = _joints_at(recording.body, times)
+    if not has_heading(joints[0]):
+        return Decision("no_body", "body")
+    around = np.array([grid.start_time - step, event_time + step])
+    recorded = covered(recording.body.times, recording.body.valid, around, max_gap=max_gap)
+    neighbours = _joints_at(recording.body, around)
+    previous_joints, previous_source = _neighbour(neighbours[0], bool(recorded[0]), joints)
+    next_joints, next_source = _neighbour(neighbours[1], bool(recorded[1]), joints[::-1])
+    head_position, head_rotation = _head_at(recording.head, times)
+    return Clip(
+        grid,
+        joints,
+        previous_joints,
+        previous_source,
+        next_joints,
+        next_source,
+        head_position,
+        head_rotation,
+        *_gaze_at(recording.gaze, times, max_gap=max_gap),
+    )
+
+
+def has_heading(joints: Float[np.ndarray, "22 3"]) -> bool:
+    """Whether a pose faces anywhere, so that a canonical frame exists (see :func:`prbench.skeleton.facing_yaw`)."""
+    try:
+        facing_yaw(joints)
+    except ValueError:
+        return False
+    return True
+
+
+def _outside(span: tuple[float, float], grid: SequenceGrid) -> Decision | None:
+    """A decision if the grid does not lie within the recording; value and threshold are seconds before the event."""
+    start, end = grid.start_time, grid.times[-1]
+    if end > span[1] + _SLACK:
+        return Decision("too_short", "clipping", span[1] - start, end - start)
+    if start < span[0] - _SLACK:
+        return Decision("too_short", "clipping", end - span[0], end - start)
+    return None
+
+
+def _body_gap(body: BodyStream, grid: SequenceGrid, max_gap: float) -> Decision | None:
+    if covered(body.times, body.valid, grid.times, max_gap=max_gap).all():
+        return None
+    start, end = grid.start_time, grid.times[-1]
+    usable = body.times[body.valid]
+    first, stop = np.searchsorted(usable, start), np.searchsorted(usable, end)
+    around = usable[max(first - 1, 0) : stop + 1]  # with the nearest sample on either side
+    before = [start] if len(around) == 0 or around[0] > start else []
+    after = [end] if len(around) == 0 or around[-1] < end else []
+    longest = float(np.diff(np.concatenate((before, around, after))).max())
+    return Decision("too_short", "body", longest, max_gap)
+
+
+def _joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22 3"]:
+    return interpolate(body.times[body.valid], body.joints[body.valid], times)
+
+
+def _neighbour(
+    recorded: Float[np.ndarray, "22 3"], is_recorded: bool, inwards: Float[np.ndarray, "n 22 3"]
+) -> tuple[Float[np.ndarray, "22 3"], FrameSource]:
+    """The frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
+    if is_recorded:
+        return recorded, "recorded"
+    if len(inwards) < 2:
+        return inwards[0], "copied"
+    return 2 * inwards[0] - inwards[1], "extrapolated"
+
+
+def _head_at(
+    head: PoseStream, times: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]] | tuple[None, None]:
+    """The glasses' pose, interpolated over invalid rows; None if no valid row lies within the clip."""
+    inside = head.valid & (head.times >= times[0] - _SLACK) & (head.times <= times[-1] + _SLACK)
+    if not inside.any():
+        return None, None
+    usable = head.times[head.valid]
+    return interpolate(usable, head.position[head.valid], times), slerp(usable, head.rotation[head.valid], times)
+
+
+def _gaze_at(
+    gaze: GazeStream, times: Float[np.ndarray, " n"], *, max_gap: float
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Rays between neighbouring valid samples; invalid where these are too far apart (blinks, losses).
+
+    Slow trackers are allowed 1.5 of their own period (``formats/aria-mps.md`` section 5).
+    """
+    period = float(np.median(np.diff(gaze.times))) if len(gaze.times) > 1 else 0.0
+    valid = covered(gaze.times, gaze.valid, times, max_gap=max(max_gap, 1.5 * period))
+    if not gaze.valid.any():
+        return np.zeros((len(times), 3)), np.tile([0.0, 0.0, 1.0], (len(times), 1)), valid
+    usable = gaze.times[gaze.valid]
+    origin = interpolate(usable, gaze.origin[gaze.valid], times)
+    direction = interpolate(usable, gaze.direction[gaze.valid], times)
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    opposite = length[:, 0] < 1e-6  # two opposite neighbours have no mean
+    direction = np.where(opposite[:, None], [0.0, 0.0, 1.0], direction / np.where(length > 0, length, 1.0))
+    return origin, direction, valid & ~opposite

@@ -1,0 +1,214 @@
+"""The pure core of curation: one recording in, its sequences and the story of every candidate event out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from prbench.curation.clipping import Clip, clip
+from prbench.curation.events import Decision, PickPutEvent, Place, find_events
+from prbench.curation.filters import body_movement, hand_movement, minimum_movement
+from prbench.curation.options import DEFAULTS, CurationOptions
+from prbench.curation.priming import Prime, find_prime, gaze_rays
+from prbench.curation.split import split_of
+from prbench.manifests import BenchmarkProtocol, Manifest
+from prbench.recording import Recording
+from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
+from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+
+
+@dataclass(frozen=True)
+class CuratedRecording:
+    """What curation made of one recording."""
+
+    sequences: tuple[Sequence, ...]
+    """Sorted by ``sequence_id``."""
+    events: tuple[EventRecord, ...]
+    """Every candidate event, sorted by ``event_id``."""
+    record: RecordingRecord
+
+
+@dataclass(frozen=True)
+class _Story:
+    """How far one event came."""
+
+    event: PickPutEvent
+    decision: Decision
+    prime: Prime | None = None
+    sequence: Sequence | None = None
+
+
+def curate_recording(
+    recording: Recording,
+    manifest: Manifest,
+    protocol: BenchmarkProtocol,
+    options: CurationOptions = DEFAULTS,
+    *,
+    split: str | None = None,
+) -> CuratedRecording:
+    """Find the events of a recording, prime, clip and filter them (design, section 2).
+
+    Args:
+        recording: What a reader yields.
+        manifest: In-hand rule and split lists of the dataset.
+        protocol: Constants of the path from event to sequence.
+        options: What the user chose.
+        split: The split, where the recording carries its own (synthetic trees); None = by the split rule.
+    """
+    group = recording.split_group or recording.recording_id
+    split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
+    events, remarks = find_events(recording, options.in_hand_rule(manifest))
+    rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
+    stories = [_follow(recording, event, rays, protocol, options, split) for event in events]
+    remarks += _missing_parts(recording, options.in_hand_rule(manifest).contact)
+    return CuratedRecording(
+        sequences=tuple(sorted((s.sequence for s in stories if s.sequence), key=lambda row: row.sequence_id)),
+        events=tuple(sorted((_event_record(recording, s) for s in stories), key=lambda row: row.event_id)),
+        record=RecordingRecord(
+            recording_id=recording.recording_id,
+            participant_id=recording.participant_id,
+            split=split,
+            split_group=group,
+            duration=recording.span[1] - recording.span[0],
+            outcomes=dict(Counter(story.decision.outcome for story in stories)),
+            status="read",
+            message="; ".join((*recording.messages, *remarks)),
+        ),
+    )
+
+
+def _follow(
+    recording: Recording,
+    event: PickPutEvent,
+    rays: tuple[np.ndarray, np.ndarray, np.ndarray],
+    protocol: BenchmarkProtocol,
+    options: CurationOptions,
+    split: str,
+) -> _Story:
+    """One event through the stages, until one of them says no."""
+    if event.rejected is not None or event.place is None:
+        return _Story(event, event.rejected or Decision("no_location", "location"))
+    prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
+    if isinstance(prime, Decision):
+        return _Story(event, prime)
+    piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)
+    if isinstance(piece, Decision):
+        return _Story(event, piece, prime)
+    threshold = protocol.curation.minimum_movement
+    decision = minimum_movement(piece, event, event.place, measure=options.minimum_movement, threshold=threshold)
+    if decision.outcome != "sequence":
+        return _Story(event, decision, prime)
+    return _Story(event, decision, prime, _sequence(recording, event, event.place, prime, piece, protocol, split))
+
+
+def _sequence(
+    recording: Recording,
+    event: PickPutEvent,
+    place: Place,
+    prime: Prime,
+    piece: Clip,
+    protocol: BenchmarkProtocol,
+    split: str,
+) -> Sequence:
+    """One row of the table: the clip in its canonical frame."""
+    grid = piece.grid
+    preroll = prime.time - grid.start_time
+    world_from_canonical = canonical_frame(piece.joints)
+    canonical_from_world = invert_rigid(world_from_canonical)
+    turned = Rotation.from_matrix(canonical_from_world[:3, :3])
+    head_position, head_rotation = piece.head_position, piece.head_rotation
+    if head_position is not None and head_rotation is not None:
+        head_position = transform_points(canonical_from_world, head_position)
+        head_rotation = (turned * Rotation.from_quat(head_rotation, scalar_first=True)).as_quat(
+            canonical=True, scalar_first=True
+        )
+    return Sequence(
+        sequence_id=sequence_id(event.event_id, recording.pose_source),
+        dataset=recording.dataset,
+        recording_id=recording.recording_id,
+        participant_id=recording.participant_id,
+        split=split,
+        split_group=recording.split_group or recording.recording_id,
+        action=event.action,
+        object_id=event.object_id,
+        object_name=event.object_name,
+        text=protocol.text.pick if event.action == "pick" else protocol.text.put,
+        hand=event.hand,
+        fps=grid.fps,
+        n_frames=grid.n_frames,
+        start_time=grid.start_time,
+        prime_time=prime.time,
+        event_time=event.event_time,
+        prime_frame=round(preroll * grid.fps),
+        prime_gap=event.event_time - prime.time,
+        preroll=preroll,
+        prime_kind=prime.kind,
+        prime_time_uncertainty=prime.uncertainty,
+        goal_location=transform_points(canonical_from_world, place.location),
+        goal_box_world_min=place.box_min,
+        goal_box_world_max=place.box_max,
+        body_movement=body_movement(piece.joints),
+        hand_movement=hand_movement(piece.joints, _reaching_wrist(event, place, piece)),
+        pose_source=recording.pose_source,
+        head_tilt_deg=recording.head_tilt_deg,
+        joints=transform_points(canonical_from_world, piece.joints),
+        previous_joints=transform_points(canonical_from_world, piece.previous_joints),
+        previous_source=piece.previous_source,
+        next_joints=transform_points(canonical_from_world, piece.next_joints),
+        next_source=piece.next_source,
+        head_position=head_position,
+        head_rotation=head_rotation,
+        gaze_origin=transform_points(canonical_from_world, piece.gaze_origin),
+        gaze_direction=turned.apply(piece.gaze_direction),
+        gaze_valid=piece.gaze_valid,
+        world_from_canonical=world_from_canonical,
+    )
+
+
+def sequence_id(event_id: str, pose_source: str) -> str:
+    """One event gives one sequence for each source of body poses."""
+    return f"{event_id}/{pose_source}"
+
+
+def _reaching_wrist(event: PickPutEvent, place: Place, piece: Clip) -> int:
+    """The wrist of the event's hand; where that is unknown, the one nearer to the goal in the last frame."""
+    if event.hand is not None:
+        return Joint.LEFT_WRIST if event.hand == "left" else Joint.RIGHT_WRIST
+    return WRISTS[int(np.linalg.norm(piece.joints[-1, WRISTS] - place.location, axis=1).argmin())]
+
+
+def _event_record(recording: Recording, story: _Story) -> EventRecord:
+    event, place, prime = story.event, story.event.place, story.prime
+    return EventRecord(
+        event_id=event.event_id,
+        recording_id=recording.recording_id,
+        sequence_id=None if story.sequence is None else story.sequence.sequence_id,
+        object_id=event.object_id,
+        object_name=event.object_name,
+        action=event.action,
+        hand=event.hand,
+        event_time=event.event_time,
+        prime_time=None if prime is None else prime.time,
+        prime_kind=None if prime is None else prime.kind,
+        location=None if place is None else place.location,
+        box_min=None if place is None else place.box_min,
+        box_max=None if place is None else place.box_max,
+        outcome=story.decision.outcome,
+        stage=story.decision.stage,
+        value=story.decision.value,
+        threshold=story.decision.threshold,
+    )
+
+
+def _missing_parts(recording: Recording, contact: str) -> tuple[str, ...]:
+    remarks = []
+    if recording.body is None:
+        remarks.append("no_body: no body poses, so no event can become a sequence")
+    if not recording.annotated_events and not any(hand.contact == contact for hand in recording.hands):
+        remarks.append(f"no {contact} of the wearer's hands, so no events can be found")
+    if not recording.gaze.valid.any():
+        remarks.append("no valid gaze, so no event can be primed")
+    return tuple(remarks)

@@ -1,0 +1,152 @@
+"""Pick and put events: found by in-hand segmentation or annotated, each with its place (design, section 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.curation.in_hand import Holding, contact_streams, find_holdings, nearest_hand
+from prbench.curation.rest import Departure
+from prbench.manifests import InHandRule
+from prbench.recording import AnnotatedEvent, Recording
+from prbench.recording.streams import Action, Side
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What became of an event, at which stage, and the number that decided."""
+
+    outcome: str
+    stage: str
+    value: float | None = None
+    threshold: float | None = None
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an event happens: for a put, the future resting place. World frame, metres."""
+
+    location: Float[np.ndarray, "3"]
+    """Centre of the box, or the point that the dataset annotates."""
+    box_min: Float[np.ndarray, "3"]
+    """Lower corner of the world-aligned box; equal to ``box_max`` where only a point is known."""
+    box_max: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class PickPutEvent:
+    """One candidate event."""
+
+    event_id: str
+    object_id: str
+    object_name: str
+    action: Action
+    event_time: float
+    place: Place | None
+    hand: Side | None
+    displacement: float | None
+    """How far the object moved away from its rest, metres; None where nobody measured it."""
+    rejected: Decision | None = None
+    """Why the event is none of this recording's, where that is known already."""
+
+
+def find_events(recording: Recording, rule: InHandRule) -> tuple[list[PickPutEvent], tuple[str, ...]]:
+    """Candidate events in the order of time: the dataset's annotations where it has them, else in-hand segmentation.
+
+    Returns:
+        The events, and remarks that a user should see.
+    """
+    if recording.annotated_events:
+        events = [_annotated(recording, event) for event in recording.annotated_events]
+    else:
+        events = [event for holding in find_holdings(recording, rule) for event in _events_of(recording, holding, rule)]
+    events.sort(key=lambda event: (event.event_time, event.event_id))
+    return _without_repetitions(events)
+
+
+def event_id(recording: Recording, object_id: str, action: Action, event_time: float) -> str:
+    """Built from native keys, so that equal inputs give equal ids whatever else is in the build; time in µs."""
+    return f"{recording.dataset}/{recording.recording_id}/{object_id}/{action}/{round(event_time * 1e6)}"
+
+
+def _annotated(recording: Recording, event: AnnotatedEvent) -> PickPutEvent:
+    place = None
+    if event.location is not None:
+        corners = (event.location, event.location)
+        if event.box_min is not None and event.box_max is not None:
+            corners = (event.box_min, event.box_max)
+        place = Place(event.location, *corners)
+    return PickPutEvent(
+        event_id=event_id(recording, event.object_id, event.action, event.event_time),
+        object_id=event.object_id,
+        object_name=event.object_name,
+        action=event.action,
+        event_time=event.event_time,
+        place=place,
+        hand=event.hand,
+        displacement=None,
+        rejected=Decision("no_location", "location") if place is None else None,
+    )
+
+
+def _events_of(recording: Recording, holding: Holding, rule: InHandRule) -> list[PickPutEvent]:
+    """The pick and the put of one holding; a pick before the recording began, or a put after its end, is none."""
+    events = []
+    if holding.pick is not None:
+        events.append(_event(recording, holding, "pick", holding.pick, rule))
+    if holding.put is not None:
+        events.append(_event(recording, holding, "put", holding.put, rule))
+    elif holding.end < holding.track.times[-1] - rule.join_gap:
+        events.append(_put_without_place(recording, holding))
+    return events
+
+
+def _event(recording: Recording, holding: Holding, action: Action, rest: Departure, rule: InHandRule) -> PickPutEvent:
+    wearer = recording.hand_streams(rule.contact)
+    others = contact_streams(recording, rule)[len(wearer) :]
+    hand, distance = nearest_hand(wearer, holding.track, rule, rest.time, rest)
+    _, other_distance = nearest_hand(others, holding.track, rule, rest.time, rest)
+    rejected = None
+    if other_distance < distance:
+        rejected = Decision("other_wearer", "in_hand", distance if np.isfinite(distance) else None, other_distance)
+    elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:
+        rejected = Decision("excluded_category", "in_hand")
+    elif rest.gap > rule.join_gap:
+        rejected = Decision("tracking_lost", "location", rest.gap, rule.join_gap)
+    low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
+    return PickPutEvent(
+        event_id=event_id(recording, holding.track.object_id, action, rest.time),
+        object_id=holding.track.object_id,
+        object_name=holding.track.name,
+        action=action,
+        event_time=rest.time,
+        place=Place((low[0] + high[0]) / 2, low[0], high[0]),
+        hand=hand,
+        displacement=holding.displacement,
+        rejected=rejected,
+    )
+
+
+def _put_without_place(recording: Recording, holding: Holding) -> PickPutEvent:
+    """The object leaves the hand and never comes to rest while it is tracked."""
+    return PickPutEvent(
+        event_id=event_id(recording, holding.track.object_id, "put", holding.end),
+        object_id=holding.track.object_id,
+        object_name=holding.track.name,
+        action="put",
+        event_time=holding.end,
+        place=None,
+        hand=None,
+        displacement=holding.displacement,
+        rejected=Decision("no_location", "location"),
+    )
+
+
+def _without_repetitions(events: list[PickPutEvent]) -> tuple[list[PickPutEvent], tuple[str, ...]]:
+    """One event an id: a dataset that lists one event twice gets a remark, not two sequences."""
+    unique = list({event.event_id: event for event in reversed(events)}.values())[::-1]
+    repeated = len(events) - len(unique)
+    remarks = (f"{repeated} events are listed twice, with equal object, action and time",) if repeated else ()
+    return unique, remarks

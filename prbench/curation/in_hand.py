@@ -1,0 +1,165 @@
+"""In-hand segmentation: when somebody's hand holds an object, by the manifest's rule (``formats/adt.md`` section 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from prbench.curation.masks import held_segments
+from prbench.curation.rest import Departure, Track, find_departure, windowed_speed
+from prbench.manifests import InHandRule
+from prbench.recording import HandStream, ObjectTrack, Recording
+from prbench.recording.streams import Side
+from prbench.timelines import covered, interpolate
+
+LONGEST_HAND_GAP = 0.1
+"""Seconds; hand samples further apart are not interpolated."""
+
+
+@dataclass(frozen=True)
+class Holding:
+    """One object taken from a rest, moved, and brought to another rest."""
+
+    track: ObjectTrack
+    start: float
+    """First sample at which it is surely held, seconds."""
+    end: float
+    """Last such sample."""
+    pick: Departure | None
+    """None where the object is never at rest before: it was in hand when the recording began."""
+    put: Departure | None
+    """None where it is never at rest afterwards."""
+    displacement: float
+    """Largest distance from its rest, metres."""
+
+
+def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
+    """Every holding of every movable object by the wearer or by somebody else, objects in the recording's order.
+
+    Slides shorter than ``rule.smallest_displacement`` are nudges and left out. Without a stream of the rule's contact
+    point on the wearer's hands nothing can be said, and nothing is found.
+    """
+    hands = contact_streams(recording, rule)
+    if not recording.hand_streams(rule.contact):
+        return []
+    found: list[Holding] = []
+    for track in recording.objects:
+        if track.movable and _moves(track, rule):
+            found.extend(_holdings_of(track, hands, rule))
+    return found
+
+
+def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream, ...]:
+    """The contact points of the rule: the wearer's, then everybody else's."""
+    others = (hand for person in recording.other_people for hand in person.hands if hand.contact == rule.contact)
+    return (*recording.hand_streams(rule.contact), *others)
+
+
+def contact_distance(
+    hand: HandStream,
+    track: ObjectTrack,
+    rule: InHandRule,
+    times: Float[np.ndarray, " n"],
+    position: Float[np.ndarray, "n 3"],
+    rotation: Float[np.ndarray, "n 4"],
+) -> Float[np.ndarray, " n"]:
+    """Distance of the hand's nearest contact point to the object at given poses, metres; inf where unmeasured.
+
+    Args:
+        hand: Contact points of one hand.
+        track: The object, for its box.
+        rule: Whether the oriented box or the origin counts.
+        times: Seconds, any order.
+        position: Position of the object at ``times``.
+        rotation: Its orientation, w x y z.
+    """
+    measured = covered(hand.times, hand.valid, times, max_gap=LONGEST_HAND_GAP)
+    if not measured.any():
+        return np.full(len(times), np.inf)
+    points = interpolate(hand.times[hand.valid], hand.points[hand.valid], times)  # (n, k, 3)
+    offset = points - position[:, None]
+    if rule.target == "oriented_box":
+        object_from_world = Rotation.from_quat(rotation, scalar_first=True).as_matrix().transpose(0, 2, 1)
+        local = np.einsum("nij,nkj->nki", object_from_world, offset)
+        offset = np.maximum(np.maximum(track.box_min - local, local - track.box_max), 0.0)
+    return np.where(measured, np.linalg.norm(offset, axis=-1).min(axis=1), np.inf)
+
+
+def nearest_hand(
+    hands: tuple[HandStream, ...], track: ObjectTrack, rule: InHandRule, time: float, pose: Departure
+) -> tuple[Side | None, float]:
+    """The side of the hand nearest to an object at one instant, and its distance; (None, inf) if none is measured."""
+    at = np.array([time])
+    distances = [
+        float(contact_distance(hand, track, rule, at, pose.position[None], pose.rotation[None])[0]) for hand in hands
+    ]
+    if not distances or not np.isfinite(min(distances)):
+        return None, float("inf")
+    nearest = int(np.argmin(distances))
+    return hands[nearest].side, distances[nearest]
+
+
+def _moves(track: ObjectTrack, rule: InHandRule) -> bool:
+    """Whether the object can have moved far enough at all: a bound that costs nothing."""
+    position = track.position[track.valid]
+    return len(position) > 1 and float(np.linalg.norm(np.ptp(position, axis=0))) + _turning_reach(track) >= (
+        rule.smallest_displacement
+    )
+
+
+def _turning_reach(track: ObjectTrack) -> float:
+    """How far the centre of the box can move by turning about the object's origin."""
+    return 2 * float(np.linalg.norm((track.box_min + track.box_max) / 2))
+
+
+def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHandRule) -> list[Holding]:
+    samples = _samples(track, rule)
+    distances = [
+        contact_distance(hand, track, rule, samples.times, samples.position, samples.rotation) for hand in hands
+    ]
+    close = np.min(distances, axis=0) < rule.distance
+    moving = samples.speed > rule.moving_speed
+    still = samples.speed < rule.moving_speed / 2
+    segments = held_segments(
+        close & moving,
+        close | ~still,  # what never came to rest was not put down
+        samples.times,
+        minimum_duration=rule.minimum_duration,
+        join_gap=rule.join_gap,
+    )
+    n = len(samples.times)
+    backwards = samples.reversed()
+    floors = np.concatenate(([0], segments[:-1, 1])) if len(segments) else segments[:, 0]
+    ceilings = np.concatenate((segments[1:, 0], [n])) if len(segments) else segments[:, 0]
+    found = []
+    for (start, stop), floor, ceiling in zip(segments.tolist(), floors.tolist(), ceilings.tolist(), strict=True):
+        pick = find_departure(samples, still, start, stop, floor=floor, tolerance=rule.rest_tolerance)
+        put = find_departure(
+            backwards, still[::-1], n - stop, n - start, floor=n - ceiling, tolerance=rule.rest_tolerance
+        )
+        put = None if put is None else replace(put, time=-put.time)
+        displacement = _displacement(samples.centre[start:stop], pick or put)
+        if displacement >= rule.smallest_displacement:
+            span = float(samples.times[start]), float(samples.times[stop - 1])
+            found.append(Holding(track, *span, pick, put, displacement))
+    return found
+
+
+def _samples(track: ObjectTrack, rule: InHandRule) -> Track:
+    times, position, rotation = (column[track.valid] for column in (track.times, track.position, track.rotation))
+    middle = (track.box_min + track.box_max) / 2
+    centre = position + Rotation.from_quat(rotation, scalar_first=True).apply(middle)
+    return Track(
+        times, centre, position, rotation, windowed_speed(times, centre, window=rule.moving_window), rule.moving_window
+    )
+
+
+def _displacement(centre: Float[np.ndarray, "n 3"], rest: Departure | None) -> float:
+    """Largest distance of the held object, smoothed over three samples, from its rest; metres."""
+    if len(centre) >= 3:
+        centre = (centre[:-2] + centre[1:-1] + centre[2:]) / 3
+    origin = centre[0] if rest is None else rest.centre
+    return float(np.linalg.norm(centre - origin, axis=1).max())

@@ -1,0 +1,65 @@
+"""What a user may choose about curation; everything here is recorded in ``dataset.json``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from prbench.curation.filters import MEASURES
+from prbench.curation.priming import RAY_ORIGINS
+from prbench.errors import UsageError
+from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
+
+
+@dataclass(frozen=True)
+class CurationOptions:
+    """Choices that change which sequences come out."""
+
+    in_hand: str | None = None
+    """Name of one of the manifest's alternative rules; None = the dataset's own."""
+    ray_origin: str | None = None
+    """``eye`` or ``camera``; None = the protocol's."""
+    minimum_movement: str = "wrist_to_goal"
+    """Which distance must reach the protocol's minimum; see :data:`prbench.curation.filters.MEASURES`."""
+
+    def __post_init__(self) -> None:
+        if self.minimum_movement not in MEASURES:
+            raise UsageError(
+                f"unknown minimum-movement measure '{self.minimum_movement}'; known ones: {', '.join(MEASURES)}."
+            )
+        if self.ray_origin is not None and self.ray_origin not in RAY_ORIGINS:
+            raise UsageError(f"unknown ray origin '{self.ray_origin}'; known ones: {', '.join(RAY_ORIGINS)}.")
+
+    def in_hand_rule(self, manifest: Manifest) -> InHandRule:
+        """The chosen in-hand rule.
+
+        Raises:
+            UsageError: for a name that the manifest does not list.
+        """
+        return manifest.in_hand_rule(self.in_hand)
+
+    def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
+        """The choices as text, as ``dataset.json`` holds them."""
+        return {
+            "in_hand_rule": self.in_hand or "default",
+            "in_hand_rule_digest": digest_of(self.in_hand_rule(manifest)),
+            "ray_origin": self.ray_origin or protocol.curation.ray_origin,
+            "minimum_movement": self.minimum_movement,
+        }
+
+
+DEFAULTS = CurationOptions()
+"""The dataset's own rule and the protocol's choices."""
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """Choices about a whole build."""
+
+    curation: CurationOptions = DEFAULTS
+    recordings: str = "*"
+    """Glob over recording ids."""
+    limit: int | None = None
+    """Only the first so many recordings, by name."""
+    on_error: Literal["quarantine", "stop"] = "quarantine"
+    """Whether a recording that cannot be read is reported while the others go on, or ends the build."""

@@ -1,0 +1,92 @@
+"""Prime time: when gaze first meets the place of an event (*Prime and Reach*, equations 1 to 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.curation.events import Decision, Place
+from prbench.manifests import CurationConstants
+from prbench.rays import near_miss, slab_test
+from prbench.recording import Recording
+from prbench.timelines import interpolate
+
+PrimeKind = Literal["hit", "near_miss"]
+RAY_ORIGINS = ("eye", "camera")
+
+
+@dataclass(frozen=True)
+class Prime:
+    """The first look at the place."""
+
+    time: float
+    kind: PrimeKind
+    distance: float
+    """How far the ray passes the box, metres; 0 for a hit."""
+    uncertainty: float
+    """Time since the valid gaze sample before it (else until the one after it), seconds: the look began in between."""
+
+
+def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), origins (n, 3) and directions (n, 3) of all valid gaze samples, world frame, metres.
+
+    Args:
+        recording: The recording.
+        origin: ``eye`` = central pupil frame, where the direction is defined; ``camera`` = the scene camera's centre,
+            as the paper words it (5.8 cm away on Aria glasses, ``formats/aria-mps.md`` section 9).
+    """
+    gaze, camera = recording.gaze, recording.camera
+    times, origins = gaze.times[gaze.valid], gaze.origin[gaze.valid]
+    if origin == "camera" and camera.valid.any():
+        origins = interpolate(camera.times[camera.valid], camera.position[camera.valid], times)
+    return times, origins, gaze.direction[gaze.valid]
+
+
+def find_prime(
+    times: Float[np.ndarray, " n"],
+    origins: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+    place: Place,
+    event_time: float,
+    constants: CurationConstants,
+) -> Prime | Decision:
+    """The first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
+
+    Args:
+        times: Times of valid gaze samples, seconds, increasing.
+        origins: Ray origins, metres.
+        directions: Unit vectors.
+        place: Box of the event, same frame.
+        event_time: Seconds.
+        constants: Window and near-miss distance.
+
+    Returns:
+        The prime, or a decision ``not_primed`` whose value is the smallest distance at which a ray passed in front of
+        the wearer (None if there was no valid gaze at all).
+    """
+    first = int(np.searchsorted(times, event_time - constants.priming_window, side="left"))
+    stop = int(np.searchsorted(times, event_time, side="right"))
+    window = slice(first, stop)
+    rays = origins[window], directions[window]
+    box = place.box_min[None], place.box_max[None]
+    hit = slab_test(*rays, *box).hit[:, 0]
+    misses = near_miss(*rays, *box)
+    distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
+    primed = np.flatnonzero(distance <= constants.near_miss_distance)
+    if len(primed) == 0:
+        nearest = float(distance.min(initial=np.inf))
+        value = nearest if np.isfinite(nearest) else None
+        return Decision("not_primed", "priming", value, constants.near_miss_distance)
+    index = int(primed[0])
+    sample = first + index
+    before, after = max(sample - 1, 0), min(sample + 1, len(times) - 1)
+    spacing = times[sample] - times[before] if sample > 0 else times[after] - times[sample]
+    return Prime(
+        time=float(times[sample]),
+        kind="hit" if hit[index] else "near_miss",
+        distance=float(distance[index]),
+        uncertainty=float(spacing),
+    )

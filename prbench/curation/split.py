@@ -1,0 +1,39 @@
+"""Which split a recording belongs to: its own name decides, so a partial copy never moves one (design, section 2)."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Literal
+
+from prbench.manifests import Manifest, SplitRule
+
+Split = Literal["train", "validation", "test"]
+
+
+def hash_fraction(dataset: str, name: str) -> float:
+    """``sha256("dataset/name") / 2**256``, from 0 to 1."""
+    return int.from_bytes(hashlib.sha256(f"{dataset}/{name}".encode()).digest(), "big") / 2**256
+
+
+def split_of(recording_id: str, split_group: str, manifest: Manifest, rule: SplitRule) -> Split:
+    """The manifest's lists where they name the recording or its group, else the hash of the group.
+
+    Args:
+        recording_id: The recording.
+        split_group: Shared by recordings that must not be separated (concurrent twins: the smaller id).
+        manifest: The dataset's manifest, for its lists and its name.
+        rule: Shares of the hash range.
+    """
+    listed: dict[Split, tuple[str, ...]] = {
+        "test": manifest.test_recordings,
+        "validation": manifest.validation_recordings,
+        "train": manifest.train_recordings,
+    }
+    for name in (recording_id, split_group):
+        for split, recordings in listed.items():
+            if name in recordings:
+                return split
+    fraction = hash_fraction(manifest.name, split_group)
+    if fraction >= rule.test_from:
+        return "test"
+    return "validation" if fraction < rule.validation_below else "train"

@@ -1,0 +1,197 @@
+"""In-hand segmentation and events on a hand-made scene."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from prbench.curation.events import find_events
+from prbench.curation.in_hand import contact_distance
+from prbench.manifests import InHandRule
+from prbench.recording import AnnotatedEvent, Recording
+from tests.curation.scenes import (
+    HALF,
+    MANIFEST,
+    PICK,
+    PLACE_A,
+    PLACE_B,
+    PUT,
+    RULE,
+    clock,
+    cup_centre,
+    finger_path,
+    hand,
+    minimum_jerk,
+    scene,
+    stranger,
+    track,
+)
+
+SLOW, FAST = clock(30), clock(120)
+
+
+def events(recording: Recording, rule: InHandRule = RULE) -> list:
+    return find_events(recording, rule)[0]
+
+
+def slide(distance: float, duration: float) -> np.ndarray:
+    """The cup slides along its shelf, at PICK."""
+    return PLACE_A + minimum_jerk((SLOW - PICK) / duration)[:, None] * [distance, 0, 0]
+
+
+def test_one_holding_gives_a_pick_and_a_put_at_the_instants_of_departure_and_rest() -> None:
+    pick, put = events(scene())
+    assert (pick.action, put.action) == ("pick", "put")
+    assert (pick.hand, put.hand) == ("left", "left")
+    # The instants at which this path is 2.5 mm from its ends, on a fine grid; samples are 33 ms apart.
+    fine = np.linspace(PICK, PUT, 40_001)
+    path = cup_centre(fine)
+    left = fine[np.linalg.norm(path - PLACE_A, axis=1) > 0.0025][0]
+    rested = fine[np.linalg.norm(path - PLACE_B, axis=1) > 0.0025][-1]
+    assert pick.event_time == pytest.approx(left, abs=0.004)
+    assert put.event_time == pytest.approx(rested, abs=0.004)
+
+
+def test_a_pick_lies_where_the_object_rested_and_a_put_where_it_will_rest() -> None:
+    pick, put = events(scene())
+    np.testing.assert_allclose(pick.place.location, PLACE_A, atol=1e-9)
+    np.testing.assert_allclose(put.place.location, PLACE_B, atol=2e-4)
+    np.testing.assert_allclose(pick.place.box_max - pick.place.box_min, 2 * HALF, atol=1e-9)
+
+
+def test_noise_of_a_tracking_system_moves_instants_and_places_little() -> None:
+    quiet = events(scene())
+    noisy = events(scene(objects=(track(SLOW, cup_centre(SLOW), noise=0.0006),)))
+    assert [event.action for event in noisy] == ["pick", "put"]
+    for one, other in zip(quiet, noisy, strict=True):
+        assert other.event_time == pytest.approx(one.event_time, abs=0.04)
+        np.testing.assert_allclose(other.place.location, one.place.location, atol=0.002)
+
+
+def test_an_object_that_is_touched_but_rests_is_no_event() -> None:
+    assert events(scene(objects=(track(SLOW, np.repeat(PLACE_A[None], len(SLOW), axis=0)),))) == []
+
+
+def test_an_object_that_moves_with_nobody_near_is_no_event() -> None:
+    elsewhere = cup_centre(SLOW) + np.array([0, 0, 1.0])
+    assert events(scene(objects=(track(SLOW, elsewhere),))) == []
+
+
+@pytest.mark.parametrize(("distance", "found"), [(0.015, 0), (0.06, 2)])
+def test_a_nudge_is_no_event_and_a_slide_is_a_pick_and_a_put(distance: float, found: int) -> None:
+    moved = track(SLOW, slide(distance, 0.5), noise=0.0003)
+    touching = hand("left", FAST, np.tile(PLACE_A - [0, 0, HALF[2] + 0.015], (len(FAST), 1)))
+    assert len(events(scene(objects=(moved,), hands=(touching,)))) == found
+
+
+def test_an_object_held_still_in_the_air_stays_one_holding() -> None:
+    first, second = (minimum_jerk((SLOW - start) / 1.0)[:, None] for start in (PICK, PICK + 3.0))
+    up = PLACE_A + first * [0, 0.25, 0] + second * (PLACE_B - PLACE_A - [0, 0.25, 0])
+    fingers = np.column_stack([np.interp(FAST, SLOW, up[:, axis]) for axis in range(3)]) - [0, 0, HALF[2] + 0.01]
+    leaves = minimum_jerk((FAST - PICK - 4.3) / 0.5)[:, None]
+    holding = hand("left", FAST, fingers - leaves * [0, 0, 0.8])
+    found = events(scene(objects=(track(SLOW, up),), hands=(holding,)))
+    assert [event.action for event in found] == ["pick", "put"]
+    np.testing.assert_allclose(found[1].place.location, PLACE_B, atol=1e-6)
+
+
+def test_changing_hands_in_the_air_is_no_event() -> None:
+    middle = (PICK + PUT) / 2
+    path = finger_path(FAST)
+    far = np.array([0.3, 0.9, -0.3])
+    left = np.where((middle > FAST)[:, None], path, far)
+    right = np.where((middle - 0.3 < FAST)[:, None], path, far)
+    pick, put = events(scene(hands=(hand("left", FAST, left), hand("right", FAST, right))))
+    assert (pick.hand, put.hand) == ("left", "right")
+
+
+def test_an_object_moved_by_somebody_else_is_the_other_wearers() -> None:
+    far = np.tile([0.3, 0.9, -0.3], (len(FAST), 1))
+    found = events(scene(hands=(hand("left", FAST, far),), other_people=(stranger(FAST, finger_path(FAST)),)))
+    assert [event.rejected.outcome for event in found] == ["other_wearer", "other_wearer"]
+
+
+def test_a_door_is_excluded_by_category_and_kept_by_option() -> None:
+    door = scene(hinged_objects=frozenset({"1"}))
+    assert [event.rejected.outcome for event in events(door)] == ["excluded_category", "excluded_category"]
+    kept = msgspec.structs.replace(RULE, drop_hinged=False)
+    assert [event.rejected for event in events(door, kept)] == [None, None]
+
+
+def test_an_object_already_in_hand_has_no_pick_and_one_still_in_hand_no_put() -> None:
+    late = scene(objects=(track(SLOW[SLOW > PICK + 1], cup_centre(SLOW)[SLOW > PICK + 1]),))
+    early = scene(objects=(track(SLOW[SLOW < PUT - 1], cup_centre(SLOW)[SLOW < PUT - 1]),))
+    assert [event.action for event in events(late)] == ["put"]
+    assert [event.action for event in events(early)] == ["pick"]
+
+
+@pytest.mark.parametrize(("gap", "outcome"), [(0.3, None), (0.8, "tracking_lost")])
+def test_a_tracking_gap_around_the_event(gap: float, outcome: str | None) -> None:
+    tracked = np.abs(SLOW - PICK - 0.2) > gap / 2
+    pick, put = events(scene(objects=(track(SLOW[tracked], cup_centre(SLOW)[tracked]),)))
+    assert (pick.rejected.outcome if pick.rejected else None) == outcome
+    assert abs(pick.event_time - PICK - 0.2) < 0.5
+    assert put.rejected is None
+
+
+def test_the_wrist_rule_of_the_paper_is_an_option() -> None:
+    wrist = dataclasses.replace(hand("left", FAST, finger_path(FAST) - [0, 0, 0.07]), contact="wrist")
+    rule = MANIFEST.in_hand_rule("wrist")
+    assert [event.action for event in events(scene(hands=(wrist,)), rule)] == ["pick", "put"]
+    assert events(scene(hands=(wrist,))) == [], "without finger bases the default rule says nothing"
+
+
+def test_contact_distance_of_a_turned_box_by_hand() -> None:
+    turned = np.array([np.cos(np.pi / 8), 0.0, np.sin(np.pi / 8), 0.0])  # 45 degrees about Y
+    point = hand("left", np.array([0.48, 0.52]), np.tile([0.3, 0.0, 0.0], (2, 1)))
+    cup = track(np.array([0.0]), np.zeros((1, 3)))
+    square = dataclasses.replace(cup, box_min=np.full(3, -0.1), box_max=np.full(3, 0.1))
+    found = contact_distance(point, square, RULE, np.array([0.5]), np.zeros((1, 3)), turned[None])
+    local = 0.3 / np.sqrt(2) - 0.1
+    assert found[0] == pytest.approx(np.hypot(local, local))
+
+
+def test_moving_and_turning_the_world_changes_neither_times_nor_hands() -> None:
+    turn, shift = Rotation.from_euler("y", 70, degrees=True), np.array([3.0, 0.2, -5.0])
+    plain = scene()
+    moved = scene(
+        objects=tuple(
+            dataclasses.replace(
+                item,
+                position=turn.apply(item.position) + shift,
+                rotation=np.tile(turn.as_quat(scalar_first=True), (len(item.times), 1)),
+            )
+            for item in plain.objects
+        ),
+        hands=tuple(
+            dataclasses.replace(item, points=(turn.apply(item.points[:, 0]) + shift)[:, None]) for item in plain.hands
+        ),
+    )
+    for one, other in zip(events(plain), events(moved), strict=True):
+        assert other.event_time == pytest.approx(one.event_time, abs=1e-6)
+        assert other.hand == one.hand
+        np.testing.assert_allclose(other.place.location, turn.apply(one.place.location) + shift, atol=1e-6)
+
+
+def test_annotated_events_are_taken_as_they_are_and_repetitions_are_reported() -> None:
+    listed = AnnotatedEvent("a1", "pick", "cup_1", "cup", 12.5, PLACE_A, None, None, "right")
+    nowhere = dataclasses.replace(listed, native_key="a2", action="put", event_time=13.5, location=None)
+    found, remarks = find_events(scene(annotated_events=(listed, nowhere, listed)), RULE)
+    assert [event.event_id for event in found] == [
+        "adt/kitchen_1/cup_1/pick/12500000",
+        "adt/kitchen_1/cup_1/put/13500000",
+    ]
+    assert found[1].rejected.outcome == "no_location"
+    assert "listed twice" in remarks[0]
+    np.testing.assert_array_equal(found[0].place.box_min, PLACE_A)
+
+
+def test_events_do_not_depend_on_the_order_of_objects_or_on_other_objects() -> None:
+    other = track(SLOW, np.tile([0.0, 1.0, 2.0], (len(SLOW), 1)), object_id="9", name="jar")
+    plain = scene()
+    mixed = dataclasses.replace(plain, objects=(other, *plain.objects[::-1]))
+    assert [event.event_id for event in events(mixed)] == [event.event_id for event in events(plain)]

@@ -1,0 +1,85 @@
+"""When gaze first meets a place."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from prbench.curation.events import Decision, Place
+from prbench.curation.priming import Prime, find_prime, gaze_rays
+from tests.curation.scenes import PROTOCOL, clock, gaze, scene
+
+CONSTANTS = PROTOCOL.curation
+BOX = Place(np.array([0.0, 0.0, 2.0]), np.array([-0.1, -0.1, 1.9]), np.array([0.1, 0.1, 2.1]))
+TIMES = clock(30, 0, 20)
+
+
+def prime(looks: list[tuple[float, float, tuple[float, float, float]]], event_time: float = 15.0) -> Prime | Decision:
+    """From the origin, looking up except for the given looks."""
+    direction = np.tile([0.0, 1.0, 0.0], (len(TIMES), 1))
+    for start, end, point in looks:
+        direction[(start - 1e-9 <= TIMES) & (end > TIMES)] = np.array(point) / np.linalg.norm(point)
+    return find_prime(TIMES, np.zeros((len(TIMES), 3)), direction, BOX, event_time, CONSTANTS)
+
+
+def test_the_first_of_two_looks_counts() -> None:
+    found = prime([(9.0, 9.2, (0, 0, 1)), (12.0, 13.0, (0, 0, 1))])
+    assert isinstance(found, Prime)
+    assert (found.time, found.kind) == (pytest.approx(9.0), "hit")
+    assert found.uncertainty == pytest.approx(1 / 30)
+
+
+def test_a_look_before_the_window_or_after_the_event_does_not_count() -> None:
+    found = prime([(4.0, 4.9, (0, 0, 1)), (15.1, 16.0, (0, 0, 1))])
+    assert isinstance(found, Decision)
+    assert found.outcome == "not_primed"
+
+
+def test_both_ends_of_the_window_belong_to_it() -> None:
+    for start, end in ((5.0, 5.01), (15.0, 15.01)):
+        found = prime([(start, end, (0, 0, 1))])
+        assert isinstance(found, Prime), (start, found)
+
+
+def test_a_ray_that_passes_four_centimetres_beside_the_box_is_a_near_miss() -> None:
+    # Closest to the centre near z = 2; the box ends at 0.1 m, so the ray passes about 0.04 m outside it.
+    found = prime([(9.0, 9.2, (0.14, 0, 2.0))])
+    assert isinstance(found, Prime)
+    assert found.kind == "near_miss"
+    assert found.distance == pytest.approx(0.0393, abs=0.002)
+
+
+def test_a_ray_that_passes_eight_centimetres_beside_the_box_tells_its_distance() -> None:
+    found = prime([(9.0, 9.2, (0.18, 0, 2.0))])
+    assert isinstance(found, Decision)
+    assert found.value == pytest.approx(0.08, abs=0.003)
+    assert found.threshold == 0.05
+
+
+def test_looking_away_from_the_place_is_no_prime() -> None:
+    assert isinstance(prime([(9.0, 9.2, (0, 0, -1))]), Decision)
+
+
+def test_a_lost_sample_before_the_look_widens_the_uncertainty() -> None:
+    stream = gaze(TIMES, [(9.0, 9.5, np.array([0.0, 1.6, 3.0]))])
+    lost = np.abs(TIMES - 8.9) < 0.08
+    recording = scene(gaze=dataclasses.replace(stream, valid=~lost))
+    place = Place(np.array([0.0, 1.6, 3.0]), np.array([-0.1, 1.5, 2.9]), np.array([0.1, 1.7, 3.1]))
+    found = find_prime(*gaze_rays(recording, "eye"), place, 15.0, CONSTANTS)
+    assert isinstance(found, Prime)
+    assert found.time == pytest.approx(9.0)
+    assert found.uncertainty == pytest.approx(6 / 30)
+
+
+def test_no_gaze_at_all_is_said_so() -> None:
+    empty = np.empty((0, 3))
+    assert find_prime(np.empty(0), empty, empty, BOX, 15.0, CONSTANTS) == Decision("not_primed", "priming", None, 0.05)
+
+
+def test_the_ray_may_start_at_the_camera() -> None:
+    recording = scene()
+    camera = dataclasses.replace(recording.camera, position=recording.camera.position + np.array([0.05, 0, 0]))
+    moved = dataclasses.replace(recording, camera=camera)
+    np.testing.assert_allclose(gaze_rays(moved, "camera")[1] - gaze_rays(moved, "eye")[1], [[0.05, 0, 0]] * 901)
