@@ -199,13 +199,15 @@ class _Planner:
 
     def _find(self, state: _State, motor_start: float, held: Reach | None) -> tuple[_Candidate, Item | None] | None:
         kind = self.kinds[len(state.items) % len(self.kinds)]
+        stays = self.preset.table_only or self.rng.random() < self.preset.same_surface
+        is_near = self.rng.random() < self.preset.near
         for _ in range(_TRIES if held is None else 4 * _TRIES):
             if held is None:
                 half_extents, yaw = draw_item_shape(kind, self.rng)
             else:
                 half_extents, yaw = state.items[held.item].half_extents, 0.0
-            surface = self._next_surface(state.surface)
-            around = self._around(state, surface)
+            surface = state.surface if stays else self._other_surface(state.surface)
+            around = self._around(state, surface) if is_near else None
             centre = draw_spot(self.room.surfaces[surface], half_extents, yaw, self.rng, around)
             if not self._is_free(state, centre, held):
                 continue
@@ -216,11 +218,6 @@ class _Planner:
             return candidate, item
         return None
 
-    def _next_surface(self, current: int) -> int:
-        if self.preset.table_only or self.rng.random() < self.preset.same_surface:
-            return current
-        return self._other_surface(current)
-
     def _other_surface(self, current: int | None) -> int:
         weights = self.weights.copy()
         if current is not None and len(weights) > 1:
@@ -228,8 +225,8 @@ class _Planner:
         return int(self.rng.choice(len(weights), p=weights / weights.sum()))
 
     def _around(self, state: _State, surface: int) -> tuple[float, float] | None:
-        """Around the previous spot, with probability ``near``, when it is on the same surface."""
-        if self.rng.random() >= self.preset.near or surface != state.surface or not state.spots:
+        """Around the previous spot, when that is on the same surface."""
+        if surface != state.surface or not state.spots:
             return None
         place = self.room.surfaces[surface]
         return float((state.spots[-1] - place.edge_centre) @ place.left), self.preset.spread

@@ -121,7 +121,7 @@ _TABLE = SurfaceKind("table", 0.74, 0.70, 0.35)
 _ALL = (
     Preset(
         name="hd-epic",
-        room=(2.8, 2.4),
+        room=(2.6, 2.2),
         surfaces=(
             SurfaceKind("counter", 0.91, 0.6, 0.75),
             SurfaceKind("cupboard", 1.40, 0.3, 0.15),
@@ -214,7 +214,7 @@ _ALL = (
     ),
     Preset(
         name="adt",
-        room=(5.0, 4.0),
+        room=(4.3, 3.3),
         surfaces=(
             SurfaceKind("counter", 0.90, 0.6, 0.35),
             _TABLE,
@@ -246,7 +246,7 @@ _ALL = (
     ),
     Preset(
         name="gimo",
-        room=(5.0, 4.4),
+        room=(4.7, 4.1),
         surfaces=(
             SurfaceKind("table", 0.74, 0.7, 0.50),
             SurfaceKind("shelf", 1.20, 0.3, 0.25),
