@@ -1,0 +1,80 @@
+"""Controls belong to the harness, not to adapters: they know what no method may know.
+
+As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling) and
+``scripted`` (clockwork: the floor that a method has to beat). As ``--control shuffled-goal`` beside any method: it gets
+another sequence's goal and is scored on its own, so that a method whose score does not drop ignores its goal; the
+recorded motion, which gets no goal, is scored against another sequence's goal instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from prbench.contract import Motions
+from prbench.evaluation.conditions import ConditionSource
+from prbench.evaluation.planning import WINDOW, Selection
+from prbench.evaluation.scripted import ScriptedStart, scripted_motions
+from prbench.skeleton import N_JOINTS
+
+GROUND_TRUTH = "ground-truth"
+SCRIPTED = "scripted"
+SHUFFLED_GOAL = "shuffled-goal"
+
+
+@dataclass(frozen=True)
+class ControlInfo:
+    """One control, for lists and messages."""
+
+    name: str
+    use: str
+    """``--method`` or ``--control``."""
+    summary: str
+
+
+CONTROLS = (
+    ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
+    ControlInfo(SCRIPTED, "--method", "clockwork: faces the goal at 2.0 s, then glides there and reaches"),
+    ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
+)
+
+METHOD_CONTROLS = tuple(control.name for control in CONTROLS if control.use == "--method")
+
+
+def control_motions(
+    name: str, selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
+) -> Iterator[Motions]:
+    """The motions of a control for each planned batch, in order.
+
+    Args:
+        name: One of :data:`METHOD_CONTROLS`.
+        selection: The chosen sequences.
+        source: Their conditions; ``scripted`` takes its goals from here.
+        plan: Of :func:`prbench.evaluation.planning.plan_batches`.
+    """
+    if name == GROUND_TRUTH:
+        yield from _recorded(selection, plan)
+        return
+    for rows in plan:
+        start = ScriptedStart(source.initial_joints[rows], source.goal_location[rows], source.head_tilt_deg[rows])
+        yield scripted_motions(start, source.n_frames[rows], source.fps)
+
+
+def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]]) -> Iterator[Motions]:
+    """Recorded joints; a batch never crosses a window, so one window at a time is in memory."""
+    waiting = iter(plan)
+    for place, chunk in selection.windows(["joints"]):
+        joints, offsets, n_frames = chunk.joints, chunk.offsets, chunk.n_frames
+        taken = 0
+        while taken < len(chunk):
+            rows = next(waiting) - place.start
+            assert rows.min() >= 0
+            assert rows.max() < WINDOW
+            padded = np.zeros((len(rows), int(n_frames[rows].max()), N_JOINTS, 3), dtype=np.float32)
+            for i, row in enumerate(rows):
+                padded[i, : n_frames[row]] = joints[offsets[row] : offsets[row + 1]]
+            yield Motions(padded, n_frames[rows])
+            taken += len(rows)

@@ -1,0 +1,128 @@
+"""One planned batch: generate its samples, measure what that took, write them as one part."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from prbench.contract import ConditionBatch, Motions
+from prbench.evaluation.methods import MethodSpec
+from prbench.evaluation.motions import generate_checked
+from prbench.runs.cost import BatchCost
+from prbench.runs.predictions import write_part
+
+
+@dataclass(frozen=True)
+class BatchTask:
+    """The unit of work and of resumption. Goes to a worker as it is; a method sees nothing but ``conditions``."""
+
+    index: int
+    sequence_ids: tuple[str, ...]
+    conditions: tuple[ConditionBatch, ...]
+    """One a sample; they differ in their noise seeds only."""
+    method: MethodSpec
+    seed: int
+    given: Motions | None
+    """Motions that the harness itself supplies (controls), instead of the method's."""
+    part: Path
+    cost: Path
+    protocol_version: int
+
+
+_timed_before: set[MethodSpec] = set()  # methods whose first, slower batch this process has behind it
+
+
+def run_batch(task: BatchTask) -> int:
+    """Generate, check, measure and write one batch.
+
+    Returns:
+        The index of the batch.
+
+    Raises:
+        AdapterError: if the method breaks the contract; nothing is written then.
+        StorageError: if the part cannot be written.
+    """
+    samples, cost = _controlled(task) if task.given is not None else _generated(task)
+    cost.write(task.cost)  # first, so that a part on disk is never without its measurement
+    seeds = [batch.noise_seed for batch in task.conditions]
+    write_part(task.part, task.sequence_ids, seeds, samples, protocol_version=task.protocol_version)
+    return task.index
+
+
+def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
+    adapter = task.method.load()
+    warm_up = task.method not in _timed_before
+    _set_threads(task.method.threads)
+    _reset_device_peak()
+    samples, halvings, peak = [], 0, 0
+    started = _synchronised_time()
+    for batch in task.conditions:
+        motions, halved = generate_checked(
+            adapter, batch, seed=task.seed, method=task.method.name, sequence_ids=task.sequence_ids
+        )
+        samples.append(motions)
+        halvings += halved
+        peak = max(peak, psutil.Process().memory_info().rss)
+    seconds = _synchronised_time() - started
+    _timed_before.add(task.method)
+    declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
+    return samples, _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
+
+
+def _controlled(task: BatchTask) -> tuple[list[Motions], BatchCost]:
+    assert task.given is not None
+    samples = [task.given] * len(task.conditions)
+    return samples, _cost(task, samples, 0.0, False, 0, psutil.Process().memory_info().rss, None)
+
+
+def _cost(
+    task: BatchTask,
+    samples: list[Motions],
+    seconds: float,
+    warm_up: bool,
+    halvings: int,
+    peak_process_bytes: int,
+    network_passes: int | None,
+) -> BatchCost:
+    return BatchCost(
+        batch=task.index,
+        motions=len(samples) * len(task.sequence_ids),
+        frames=sum(int(motions.n_frames.sum()) for motions in samples),
+        seconds=seconds,
+        warm_up=warm_up,
+        peak_process_bytes=peak_process_bytes,
+        peak_device_bytes=_device_peak(),
+        halvings=halvings,
+        network_passes=network_passes,
+    )
+
+
+def _set_threads(threads: int) -> None:
+    """Fix torch's threads, on which its rounding depends; NumPy's are limited when a worker starts."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.get_num_threads() != threads:
+        torch.set_num_threads(threads)
+
+
+def _synchronised_time() -> float:
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized():
+        torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+def _reset_device_peak() -> None:
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized():
+        torch.cuda.reset_peak_memory_stats()
+
+
+def _device_peak() -> int | None:
+    torch = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
+        return None
+    return int(torch.cuda.max_memory_allocated())

@@ -1,0 +1,86 @@
+"""A method as a run needs it: named, versioned, loaded once a process, fitted once a table."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from prbench.contract import Adapter, Trainable, TrainingRun
+from prbench.errors import UsageError
+from prbench.evaluation.adapters import InstalledAdapter, load_adapter
+from prbench.evaluation.cache import cache_folder
+from prbench.sequences import SequenceTable
+from prbench.storage import file_digest, text_digest
+
+_FIT_SEED = 0  # of baselines that a run fits by itself; the run's own seed varies what is generated, not what is learnt
+
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """Enough to make a method in any process."""
+
+    name: str
+    weights: Path | None
+    options: tuple[tuple[str, str], ...]
+    device: str
+    threads: int
+    fit_folder: Path | None = None
+    """Where a fit is kept, if the method is fitted by the run."""
+    table_folder: Path | None = None
+    """The dataset that it is fitted to."""
+
+    def load(self) -> Adapter:
+        """The method, ready to generate; made once a process."""
+        return _load(self)
+
+    def fitted_to(self, table: SequenceTable, installed: InstalledAdapter) -> MethodSpec:
+        """The same method, fitted to a table if it learns and brought no weights of its own.
+
+        Fits are kept in the cache folder by method, version, options and both digests of the table; the method itself
+        finds there what an earlier fit has left.
+        """
+        if self.weights is not None or not isinstance(self.load(), Trainable):
+            return self
+        key = text_digest(
+            installed.package,
+            installed.version,
+            installed.target,
+            *(part for option in self.options for part in option),
+            table.identity,
+            table.content,
+        )
+        return replace(self, fit_folder=cache_folder() / "fits" / f"{self.name}-{key[:16]}", table_folder=table.folder)
+
+
+@lru_cache(maxsize=1)
+def _load(spec: MethodSpec) -> Adapter:
+    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
+    if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
+        run = TrainingRun(folder=spec.fit_folder, seed=_FIT_SEED, device=spec.device)
+        adapter.fit(SequenceTable.open(spec.table_folder), validation=None, run=run)
+    return adapter
+
+
+def forget_loaded_methods() -> None:
+    """Load afresh what is asked for next; a new run never meets the state that an earlier one left in a method."""
+    _load.cache_clear()
+
+
+def weights_digest(weights: Path | None) -> str | None:
+    """SHA-256 of a weights file, or of the names and contents of a folder.
+
+    Raises:
+        UsageError: if the path does not exist.
+    """
+    if weights is None:
+        return None
+    if weights.is_file():
+        return file_digest(weights)
+    if not weights.is_dir():
+        raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
+    total = hashlib.sha256()
+    for path in sorted(path for path in weights.rglob("*") if path.is_file()):
+        total.update(f"{path.relative_to(weights).as_posix()}\t{file_digest(path)}\n".encode())
+    return total.hexdigest()

@@ -1,0 +1,136 @@
+"""Ask a method for motions and check every one of them before it is kept."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from prbench.contract import Adapter, ConditionBatch, Cost, Motions
+from prbench.errors import AdapterError, PrbenchError
+from prbench.evaluation.native_rate import at_native_rate, at_table_rate
+from prbench.skeleton import N_JOINTS
+
+
+def generate_checked(
+    adapter: Adapter, batch: ConditionBatch, *, seed: int, method: str, sequence_ids: Sequence[str]
+) -> tuple[Motions, int]:
+    """Generate the motions of a batch at the table's rate; one that does not fit in memory is run in halves.
+
+    Args:
+        adapter: The method.
+        batch: What it may know.
+        seed: The run's seed, for the record.
+        method: Name of the method, for messages.
+        sequence_ids: Names of the rows, for messages; the method never sees them.
+
+    Returns:
+        float32 motions, and how often a batch was halved.
+
+    Raises:
+        AdapterError: if the method raises, or returns something else than one finite motion of the asked length for
+            each row; names method, sequence and frame.
+    """
+    native_fps = getattr(adapter, "native_fps", None)
+    asked = batch if native_fps is None else at_native_rate(batch, float(native_fps))
+    motions, halvings = _generate(adapter, asked, seed, method, sequence_ids)
+    if native_fps is not None:
+        motions = at_table_rate(motions, batch, native_fps=float(native_fps))
+    return motions, halvings
+
+
+def _generate(
+    adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str]
+) -> tuple[Motions, int]:
+    try:
+        motions = adapter.generate(batch, seed=seed)
+    except PrbenchError:
+        raise
+    except Exception as error:
+        if not _out_of_memory(error):
+            raise AdapterError(f"adapter '{method}' failed on {_span(ids)}: {type(error).__name__}: {error}") from error
+        if len(batch) == 1:
+            raise AdapterError(
+                f"adapter '{method}' ran out of memory on the single sequence {ids[0]}"
+                f" ({batch.n_frames[0]} frames). Use a device with more memory."
+            ) from error
+    else:
+        return _checked(motions, batch, method, ids), 0
+    _release_memory()
+    middle = len(batch) // 2
+    first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle])
+    second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:])
+    return _joined(first, second), 1 + halved_first + halved_second
+
+
+def _checked(motions: object, batch: ConditionBatch, method: str, ids: Sequence[str]) -> Motions:
+    """The motions as float32 if they are what the contract asks for."""
+    origin = f"adapter '{method}' on {_span(ids)}"
+    if not isinstance(motions, Motions) or not isinstance(motions.joints, np.ndarray):
+        found = type(motions).__name__
+        raise AdapterError(f"{origin}: expected prbench.contract.Motions with NumPy arrays, found {found}.")
+    joints, n_frames = motions.joints, np.asarray(motions.n_frames)
+    longest = int(batch.n_frames.max())
+    fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
+    if not fits or not np.issubdtype(joints.dtype, np.floating):
+        raise AdapterError(
+            f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
+            f" found {joints.shape} of {joints.dtype}."
+        )
+    if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
+        row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
+        found = n_frames[row] if n_frames.shape == batch.n_frames.shape else f"n_frames of shape {n_frames.shape}"
+        raise AdapterError(
+            f"adapter '{method}', sequence {ids[row]}: expected {batch.n_frames[row]} frames, found {found}."
+        )
+    if joints.shape[1] < longest:
+        row = int(batch.n_frames.argmax())
+        raise AdapterError(
+            f"adapter '{method}', sequence {ids[row]}: expected {longest} frames, found {joints.shape[1]} in joints."
+        )
+    with np.errstate(over="ignore"):
+        joints = joints[:, :longest].astype(np.float32)
+    _require_finite(joints, batch, method, ids)
+    return Motions(joints, batch.n_frames, motions.cost)
+
+
+def _require_finite(joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str]) -> None:
+    valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
+    bad = ~np.isfinite(joints).all(axis=(2, 3)) & valid
+    if bad.any():
+        row, frame = (int(index) for index in np.argwhere(bad)[0])
+        joint = int(np.flatnonzero(~np.isfinite(joints[row, frame]).all(axis=1))[0])
+        raise AdapterError(
+            f"adapter '{method}', sequence {ids[row]}, frame {frame}: expected finite positions,"
+            f" found {joints[row, frame, joint].tolist()} at joint {joint}."
+        )
+
+
+def _joined(first: Motions, second: Motions) -> Motions:
+    longest = max(first.joints.shape[1], second.joints.shape[1])
+    padded = [
+        np.pad(part.joints, ((0, 0), (0, longest - part.joints.shape[1]), (0, 0), (0, 0))) for part in (first, second)
+    ]
+    declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
+    cost = Cost(sum(declared)) if declared else None
+    return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
+
+
+def _out_of_memory(error: Exception) -> bool:
+    """Of Python or NumPy, or of torch on either kind of device (recognised without importing it)."""
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+
+
+def _release_memory() -> None:
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
+
+
+def _span(ids: Sequence[str]) -> str:
+    return ids[0] if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"

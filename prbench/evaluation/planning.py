@@ -1,0 +1,130 @@
+"""Which sequences are run, and in which batches: decided by the sorted table alone."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Int
+
+from prbench.errors import TableError, UsageError
+from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.table import SPLITS, SequenceTable, smallest_by_hash
+from prbench.storage import text_digest
+
+WINDOW = 1024
+"""Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
+enough for memory, large enough that little is padded."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The chosen sequences of one table, in table order (sorted by id)."""
+
+    table: SequenceTable
+    split: str
+    sequence_ids: tuple[str, ...]
+    n_frames: Int[np.ndarray, " n"]
+    recording_ids: tuple[str, ...]
+    fps: float
+
+    def __len__(self) -> int:
+        return len(self.sequence_ids)
+
+    @property
+    def digest(self) -> str:
+        """Over the chosen ids."""
+        return text_digest(*self.sequence_ids)
+
+    def chosen(self, keep: np.ndarray) -> Selection:
+        """The rows where ``keep`` is true."""
+        rows = np.flatnonzero(keep)
+        return Selection(
+            self.table,
+            self.split,
+            tuple(self.sequence_ids[i] for i in rows),
+            self.n_frames[rows],
+            tuple(self.recording_ids[i] for i in rows),
+            self.fps,
+        )
+
+    def windows(self, columns: list[str]) -> Iterator[tuple[slice, SequenceChunk]]:
+        """Stream the chosen rows, :data:`WINDOW` at a time, with their places in the selection."""
+        pending: list[pa.RecordBatch] = []
+        start = rows = 0
+        for chunk in self.table.chunks(split=self.split, columns=columns, ids=frozenset(self.sequence_ids)):
+            pending.append(chunk.batch)
+            rows += len(chunk)
+            while rows >= WINDOW:
+                joined = _joined(pending)
+                yield slice(start, start + WINDOW), SequenceChunk(joined.slice(0, WINDOW))
+                start, rows, pending = start + WINDOW, rows - WINDOW, [joined.slice(WINDOW)]
+        if rows:
+            yield slice(start, start + rows), SequenceChunk(_joined(pending))
+
+
+def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
+    """Choose the sequences of a split; with ``limit`` those with the smallest SHA-256 of their id.
+
+    Raises:
+        UsageError: for an unknown split or a limit below one.
+        TableError: if the split is empty, or the table is not sorted, repeats an id or mixes frame rates.
+    """
+    if split not in SPLITS:
+        raise UsageError(f"unknown split '{split}'; the splits are: {', '.join(SPLITS)}.")
+    if limit is not None and limit < 1:
+        raise UsageError(f"--limit: expected 1 or more sequences, found {limit}.")
+    rows = table.scalars(split=split)
+    if not rows.num_rows:
+        counts = _split_counts(table)
+        raise TableError(f"{table.folder}: expected sequences in split '{split}', found none ({counts}).")
+    ids = rows["sequence_id"].to_pylist()
+    if any(first >= second for first, second in itertools.pairwise(ids)):
+        raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")
+    rates = set(rows["fps"].to_pylist())
+    if len(rates) > 1:
+        raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
+    everything = Selection(
+        table,
+        split,
+        tuple(ids),
+        rows["n_frames"].to_numpy().astype(np.int64),
+        tuple(rows["recording_id"].to_pylist()),
+        rates.pop(),
+    )
+    if limit is None:
+        return everything
+    kept = set(smallest_by_hash(ids, limit))
+    return everything.chosen(np.array([name in kept for name in ids]))
+
+
+def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[np.ndarray, "_"]]:
+    """Rows of each batch: within each window by length, so that little is padded; ties by place in the table.
+
+    Raises:
+        UsageError: for a batch size below one.
+    """
+    if batch_size < 1:
+        raise UsageError(f"--batch-size: expected 1 or more, found {batch_size}.")
+    batches = []
+    for start in range(0, len(n_frames), WINDOW):
+        order = start + np.argsort(n_frames[start : start + WINDOW], kind="stable")
+        batches += [order[i : i + batch_size] for i in range(0, len(order), batch_size)]
+    return batches
+
+
+def plan_digest(sequence_ids: tuple[str, ...], batches: list[Int[np.ndarray, "_"]]) -> str:
+    """Over the ids of every batch, in order."""
+    return text_digest(*(text_digest(*(sequence_ids[row] for row in batch)) for batch in batches))
+
+
+def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:
+    return pa.Table.from_batches(batches).combine_chunks().to_batches()[0]
+
+
+def _split_counts(table: SequenceTable) -> str:
+    splits = table.scalars()["split"].to_pylist()
+    return ", ".join(f"{name} {splits.count(name)}" for name in SPLITS)

@@ -1,0 +1,213 @@
+"""Everything that is known before the first motion is generated: the methods, sequences, batches, and ``run.json``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+import prbench
+from prbench.errors import AdapterError, UsageError
+from prbench.evaluation.adapters import InstalledAdapter, find_adapter, require_condition
+from prbench.evaluation.conditions import ConditionSource, derangement
+from prbench.evaluation.controls import GROUND_TRUTH, METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, weights_digest
+from prbench.evaluation.native_rate import native_frames
+from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select
+from prbench.evaluation.request import RunRequest
+from prbench.manifests import load_protocol
+from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.runs.schema import RUN_SCHEMA_VERSION
+from prbench.sequences import SequenceTable
+from prbench.storage import text_digest
+
+_RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
+
+
+@dataclass(frozen=True)
+class PreparedDataset:
+    """One table, ready to be run."""
+
+    chosen: int
+    """Sequences of split and limit."""
+    selection: Selection
+    """Of these, the ones that the method can generate."""
+    source: ConditionSource
+    plan: list[Int[np.ndarray, "_"]]
+    method: MethodSpec
+    scored_goals: Float[np.ndarray, "n 3"] | None
+    """Goals of other sequences that the recorded motion is scored against; None for each sequence's own."""
+
+    @property
+    def name(self) -> str:
+        """Of the dataset."""
+        return self.selection.table.info.dataset
+
+    def ids(self, rows: Int[np.ndarray, " rows"]) -> tuple[str, ...]:
+        """Of a planned batch."""
+        return tuple(self.selection.sequence_ids[row] for row in rows)
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A request with everything that follows from it."""
+
+    request: RunRequest
+    record: RunRecord
+    datasets: tuple[PreparedDataset, ...]
+    out: Path
+
+
+def prepare_run(request: RunRequest) -> PreparedRun:
+    """Load the method, choose and plan the sequences, and put down what decides the result.
+
+    Raises:
+        AdapterError: if the method is unknown, cannot be loaded, does not take the condition, or can generate none of
+            the sequences.
+        TableError: if a table is missing, empty, changed or of an unknown version.
+        UsageError: if datasets repeat, or a path or split does not exist.
+    """
+    forget_loaded_methods()
+    tables = [SequenceTable.open(folder) for folder in request.data]
+    names = [table.info.dataset for table in tables]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
+    spec = MethodSpec(
+        request.method, request.weights, tuple(sorted(request.options.items())), request.device, request.threads
+    )
+    method, installed = _method(request, spec)
+    datasets = tuple(_dataset(request, table, spec, method, installed) for table in tables)
+    record = _record(request, method, datasets)
+    return PreparedRun(request, record, datasets, request.out or _default_folder(record))
+
+
+def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, InstalledAdapter | None]:
+    """What is recorded about the method, and where it was installed from unless it is a control."""
+    if request.is_control:
+        own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
+        limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
+        return MethodRecord(name=request.method, kind="control", **own, **limits), None
+    digest = weights_digest(request.weights)
+    installed = find_adapter(request.method, also_known=METHOD_CONTROLS)
+    adapter = spec.load()
+    require_condition(request.method, adapter, request.condition)
+    native_fps = getattr(adapter, "native_fps", None)
+    return MethodRecord(
+        name=request.method,
+        kind="adapter",
+        package=installed.package,
+        version=installed.version,
+        weights=request.weights.name if request.weights else None,
+        weights_digest=digest,
+        options=dict(spec.options),
+        max_frames=getattr(adapter, "max_frames", None),
+        native_fps=None if native_fps is None else float(native_fps),
+        motionless=bool(getattr(adapter, "motionless", False)),
+    ), installed
+
+
+def _dataset(
+    request: RunRequest,
+    table: SequenceTable,
+    spec: MethodSpec,
+    method: MethodRecord,
+    installed: InstalledAdapter | None,
+) -> PreparedDataset:
+    chosen = select(table, split=request.split, limit=request.limit)
+    selection = supported(chosen, max_frames=method.max_frames, native_fps=method.native_fps)
+    if not len(selection):
+        raise AdapterError(
+            f"adapter '{method.name}' generates at most {method.max_frames} frames; all {len(chosen)} chosen sequences"
+            f" of {table.info.dataset} are longer."
+        )
+    if installed is not None:
+        spec = spec.fitted_to(table, installed)
+        spec.load()  # a fit is made here, once, and found by every worker
+    source, scored_goals = ConditionSource.read(selection), None
+    if request.control == SHUFFLED_GOAL:
+        shuffled = source.with_goals_of(derangement(selection, seed=request.seed))
+        if request.method == GROUND_TRUTH:
+            scored_goals = shuffled.goal_location
+        source = shuffled
+    plan = plan_batches(selection.n_frames, request.batch_size)
+    return PreparedDataset(len(chosen), selection, source, plan, spec, scored_goals)
+
+
+def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
+    """The sequences that a method can generate in full; none is ever cut.
+
+    Args:
+        selection: The chosen sequences.
+        max_frames: The method's limit, at its own rate; None for none.
+        native_fps: The method's own rate; None for the table's.
+    """
+    if max_frames is None:
+        return selection
+    n_frames = selection.n_frames
+    if native_fps is not None:
+        n_frames = native_frames(n_frames, fps=selection.fps, native_fps=native_fps)
+    return selection.chosen(n_frames <= max_frames)
+
+
+def _record(request: RunRequest, method: MethodRecord, datasets: tuple[PreparedDataset, ...]) -> RunRecord:
+    protocol = load_protocol()
+    return RunRecord(
+        schema_version=RUN_SCHEMA_VERSION,
+        prbench_version=prbench.__version__,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        method=method,
+        condition=request.condition.value,
+        control=request.control,
+        split=request.split,
+        limit=request.limit,
+        seed=request.seed,
+        samples=request.samples,
+        device=request.device,
+        threads=request.threads,
+        packages=_packages(),
+        tables=tuple(_table_record(dataset, request) for dataset in datasets),
+    )
+
+
+def _table_record(dataset: PreparedDataset, request: RunRequest) -> TableRecord:
+    selection = dataset.selection
+    info = selection.table.info
+    return TableRecord(
+        dataset=info.dataset,
+        title=info.title,
+        synthetic=info.synthetic,
+        redistribution=info.redistribution,
+        identity_digest=selection.table.identity,
+        content_digest=selection.table.content,
+        sequences=dataset.chosen,
+        unsupported=dataset.chosen - len(selection),
+        selection_digest=selection.digest,
+        batch_plan=BatchPlanRecord(
+            batch_size=request.batch_size,
+            batches=len(dataset.plan),
+            digest=plan_digest(selection.sequence_ids, dataset.plan),
+        ),
+    )
+
+
+def _packages() -> dict[str, str]:
+    found = {"python": ".".join(map(str, sys.version_info[:3]))}
+    for name in _RECORDED_PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _default_folder(record: RunRecord) -> Path:
+    """``runs/<method>-<condition>-<datasets>-<digest>``; the same request finds its folder again."""
+    control = f"-{record.control}" if record.control else ""
+    datasets = "+".join(table.dataset for table in record.tables)
+    return Path("runs") / f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"

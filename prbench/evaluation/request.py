@@ -1,0 +1,66 @@
+"""What a user asks of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from prbench.contract import Condition
+from prbench.errors import UsageError
+from prbench.evaluation.controls import METHOD_CONTROLS, SHUFFLED_GOAL
+
+DEFAULT_BATCH_SIZE = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRequest:
+    """One run of one method.
+
+    Raises:
+        UsageError: if parts of it do not fit together.
+    """
+
+    method: str
+    """Name of an installed adapter, or ``ground-truth`` or ``scripted``."""
+    data: tuple[Path, ...]
+    """Dataset folders."""
+    condition: Condition = Condition.NONE
+    weights: Path | None = None
+    options: Mapping[str, str] = field(default_factory=dict)
+    split: str = "test"
+    limit: int | None = None
+    """Run only the sequences with the smallest SHA-256 of their id, this many of each dataset."""
+    seed: int = 0
+    samples: int = 1
+    """Motions drawn for each sequence."""
+    batch_size: int = DEFAULT_BATCH_SIZE
+    device: str = "cpu"
+    threads: int = 1
+    """Per worker; rounding may depend on it."""
+    control: str | None = None
+    """``shuffled-goal`` or None."""
+    out: Path | None = None
+    """The run folder; by default one under ``runs`` whose name says what was run."""
+
+    def __post_init__(self) -> None:
+        if not self.data:
+            raise UsageError("a run needs one dataset folder or more (--data DIR).")
+        for name, value in (
+            ("--samples", self.samples),
+            ("--batch-size", self.batch_size),
+            ("--threads", self.threads),
+        ):
+            if value < 1:
+                raise UsageError(f"{name}: expected 1 or more, found {value}.")
+        if self.seed < 0:
+            raise UsageError(f"--seed: expected 0 or more, found {self.seed}.")
+        if self.control not in (None, SHUFFLED_GOAL):
+            raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
+        if self.is_control and (self.weights is not None or self.options):
+            raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
+
+    @property
+    def is_control(self) -> bool:
+        """The motions come from the harness, not from an adapter."""
+        return self.method in METHOD_CONTROLS

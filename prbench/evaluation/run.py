@@ -1,0 +1,197 @@
+"""Run a method over tables: conditions, motions, scores, summary, in a run folder that resumes.
+
+``run.json`` is written first and holds everything that decides the result; a batch of predictions is written whole;
+scores, cost and summary follow when all batches are there, the summary last. Whatever moment a run was killed at, the
+same request finds out from the files what is left to do and ends with the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from prbench.engine import Engine, InProcess
+from prbench.errors import PrbenchError
+from prbench.evaluation.conditions import run_salt
+from prbench.evaluation.controls import GROUND_TRUTH, control_motions
+from prbench.evaluation.generation import BatchTask, run_batch
+from prbench.evaluation.preparation import PreparedDataset, PreparedRun, prepare_run
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.scoring import ScoringRules, score_selection
+from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.manifests import load_protocol
+from prbench.runs.cost import read_batch_costs, total_cost
+from prbench.runs.folder import DatasetFolder, RunFolder
+from prbench.runs.scores import read_scores, write_scores
+from prbench.runs.summary import DatasetSummary
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run has got with one dataset."""
+
+    dataset: str
+    stage: str
+    """``generate`` (in planned batches) or ``score`` (in sequences)."""
+    done: int
+    total: int
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What a run has left behind."""
+
+    folder: RunFolder
+    summaries: tuple[DatasetSummary, ...]
+    batches_made: int
+    """In this call."""
+    batches_found: int
+    """From an earlier call."""
+
+
+def _silent(progress: Progress) -> None:
+    pass
+
+
+def run_method(
+    request: RunRequest, *, engine: Engine | None = None, progress: Callable[[Progress], None] = _silent
+) -> RunReport:
+    """Run a method and score it; goes on where an earlier call with the same request was interrupted.
+
+    Args:
+        request: What to run on what.
+        engine: Where batches are generated and scored; in this process by default. Leaves no trace in the files
+            except ``cost.json``.
+        progress: Called after every batch and every scored window.
+
+    Raises:
+        AdapterError: if the method is unknown, does not take the condition, or breaks its contract.
+        RunError: if the run folder belongs to other inputs.
+        TableError: if a table is missing, empty, changed or of an unknown version.
+        StorageError: if a file cannot be written.
+        UsageError: if the request does not fit together.
+    """
+    engine = engine or InProcess()
+    prepared = prepare_run(request)
+    folder = RunFolder.prepare(prepared.out, prepared.record)
+    try:
+        made = [_generate(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets]
+    except PrbenchError:
+        folder.discard_if_empty()
+        raise
+    summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)
+    total = sum(len(dataset.plan) for dataset in prepared.datasets)
+    return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
+
+
+def _generate(
+    prepared: PreparedRun,
+    dataset: PreparedDataset,
+    folder: RunFolder,
+    engine: Engine,
+    progress: Callable[[Progress], None],
+) -> int:
+    """Make the batches that are not there yet; returns how many."""
+    files = folder.dataset(dataset.name)
+    missing = [
+        index
+        for index, rows in enumerate(dataset.plan)
+        if not files.has_part(index, dataset.ids(rows), prepared.request.samples)
+    ]
+    done = len(dataset.plan) - len(missing)
+    if not missing:
+        return 0
+    progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
+    for _ in engine.map(run_batch, _tasks(prepared, dataset, files, frozenset(missing))):
+        done += 1
+        progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
+    return len(missing)
+
+
+def _tasks(
+    prepared: PreparedRun, dataset: PreparedDataset, files: DatasetFolder, wanted: frozenset[int]
+) -> Iterator[BatchTask]:
+    request, protocol = prepared.request, load_protocol()
+    salt = run_salt(request.seed, dataset.selection.table.identity)
+    given = None
+    if request.is_control:
+        given = control_motions(request.method, dataset.selection, dataset.source, dataset.plan)
+    for index, rows in enumerate(dataset.plan):
+        motions = next(given) if given is not None else None
+        if index not in wanted:
+            continue
+        first = dataset.source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
+        yield BatchTask(
+            index=index,
+            sequence_ids=dataset.ids(rows),
+            conditions=tuple(
+                dataset.source.redrawn(first, rows, seed=request.seed, sample=sample)
+                for sample in range(request.samples)
+            ),
+            method=dataset.method,
+            seed=request.seed,
+            given=motions,
+            part=files.part(index),
+            cost=files.batch_cost(index),
+            protocol_version=protocol.version,
+        )
+
+
+def _scored(
+    prepared: PreparedRun,
+    dataset: PreparedDataset,
+    folder: RunFolder,
+    engine: Engine,
+    progress: Callable[[Progress], None],
+) -> DatasetSummary:
+    """Score what was generated, unless an earlier call has."""
+    files = folder.dataset(dataset.name)
+    if not files.finished:
+        _write_scores(prepared, dataset, files, engine, progress)
+        total_cost(read_batch_costs(files.batch_costs()), batches=len(dataset.plan)).write(files.cost)
+        summarise(read_scores(files.scores), _scored_set(dataset, prepared.request)).write(files.path)
+    files.forget_batch_costs()
+    return DatasetSummary.read(files.path)
+
+
+def _scored_set(dataset: PreparedDataset, request: RunRequest) -> ScoredSet:
+    selection = dataset.selection
+    return ScoredSet(
+        info=selection.table.info,
+        recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
+        chosen=dataset.chosen,
+        method=request.method,
+        condition=request.condition.value,
+        control=request.control,
+        split=request.split,
+        samples=request.samples,
+    )
+
+
+def _write_scores(
+    prepared: PreparedRun,
+    dataset: PreparedDataset,
+    files: DatasetFolder,
+    engine: Engine,
+    progress: Callable[[Progress], None],
+) -> None:
+    rules = ScoringRules(
+        load_protocol().metrics,
+        recorded_motion=prepared.request.method == GROUND_TRUTH,
+        other_goals=dataset.scored_goals,
+    )
+    samples = range(prepared.request.samples)
+    windows = score_selection(dataset.selection, files.predictions, samples=samples, rules=rules, engine=engine)
+    write_scores(files.scores, _counted(windows, dataset, progress))
+
+
+def _counted(
+    windows: Iterator[pa.Table], dataset: PreparedDataset, progress: Callable[[Progress], None]
+) -> Iterator[pa.Table]:
+    done, total = 0, len(dataset.selection)
+    for window in windows:
+        yield window
+        done += len(window["sequence_id"].unique())
+        progress(Progress(dataset.name, "score", done, total))

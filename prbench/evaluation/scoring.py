@@ -1,0 +1,181 @@
+"""Predicted motions against the table, a window of sequences at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+
+from prbench.engine import Engine
+from prbench.errors import PredictionsError
+from prbench.evaluation.conditions import opaque_ids, run_salt
+from prbench.evaluation.planning import Selection
+from prbench.manifests import MetricConstants
+from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.metrics.registry import MetricValues
+from prbench.runs.predictions import Predictions
+from prbench.runs.schema import SCORES
+from prbench.sequences.chunk import SequenceChunk
+
+_COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
+_GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
+_SIDES = {"left": 0, "right": 1}
+_AGAINST_ITSELF = frozenset(
+    {"goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "reach_wrist"}
+)  # of a recorded motion: they compare it with itself whatever the goal is
+
+
+@dataclass(frozen=True)
+class ScoringRules:
+    """How the motions of one dataset are scored."""
+
+    constants: MetricConstants
+    recorded_motion: bool = False
+    """The predictions are the recorded motion itself: gaze is scored too."""
+    other_goals: Float[np.ndarray, "n 3"] | None = None
+    """Score against these goals, one a chosen sequence, instead of each sequence's own; metrics that compare the
+    recorded motion with itself are left out then."""
+    allow_length_mismatch: bool = False
+    id_seed: int = 0
+    """Seed behind the opaque ids, where the predictions have those."""
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Scoring work for one worker."""
+
+    dataset: str
+    recorded: pa.RecordBatch
+    goals: Float[np.ndarray, "n 3"]
+    names: tuple[str, ...]
+    """Ids as the predictions have them."""
+    samples: tuple[int, ...]
+    predictions: Predictions
+    source: Path
+    rules: ScoringRules
+
+
+def score_selection(
+    selection: Selection, predictions: Path, *, samples: Sequence[int], rules: ScoringRules, engine: Engine
+) -> Iterator[pa.Table]:
+    """Score all chosen sequences.
+
+    Args:
+        selection: The sequences; every one has a prediction for every sample.
+        predictions: File or folder of parts.
+        samples: Indices of the samples.
+        rules: How to score.
+        engine: Where the windows are worked on; the values are the same for any.
+
+    Yields:
+        Rows of ``scores.parquet``: by sequence, then sample, then metric in printed order.
+
+    Raises:
+        PredictionsError: if a motion has another length than the recorded one, or NaN; names sequence and frame.
+    """
+    yield from engine.map(_score_window, _windows(selection, predictions, tuple(samples), rules))
+
+
+def _windows(
+    selection: Selection, predictions: Path, samples: tuple[int, ...], rules: ScoringRules
+) -> Iterator[_Window]:
+    opened = Predictions.open(predictions)
+    opaque = opened.id_column == "opaque_id"
+    salt = run_salt(rules.id_seed, selection.table.identity) if opaque else b""
+    columns = _COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else [])
+    for place, chunk in selection.windows(columns):
+        names = opaque_ids(chunk.sequence_ids, salt) if opaque else chunk.sequence_ids
+        goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
+        dataset = selection.table.info.dataset
+        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, opened, predictions, rules)
+
+
+def _score_window(window: _Window) -> pa.Table:
+    chunk = SequenceChunk(window.recorded)
+    recorded = MotionBatch(chunk.joints, chunk.offsets)
+    targets = _targets(chunk, window)
+    by_sample = []
+    for sample in window.samples:
+        rows = window.predictions.motions(window.names, sample)
+        predicted = MotionBatch(rows.values, rows.offsets)
+        _check(predicted, recorded, chunk.sequence_ids, window)
+        by_sample.append(_scored(predicted, recorded, targets, window.rules))
+    return _long_form(window.dataset, chunk.sequence_ids, window.samples, by_sample)
+
+
+def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
+    gaze = None
+    if window.rules.recorded_motion:
+        gaze = GazeRays(
+            chunk.frames("gaze_origin").astype(np.float64),
+            chunk.frames("gaze_direction").astype(np.float64),
+            chunk.frames("gaze_valid"),
+        )
+    return ScoringTargets(
+        goal_location=window.goals.astype(np.float64),
+        prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
+        hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
+        head_tilt_deg=chunk.numbers("head_tilt_deg"),
+        fps=chunk.numbers("fps"),
+        gaze=gaze,
+    )
+
+
+def _scored(
+    predicted: MotionBatch, recorded: MotionBatch, targets: ScoringTargets, rules: ScoringRules
+) -> list[MetricValues]:
+    metrics = None
+    if rules.recorded_motion and rules.other_goals is not None:
+        metrics = frozenset(info.id for info in METRICS) - _AGAINST_ITSELF
+    values = score(
+        predicted,
+        recorded,
+        targets,
+        rules.constants,
+        metrics=metrics,
+        allow_length_mismatch=rules.allow_length_mismatch,
+    )
+    return list(values.values())
+
+
+def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], window: _Window) -> None:
+    """Name the sequence where a motion cannot be scored."""
+    source = window.source
+    different = np.flatnonzero(predicted.n_frames != recorded.n_frames)
+    if different.size and not window.rules.allow_length_mismatch:
+        row = different[0]
+        raise PredictionsError(
+            f"{source}, {ids[row]}: expected {recorded.n_frames[row]} frames, found {predicted.n_frames[row]}."
+            " Give every motion the length of the recorded one, or pass --allow-length-mismatch."
+        )
+    short = np.flatnonzero(predicted.n_frames < 2)
+    if short.size:
+        raise PredictionsError(f"{source}, {ids[short[0]]}: expected 2 frames or more, found 1.")
+    finite = np.isfinite(predicted.values).all(axis=(1, 2))
+    if not finite.all():
+        frame = int(np.flatnonzero(~finite)[0])
+        row = int(predicted.sequence_of_row[frame])
+        raise PredictionsError(
+            f"{source}, {ids[row]}, frame {frame - predicted.offsets[row]}: expected finite joint positions,"
+            " found NaN or infinity."
+        )
+
+
+def _long_form(dataset: str, ids: list[str], samples: Sequence[int], by_sample: list[list[MetricValues]]) -> pa.Table:
+    metrics = [values.metric for values in by_sample[0]]
+    repeats = len(samples) * len(metrics)
+    value = np.stack([[column.value for column in values] for values in by_sample])  # (samples, metrics, sequences)
+    flags = [[column.flag for column in values] for values in by_sample]
+    columns = [
+        pa.array(np.repeat(np.array(ids, dtype=object), repeats), pa.string()),
+        pa.array([dataset] * (len(ids) * repeats), pa.string()),
+        pa.array(np.tile(np.repeat(np.array(samples, dtype=np.int32), len(metrics)), len(ids))),
+        pa.array(metrics * (len(ids) * len(samples)), pa.string()),
+        pa.array(np.moveaxis(value, 2, 0).reshape(-1)),
+        pa.array([flag[i] for i in range(len(ids)) for columns in flags for flag in columns], pa.string()),
+    ]
+    return pa.Table.from_arrays(columns, schema=SCORES)

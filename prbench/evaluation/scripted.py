@@ -1,0 +1,176 @@
+"""``scripted``: what clockwork alone scores.
+
+Every sequence starts 2 s before its prime, so a motion that faces the goal at 2.0 s without looking at anything else
+is a fair opponent. It knows the first pose and the goal, whatever the condition is, and does always the same:
+
+1. Until 2.0 s the rigid body of the first frame turns about its pelvis until the head-forward ray points at the goal,
+   and the head nods on the neck to the goal's height. Both follow a minimum-jerk curve over the second before, so the
+   turn slows down as it arrives.
+2. From 2.0 s to the last frame the body glides in a straight line until it stands 0.45 m before the goal (not at all
+   if it already stands nearer), and over the same time the wrist of the nearer arm moves to the goal. The elbow keeps
+   both bones' lengths where the goal is within the arm's length of the shoulder; where it is not, the arm stretches.
+
+The feet never step. Sequences that end less than half a second after 2.0 s begin the second part earlier.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.contract import Motions
+from prbench.skeleton import WRISTS, Joint, head_forward
+
+_ARRIVAL = 2.0  # s, the lead of every sequence before its prime time (design, section 2)
+_TURN_DURATION = 1.0  # s
+_SHORTEST_REACH = 0.5  # s
+_STAND_OFF = 0.45  # m between pelvis and goal on the ground: about an arm's length with a bent elbow
+_STEEPEST_LOOK = np.deg2rad(75.0)  # above or below the horizon
+_ARMS = ((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, WRISTS[0]), (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, WRISTS[1]))
+
+
+@dataclass(frozen=True)
+class ScriptedStart:
+    """What the clockwork knows about B sequences; canonical frame, metres."""
+
+    initial_joints: Float[np.ndarray, "batch 22 3"]
+    goal_location: Float[np.ndarray, "batch 3"]
+    head_tilt_deg: Float[np.ndarray, " batch"]
+
+
+def scripted_motions(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float) -> Motions:
+    """The clockwork motion of each sequence."""
+    initial = start.initial_joints.astype(np.float64)
+    goal = start.goal_location.astype(np.float64)
+    turned = _turned_progress(n_frames, fps)
+    reached = _reach_progress(n_frames, fps)
+
+    yaw = _yaw_to_goal(initial, goal, start.head_tilt_deg)
+    nod = _nod_to_goal(_about_pelvis(initial[:, None], yaw[:, None])[:, 0], goal, start.head_tilt_deg)
+    body = _about_pelvis(initial[:, None], yaw[:, None] * turned)
+    body = _nodded(body, nod[:, None] * turned)
+    body = body + reached[..., None, None] * _glide(initial, goal)[:, None, None]
+    return Motions(_reaching(body, goal, reached).astype(np.float32), n_frames)
+
+
+def _minimum_jerk(phase: np.ndarray) -> np.ndarray:
+    """0 to 1 with speed and acceleration zero at both ends."""
+    x = np.clip(phase, 0.0, 1.0)
+    return x**3 * (10 - 15 * x + 6 * x**2)
+
+
+def _turned_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
+    time = np.arange(int(n_frames.max())) / fps
+    turned = _minimum_jerk((time - (_ARRIVAL - _TURN_DURATION)) / _TURN_DURATION)
+    return np.broadcast_to(turned, (len(n_frames), len(time)))
+
+
+def _reach_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
+    time = np.arange(int(n_frames.max())) / fps
+    end = ((n_frames - 1) / fps)[:, None]
+    begin = np.clip(end - _SHORTEST_REACH, 0.0, _ARRIVAL)
+    return _minimum_jerk((time - begin) / np.maximum(end - begin, 1 / fps))
+
+
+def _yaw_to_goal(joints: np.ndarray, goal: np.ndarray, head_tilt_deg: np.ndarray) -> np.ndarray:
+    """Turn about the vertical through the pelvis after which the head-forward ray passes over or under the goal.
+
+    The head is not above the pelvis: with l its offset to the side of the ray and r the goal's distance from the
+    pelvis, the ray meets the goal when the goal stands asin(l / r) beside the forward direction.
+    """
+    forward, _ = head_forward(joints, head_tilt_deg)
+    head = joints[:, Joint.HEAD] - joints[:, Joint.PELVIS]
+    to_goal = goal - joints[:, Joint.PELVIS]
+    distance = np.maximum(np.hypot(to_goal[:, 0], to_goal[:, 2]), 1e-6)
+    heading = np.arctan2(forward[:, 0], forward[:, 2])
+    # component of the head's offset along the direction at +90 degrees of yaw from forward
+    beside = head[:, 0] * np.cos(heading) - head[:, 2] * np.sin(heading)
+    yaw = np.arctan2(to_goal[:, 0], to_goal[:, 2]) - heading - np.arcsin(np.clip(beside / distance, -1.0, 1.0))
+    return (yaw + np.pi) % (2 * np.pi) - np.pi
+
+
+def _nod_to_goal(joints: np.ndarray, goal: np.ndarray, head_tilt_deg: np.ndarray) -> np.ndarray:
+    """Pitch of the head on the neck, upwards positive, that lifts the head-forward ray to the goal's height."""
+    forward, _ = head_forward(joints, head_tilt_deg)
+    elevation = np.arcsin(np.clip(forward[:, 1], -1.0, 1.0))
+    nod = np.zeros(len(joints))
+    for _ in range(3):  # the head moves a little as it nods
+        to_goal = goal - _nodded(joints[:, None], nod[:, None])[:, 0, Joint.HEAD]
+        wanted = np.arctan2(to_goal[:, 1], np.hypot(to_goal[:, 0], to_goal[:, 2]))
+        nod = np.clip(wanted, -_STEEPEST_LOOK, _STEEPEST_LOOK) - elevation
+    return nod
+
+
+def _about_pelvis(joints: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Joints (batch, 1, 22, 3) turned by yaw (batch, frames) about the vertical through the pelvis."""
+    pelvis = joints[:, :, :1]
+    cosine, sine = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
+    x, y, z = np.moveaxis(joints - pelvis, -1, 0)
+    turned = np.stack(np.broadcast_arrays(x * cosine + z * sine, y, z * cosine - x * sine), axis=-1)
+    return turned + pelvis
+
+
+def _nodded(joints: np.ndarray, nod: np.ndarray) -> np.ndarray:
+    """Joints (batch, frames, 22, 3) with the head turned about the neck's shoulder axis, upwards positive."""
+    neck = joints[..., Joint.NECK, :]
+    bone = joints[..., Joint.HEAD, :] - neck
+    left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
+    left = left - _along(left, bone) * bone
+    left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
+    angle = -nod[..., None]  # a positive turn about the left axis looks down
+    nodded = joints.copy()
+    nodded[..., Joint.HEAD, :] = neck + bone * np.cos(angle) + np.cross(left, bone) * np.sin(angle)
+    return nodded
+
+
+def _along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    return (vectors * axis).sum(axis=-1, keepdims=True) / np.maximum((axis * axis).sum(axis=-1, keepdims=True), 1e-12)
+
+
+def _glide(joints: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Horizontal way of the body, (batch, 3)."""
+    to_goal = goal - joints[:, Joint.PELVIS]
+    to_goal[:, 1] = 0.0
+    distance = np.linalg.norm(to_goal, axis=1, keepdims=True)
+    return to_goal * np.clip(1 - _STAND_OFF / np.maximum(distance, 1e-9), 0.0, None)
+
+
+def _reaching(body: np.ndarray, goal: np.ndarray, progress: np.ndarray) -> np.ndarray:
+    """The body with the wrist of its nearer arm moved to the goal as ``progress`` goes from 0 to 1."""
+    final = body[:, -1]
+    distances = [np.linalg.norm(final[:, wrist] - goal, axis=1) for _, _, wrist in _ARMS]
+    nearer = np.argmin(distances, axis=0)
+    moved = body.copy()
+    for side, (shoulder, elbow, wrist) in enumerate(_ARMS):
+        rows = np.flatnonzero(nearer == side)
+        share = progress[rows][..., None]
+        hand = body[rows, :, wrist] * (1 - share) + goal[rows, None] * share
+        arm = (body[rows, :, shoulder], body[rows, :, elbow], body[rows, :, wrist])
+        moved[rows, :, elbow] = _elbow(*arm, hand, downwards=share)
+        moved[rows, :, wrist] = hand
+    return moved
+
+
+def _elbow(
+    shoulder: np.ndarray, elbow: np.ndarray, wrist: np.ndarray, hand: np.ndarray, *, downwards: np.ndarray
+) -> np.ndarray:
+    """Where the elbow goes when the wrist moves to ``hand``: both bones keep their lengths if that is possible.
+
+    It bends to the side on which it was, and the more downwards the further the reach has got (``downwards`` from 0 to
+    1, which decides for an arm that was straight); beyond the arm's length both bones are stretched in proportion.
+    """
+    upper = np.linalg.norm(elbow - shoulder, axis=-1, keepdims=True)
+    lower = np.linalg.norm(wrist - elbow, axis=-1, keepdims=True)
+    reach = hand - shoulder
+    distance = np.maximum(np.linalg.norm(reach, axis=-1, keepdims=True), 1e-6)
+    direction = reach / distance
+    side = (elbow - shoulder) + downwards * np.array([0.0, -0.05, 0.0])
+    side = side - (side * direction).sum(axis=-1, keepdims=True) * direction
+    side = side / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
+    bent = np.clip(distance, np.abs(upper - lower), upper + lower)
+    along = (bent**2 + upper**2 - lower**2) / (2 * np.maximum(bent, 1e-6))
+    height = np.sqrt(np.maximum(upper**2 - along**2, 0.0))
+    along = np.where(distance > upper + lower, distance * upper / np.maximum(upper + lower, 1e-6), along)
+    return shoulder + direction * along + side * height

@@ -1,0 +1,94 @@
+"""What generating took: seconds and memory measured by the harness, network passes declared by the method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import RunError
+from prbench.storage import write_json
+
+
+class BatchCost(msgspec.Struct, frozen=True, kw_only=True):
+    """One planned batch, all of its samples."""
+
+    batch: int
+    motions: int
+    frames: int
+    seconds: float
+    warm_up: bool
+    """The first batch of a process: it also pays for what loads on first use."""
+    peak_process_bytes: int
+    peak_device_bytes: int | None
+    halvings: int
+    """How often a batch that did not fit in memory was cut in two."""
+    network_passes: int | None
+
+    def write(self, path: Path) -> None:
+        """Write as JSON."""
+        write_json(path, msgspec.to_builtins(self))
+
+
+class RunCost(msgspec.Struct, frozen=True, kw_only=True):
+    """``cost.json``. Not reproducible, unlike the other files of a run."""
+
+    motions: int
+    """Generated motions that were timed, without warm-up."""
+    frames: int
+    seconds: float
+    """Of ``generate`` alone, device synchronised, without warm-up."""
+    seconds_per_motion: float | None
+    warm_up_motions: int
+    warm_up_seconds: float
+    peak_process_bytes: int
+    peak_device_bytes: int | None
+    halved_batches: dict[str, int]
+    """Number of halvings by planned batch."""
+    network_passes_declared: int | None
+    batches: int
+    batches_measured: int
+    """Fewer than ``batches`` if measurements were lost."""
+
+    def write(self, path: Path) -> None:
+        """Write as JSON."""
+        write_json(path, msgspec.to_builtins(self))
+
+
+def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
+    """Read the measurements of single batches.
+
+    Raises:
+        RunError: if one is damaged.
+    """
+    costs = []
+    for path in paths:
+        try:
+            costs.append(msgspec.json.decode(path.read_bytes(), type=BatchCost))
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise RunError(f"{path}: not a valid measurement: {error}. Delete the file and run again.") from error
+    return costs
+
+
+def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
+    """Sum up single batches."""
+    timed = [cost for cost in costs if not cost.warm_up]
+    warm_up = [cost for cost in costs if cost.warm_up]
+    motions, seconds = sum(cost.motions for cost in timed), sum(cost.seconds for cost in timed)
+    device = [cost.peak_device_bytes for cost in costs if cost.peak_device_bytes is not None]
+    passes = [cost.network_passes for cost in costs if cost.network_passes is not None]
+    return RunCost(
+        motions=motions,
+        frames=sum(cost.frames for cost in timed),
+        seconds=seconds,
+        seconds_per_motion=seconds / motions if motions else None,
+        warm_up_motions=sum(cost.motions for cost in warm_up),
+        warm_up_seconds=sum(cost.seconds for cost in warm_up),
+        peak_process_bytes=max((cost.peak_process_bytes for cost in costs), default=0),
+        peak_device_bytes=max(device, default=None),
+        halved_batches={f"{cost.batch:05d}": cost.halvings for cost in costs if cost.halvings},
+        network_passes_declared=sum(passes) if passes else None,
+        batches=batches,
+        batches_measured=len(costs),
+    )

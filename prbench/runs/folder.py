@@ -1,0 +1,129 @@
+"""Names and states of the files of a run, and how a folder is opened for a run or refused."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from prbench.errors import RunError, StorageError
+from prbench.runs import record, summary
+from prbench.runs.record import RunRecord
+
+
+@dataclass(frozen=True)
+class DatasetFolder:
+    """The files of one dataset's part of a run; the run folder itself if the run has one dataset only."""
+
+    path: Path
+
+    @property
+    def predictions(self) -> Path:
+        """Folder of the parts, one a planned batch."""
+        return self.path / "predictions"
+
+    @property
+    def scores(self) -> Path:
+        """Long form."""
+        return self.path / "scores.parquet"
+
+    @property
+    def cost(self) -> Path:
+        """Seconds and memory."""
+        return self.path / "cost.json"
+
+    @property
+    def finished(self) -> bool:
+        """The summary is written last."""
+        return (self.path / summary.FILE_NAME).is_file()
+
+    def part(self, batch: int) -> Path:
+        """Predictions of one batch."""
+        return self.predictions / f"part-{batch:05d}.parquet"
+
+    def batch_cost(self, batch: int) -> Path:
+        """Measurement of one batch, until the run is finished."""
+        return self.path / ".costs" / f"batch-{batch:05d}.json"
+
+    def batch_costs(self) -> list[Path]:
+        """All measurements, in order."""
+        return sorted((self.path / ".costs").glob("batch-*.json"))
+
+    def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
+        """Whether a batch is there, whole, with exactly these sequences."""
+        try:
+            rows = pq.read_table(self.part(batch), columns=["sequence_id", "sample"])
+        except (FileNotFoundError, pa.ArrowInvalid, OSError):
+            return False
+        ids = list(sequence_ids)
+        expected = [(name, sample) for sample in range(samples) for name in ids]
+        return list(zip(rows["sequence_id"].to_pylist(), rows["sample"].to_pylist())) == expected
+
+    def forget_batch_costs(self) -> None:
+        """Remove the measurements of single batches."""
+        shutil.rmtree(self.path / ".costs", ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run on disk."""
+
+    path: Path
+    record: RunRecord
+
+    @classmethod
+    def prepare(cls, path: Path, wanted: RunRecord) -> RunFolder:
+        """Make the folder, or go on in one that belongs to the very same run.
+
+        Raises:
+            RunError: if the folder belongs to other inputs; names the key that differs.
+            StorageError: if it holds something else, or cannot be written.
+        """
+        if (path / record.FILE_NAME).is_file():
+            wanted.require_same(RunRecord.read(path), path)
+        elif path.is_dir() and any(path.iterdir()):
+            raise StorageError(
+                f"{path}: is not empty and holds no {record.FILE_NAME}, so it is no run folder."
+                " Choose an empty or new folder for --out."
+            )
+        else:
+            wanted.write(path)
+        return cls(path, wanted)
+
+    @classmethod
+    def open(cls, path: Path) -> RunFolder:
+        """Open a run for reading.
+
+        Raises:
+            RunError: if the folder holds no run.
+        """
+        return cls(path, RunRecord.read(path))
+
+    def dataset(self, name: str) -> DatasetFolder:
+        """The part of one dataset.
+
+        Raises:
+            RunError: if the run did not include it.
+        """
+        known = [table.dataset for table in self.record.tables]
+        if name not in known:
+            raise RunError(f"{self.path}: the run is of {', '.join(known)}, not of {name}.")
+        return DatasetFolder(self.path if len(known) == 1 else self.path / name)
+
+    def discard_if_empty(self) -> None:
+        """Remove the folder if not a single batch was finished, so that a failed first step leaves nothing behind."""
+        folders = [self.dataset(table.dataset) for table in self.record.tables]
+        if any(any(folder.predictions.glob("part-*.parquet")) for folder in folders):
+            return
+        for folder in folders:
+            folder.forget_batch_costs()
+            for left in (folder.predictions, folder.path):
+                if left != self.path and left.is_dir() and not any(left.iterdir()):
+                    left.rmdir()
+        (self.path / record.FILE_NAME).unlink(missing_ok=True)
+        if self.path.is_dir() and not any(self.path.iterdir()):
+            self.path.rmdir()

@@ -1,0 +1,135 @@
+"""``run.json``: everything that decides what a run computes, and the comparison that keeps two runs apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import RunError
+from prbench.storage import write_json
+
+FILE_NAME = "run.json"
+
+
+class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Which method, in which version."""
+
+    name: str
+    kind: str
+    """``adapter`` or ``control``."""
+    package: str
+    version: str
+    weights: str | None
+    """Last part of the path that was given, for people."""
+    weights_digest: str | None
+    options: dict[str, str]
+    max_frames: int | None
+    native_fps: float | None
+    motionless: bool
+    """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
+
+
+class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """How the sequences were grouped; floating-point results may depend on it."""
+
+    batch_size: int
+    batches: int
+    digest: str
+    """Over the sequence ids of every batch, in order."""
+
+
+class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Which sequences of which table."""
+
+    dataset: str
+    title: str
+    synthetic: bool
+    redistribution: str
+    identity_digest: str
+    content_digest: str
+    sequences: int
+    """Chosen by split and limit."""
+    unsupported: int
+    """Of these, longer than the method can generate."""
+    selection_digest: str
+    """Over the ids of the chosen sequences."""
+    batch_plan: BatchPlanRecord
+
+
+class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The whole of ``run.json``. Holds no time of day, host, absolute path or worker count."""
+
+    schema_version: int
+    prbench_version: str
+    protocol_version: int
+    protocol_digest: str
+    method: MethodRecord
+    condition: str
+    control: str | None
+    split: str
+    limit: int | None
+    seed: int
+    samples: int
+    device: str
+    threads: int
+    """Per worker."""
+    packages: dict[str, str]
+    tables: tuple[TableRecord, ...]
+
+    def write(self, folder: Path) -> None:
+        """Write ``run.json``."""
+        write_json(folder / FILE_NAME, msgspec.to_builtins(self))
+
+    @classmethod
+    def read(cls, folder: Path) -> RunRecord:
+        """Read ``run.json``.
+
+        Raises:
+            RunError: if the folder holds none, or it is damaged or of another version.
+        """
+        path = folder / FILE_NAME
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except FileNotFoundError as error:
+            raise RunError(f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.") from error
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise RunError(f"{path}: not a valid {FILE_NAME}: {error}. Choose another folder for --out.") from error
+
+    def require_same(self, other: RunRecord, folder: Path) -> None:
+        """Refuse to go on in a folder that belongs to other inputs.
+
+        Args:
+            other: What stands in the folder.
+            folder: The run folder, for the message.
+
+        Raises:
+            RunError: naming the first key that differs, with both values.
+        """
+        wanted, found = _flat(msgspec.to_builtins(self)), _flat(msgspec.to_builtins(other))
+        for key in sorted(wanted.keys() | found.keys()):
+            if wanted.get(key) != found.get(key):
+                raise RunError(
+                    f"{folder / FILE_NAME}, {key}: expected {_shown(wanted.get(key))} for this run,"
+                    f" found {_shown(found.get(key))}. The folder belongs to another run; choose another folder for"
+                    " --out, or delete this one."
+                )
+
+
+def _flat(value: object, prefix: str = "") -> dict[str, object]:
+    """Leaves by dotted key; tables are named by their dataset."""
+    if isinstance(value, dict):
+        items = [(str(key), item) for key, item in value.items()]
+    elif isinstance(value, list):
+        items = [(item["dataset"] if isinstance(item, dict) else str(i), item) for i, item in enumerate(value)]
+    else:
+        return {prefix: value}
+    leaves: dict[str, object] = {}
+    for key, item in items:
+        leaves |= _flat(item, f"{prefix}.{key}" if prefix else key)
+    return leaves
+
+
+def _shown(value: object) -> str:
+    text = "nothing" if value is None else str(value)
+    return f"{text[:12]}…" if len(text) == 64 else text

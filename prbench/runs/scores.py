@@ -1,0 +1,50 @@
+"""``scores.parquet``: one value of one metric of one motion a row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from prbench.errors import RunError
+from prbench.runs.schema import RUN_SCHEMA_VERSION, SCORES
+from prbench.storage import atomic_path
+
+
+def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
+    """Write the long form, whole or not at all, in the order given.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    schema = SCORES.with_metadata({"prbench_run_schema_version": str(RUN_SCHEMA_VERSION)})
+    with (
+        atomic_path(path) as temporary,
+        open(temporary, "wb") as file,
+        pq.ParquetWriter(file, schema, compression="zstd", use_dictionary=True) as writer,
+    ):
+        for table in tables:
+            writer.write_table(table.cast(schema))
+
+
+def read_scores(path: Path) -> pa.Table:
+    """Read the long form.
+
+    Raises:
+        RunError: if the file is missing, damaged, or has other columns.
+    """
+    try:
+        table = pq.read_table(path)
+    except FileNotFoundError as error:
+        raise RunError(
+            f"{path}: expected the scores of a run, found no file. Run the method again: it resumes."
+        ) from error
+    except (pa.ArrowInvalid, OSError) as error:
+        raise RunError(f"{path}: not a readable Parquet file ({error}).") from error
+    if not table.schema.equals(SCORES, check_metadata=False):
+        raise RunError(
+            f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(table.column_names)}."
+        )
+    return table

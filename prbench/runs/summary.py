@@ -1,0 +1,83 @@
+"""``summary.json``: means with their intervals, and how much data stand behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import RunError
+from prbench.runs.schema import RUN_SCHEMA_VERSION
+from prbench.storage import write_json
+
+FILE_NAME = "summary.json"
+
+
+class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """One metric of one dataset; rates from 0 to 1."""
+
+    metric: str
+    title: str
+    unit: str
+    mean: float
+    low: float | None
+    high: float | None
+    """Bounds of the interval; None where too few recordings allow none."""
+    level: float
+    """Of the interval, such as 0.95."""
+    interval: str
+    """Name of the estimator of the interval."""
+    sequences: int
+    recordings: int
+    marks: tuple[str, ...]
+    """What a reader must know of the interval: ``few_recordings``, ``one_recording``, ``all_equal``."""
+    flags: dict[str, int]
+    """Number of motions that carry each remark."""
+
+
+class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """What a method scored on one dataset. Holds no time of day, host or path."""
+
+    schema_version: int = RUN_SCHEMA_VERSION
+    dataset: str
+    title: str
+    """Carries the word "synthetic" where the data are."""
+    synthetic: bool
+    redistribution: str
+    method: str
+    condition: str
+    control: str | None
+    split: str
+    sequences: int
+    """Chosen; ``unsupported`` of them were not scored."""
+    unsupported: int
+    recordings: int
+    samples: int
+    length_mismatches: int
+    metrics: tuple[MetricSummary, ...]
+
+    def write(self, folder: Path) -> None:
+        """Write ``summary.json``."""
+        write_json(folder / FILE_NAME, msgspec.to_builtins(self))
+
+    @classmethod
+    def read(cls, folder: Path) -> DatasetSummary:
+        """Read ``summary.json``.
+
+        Raises:
+            RunError: if it is missing, damaged or of another version.
+        """
+        path = folder / FILE_NAME
+        try:
+            summary = msgspec.json.decode(path.read_bytes(), type=cls)
+        except FileNotFoundError as error:
+            raise RunError(
+                f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes."
+            ) from error
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise RunError(f"{path}: not a valid {FILE_NAME}: {error}. Delete it and run the method again.") from error
+        if summary.schema_version != RUN_SCHEMA_VERSION:
+            raise RunError(
+                f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
+            )
+        return summary
