@@ -49,6 +49,10 @@ def test_design_effect_worked_by_hand() -> None:
     data = clustered(values(1, 0, 0, 1, 1, 1), names(2, 2, 2))
     few = (stats.t.ppf(0.975, 5) / stats.t.ppf(0.975, 2)) ** 2
     assert effective_sample_size(data) == pytest.approx(max(6 * few, 3))
+    # Ten totals of 7 and ten of 3, of 10 sequences each: variance 20/19 * 20 * 2^2 / 200^2 against (1/4) / 199.
+    rows = np.repeat([1.0, 0.0] * 20, [7, 3] * 10 + [3, 7] * 10)
+    few = (stats.t.ppf(0.975, 199) / stats.t.ppf(0.975, 19)) ** 2
+    assert effective_sample_size(clustered(rows, names(*[10] * 20))) == pytest.approx(200 / 1.675789 * few, rel=1e-5)
     # Totals 3, 0 of 3: rate 1/2 and 1/4 against (1/4) / 5: effect 5. Never below the two recordings that there are.
     assert effective_sample_size(clustered(values(1, 1, 1, 0, 0, 0), names(3, 3))) == pytest.approx(2)
 
@@ -137,6 +141,8 @@ def test_samples_are_drawn_inside_sequences_and_recordings_outside() -> None:
         variance = (by_sample.mean(axis=(1, 2)).var() + inside) / n_recordings
         return 2 * stats.t.ppf(0.975, 29) * np.sqrt(30 / 29) * np.sqrt(variance)
 
+    found = mean_interval(between + noise, recordings, sequences)
+    assert (found.low + found.high) / 2 == pytest.approx(found.mean, abs=0.1 * (found.high - found.low))
     assert width(between) == pytest.approx(expected_width(between), rel=0.08)
     assert width(between + noise) == pytest.approx(expected_width(between + noise), rel=0.08)
 
