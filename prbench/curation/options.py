@@ -63,3 +63,7 @@ class BuildOptions:
     """Only the first so many recordings, by name."""
     on_error: Literal["quarantine", "stop"] = "quarantine"
     """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
+
+
+NO_OPTIONS = BuildOptions()
+"""Every recording, curated by the defaults."""

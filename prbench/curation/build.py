@@ -1,0 +1,156 @@
+"""Build a dataset: curate recordings one by one, keep each as a part, and merge the parts into one table.
+
+A build that is killed goes on where it stopped; what comes out has the same bytes for any number of workers, whether it
+was interrupted or not.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Callable
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.curation.job import CurationJob
+from prbench.curation.options import NO_OPTIONS, BuildOptions
+from prbench.curation.parts import (
+    read_batches,
+    remove_leftovers,
+    work_folder,
+)
+from prbench.curation.provenance import describe
+from prbench.curation.sources import NativeSource, RecordingSource, native_sources
+from prbench.engine import Engine, InProcess
+from prbench.errors import InputFileError, StorageError
+from prbench.manifests import load_manifest, load_protocol
+from prbench.readers import SYNTHETIC_PREFIX
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences.sequence import RecordingRecord
+from prbench.sequences.write_dataset import write_dataset
+
+_IN_PROCESS = InProcess()
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One recording is done."""
+
+    done: int
+    total: int
+    record: RecordingRecord
+    reused: bool
+    """Whether an interrupted build had already made it."""
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What a build made."""
+
+    folder: Path
+    info: DatasetInfo
+    records: tuple[RecordingRecord, ...]
+    reused: int
+    """Recordings taken over from an interrupted build."""
+
+
+def build_dataset(
+    dataset: str,
+    root: Path,
+    out: Path,
+    *,
+    options: BuildOptions = NO_OPTIONS,
+    engine: Engine = _IN_PROCESS,
+    progress: Callable[[Progress], None] | None = None,
+) -> BuildReport:
+    """Build a dataset from its native files.
+
+    Args:
+        dataset: Name of the reader, for example ``adt``.
+        root: The dataset's folder, or one recording of it.
+        out: Folder of the new dataset; an earlier dataset there is replaced when everything is ready.
+        options: What to read, and how to curate it.
+        engine: Where recordings are worked on.
+        progress: Called after each recording, in order.
+
+    Raises:
+        UsageError: for an unknown dataset or option.
+        InputFileError: if there is nothing to read.
+        StorageError: if ``out`` cannot be written or holds something else.
+    """
+    sources: tuple[NativeSource, ...] = native_sources(dataset, root, options)
+    return build_from_sources(sources, out, options=options, engine=engine, progress=progress)
+
+
+def build_from_sources(
+    sources: SequenceOf[RecordingSource],
+    out: Path,
+    *,
+    options: BuildOptions = NO_OPTIONS,
+    engine: Engine = _IN_PROCESS,
+    progress: Callable[[Progress], None] | None = None,
+    extra_options: dict[str, str] | None = None,
+) -> BuildReport:
+    """Build a dataset from any recordings of one dataset, in table order (see :func:`build_dataset`).
+
+    Args:
+        sources: What to read; sorted here.
+        out: See :func:`build_dataset`.
+        options: See :func:`build_dataset`.
+        engine: See :func:`build_dataset`.
+        progress: See :func:`build_dataset`.
+        extra_options: Further entries for the options in ``dataset.json``.
+    """
+    out = out.expanduser().absolute()
+    require_replaceable(out)
+    sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
+    _require_distinct(sources)
+    dataset = sources[0].dataset
+    manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
+    job = CurationJob(manifest, protocol, options.curation, options.on_error == "stop", work_folder(out))
+    remove_leftovers(out)
+    receipts = []
+    for receipt in engine.map(job, sources):
+        receipts.append(receipt)
+        if progress is not None:
+            progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
+    info = describe(dataset, manifest, protocol, options, receipts, extra_options or {})
+    info = write_dataset(
+        out,
+        info,
+        sequences=read_batches(receipts, "sequences"),
+        events=read_batches(receipts, "events"),
+        recordings=read_batches(receipts, "recordings"),
+    )
+    shutil.rmtree(work_folder(out), ignore_errors=True)
+    reused = sum(receipt.reused for receipt in receipts)
+    return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
+
+
+def require_replaceable(out: Path) -> None:
+    """Refuse, before hours of work, a folder that the result could not replace.
+
+    Raises:
+        StorageError: if it holds something that is no dataset, or is a file.
+    """
+    if out.is_file():
+        raise StorageError(f"{out}: is a file. Choose an empty or new folder for --out.")
+    if out.is_dir() and any(out.iterdir()) and not (out / FILE_NAME).is_file():
+        raise StorageError(
+            f"{out}: is not empty and holds no {FILE_NAME}, so it is no dataset that may be replaced."
+            " Choose an empty or new folder for --out."
+        )
+
+
+def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
+    if not sources:
+        raise InputFileError("sources", "", expected="recordings to build from", found="none")
+    for one, other in itertools.pairwise(sources):
+        if one.recording_id == other.recording_id or one.dataset != other.dataset:
+            raise InputFileError(
+                one.recording_id,
+                "",
+                expected="recordings of one dataset with different names",
+                found=f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}",
+            )

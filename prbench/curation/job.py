@@ -1,0 +1,74 @@
+"""The unit of work of a build: one recording read, curated and kept as a part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from prbench.curation.curate import CuratedRecording, curate_recording
+from prbench.curation.options import CurationOptions
+from prbench.curation.parts import PartReceipt, part_folder, read_receipt, write_part
+from prbench.curation.sources import RecordingSource
+from prbench.curation.split import split_of
+from prbench.errors import PrbenchError
+from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.sequences.sequence import RecordingRecord
+from prbench.storage import text_digest
+
+
+@dataclass(frozen=True)
+class CurationJob:
+    """Reads and curates one recording and writes its part, unless that part is there already."""
+
+    manifest: Manifest
+    protocol: BenchmarkProtocol
+    options: CurationOptions
+    stop_on_error: bool
+    work: Path
+
+    def __call__(self, source: RecordingSource) -> PartReceipt:
+        """Make the part of one recording."""
+        try:
+            digest = "" if source.skip_reason is not None else source.input_digest()
+        except OSError as error:
+            return self._write(source, self._failed(source, error), "unreadable")
+        folder = self._folder(source, digest)
+        receipt = read_receipt(folder)
+        if receipt is not None and receipt.record.status != "failed":  # a failure may have passed: try again
+            return receipt
+        return self._write(source, self._curated(source), digest)
+
+    def _curated(self, source: RecordingSource) -> CuratedRecording:
+        if source.skip_reason is not None:
+            return self._left_out(source, "skipped", source.skip_reason)
+        try:
+            recording = source.read()
+            return curate_recording(recording, self.manifest, self.protocol, self.options, split=source.split)
+        except Exception as error:
+            # Whatever one recording does, the others go on; its message reaches the user with the build's report.
+            return self._failed(source, error)
+
+    def _failed(self, source: RecordingSource, error: Exception) -> CuratedRecording:
+        known = isinstance(error, PrbenchError)
+        if self.stop_on_error:
+            if known:
+                raise error
+            raise PrbenchError(f"{source.recording_id}: unexpected {type(error).__name__}: {error}") from error
+        message = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+        return self._left_out(source, "failed", source.without_places(message))
+
+    def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:
+        name = source.recording_id
+        split = source.split or split_of(name, name, self.manifest, self.protocol.splits)
+        return CuratedRecording((), (), RecordingRecord(name, "unknown", split, name, 0.0, {}, status, message))
+
+    def _folder(self, source: RecordingSource, input_digest: str) -> Path:
+        settings = text_digest(
+            digest_of(self.manifest), self.protocol.digest, msgspec.json.encode(self.options).decode()
+        )
+        return part_folder(self.work, source.recording_id, input_digest, settings)
+
+    def _write(self, source: RecordingSource, curated: CuratedRecording, input_digest: str) -> PartReceipt:
+        return write_part(self._folder(source, input_digest), curated, input_digest)

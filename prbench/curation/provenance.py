@@ -1,0 +1,94 @@
+"""What ``dataset.json`` says about a build: origin, options, the funnel, and what was left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from collections.abc import Sequence as SequenceOf
+
+import prbench
+from prbench.curation.options import BuildOptions
+from prbench.curation.parts import PartReceipt
+from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.readers import SYNTHETIC_PREFIX
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
+from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
+from prbench.storage import text_digest
+
+NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
+UNLOCATED = (*NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
+TOO_SHORT = ("too_short", "no_body")
+
+
+def describe(
+    dataset: str,
+    manifest: Manifest,
+    protocol: BenchmarkProtocol,
+    options: BuildOptions,
+    receipts: SequenceOf[PartReceipt],
+    extra_options: Mapping[str, str],
+) -> DatasetInfo:
+    """Provenance of a build; its two digests are filled in when the tables are written."""
+    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    outcomes = Counter[str]()
+    for receipt in receipts:
+        outcomes.update(receipt.record.outcomes)
+    statuses = Counter(receipt.record.status for receipt in receipts)
+    return DatasetInfo(
+        schema_version=SCHEMA_VERSION,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        dataset=dataset,
+        title=f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title,
+        synthetic=synthetic,
+        prbench_version=prbench.__version__,
+        manifest_digest=digest_of(manifest),
+        input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
+        options=_options(manifest, protocol, options) | dict(extra_options),
+        counts=funnel_counts(statuses, outcomes),
+        outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
+        quarantine=tuple(
+            QuarantinedRecording(recording_id=r.record.recording_id, status=r.record.status, message=r.record.message)
+            for r in receipts
+            if r.record.status != "read"
+        ),
+        identity_digest="",
+        content_digest="",
+        licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
+        redistribution="yes" if synthetic else manifest.redistribution,
+        homepage="" if synthetic else manifest.homepage,
+        citation="" if synthetic else manifest.citation.strip(),
+    )
+
+
+def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
+    """How many candidates each stage left, from recordings by status and events by outcome."""
+
+    def without(left: int, names: tuple[str, ...]) -> int:
+        return left - sum(outcomes.get(name, 0) for name in names)
+
+    events = sum(outcomes.values())
+    located = without(events, UNLOCATED)
+    primed = without(located, ("not_primed",))
+    long_enough = without(primed, TOO_SHORT)
+    moved_enough = without(long_enough, ("minimum_movement",))
+    return FunnelCounts(
+        recordings_found=sum(statuses.values()),
+        recordings_read=statuses.get("read", 0),
+        recordings_failed=statuses.get("failed", 0),
+        recordings_skipped=statuses.get("skipped", 0),
+        events=events,
+        located=located,
+        primed=primed,
+        long_enough=long_enough,
+        moved_enough=moved_enough,
+        sequences=outcomes.get("sequence", 0),
+    )
+
+
+def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOptions) -> dict[str, str]:
+    chosen = {
+        "recordings": options.recordings,
+        "limit": "all" if options.limit is None else str(options.limit),
+    }
+    return chosen | options.curation.described(manifest, protocol)

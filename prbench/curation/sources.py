@@ -1,0 +1,135 @@
+"""Where a build takes its recordings from: native files of a dataset, or anything else that yields recordings."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from prbench.curation.options import BuildOptions
+from prbench.errors import InputFileError
+from prbench.manifests import load_manifest
+from prbench.readers import RecordingFiles, read_synthetic_tree, reader_for
+from prbench.recording import Recording
+from prbench.storage import file_digest, text_digest
+
+
+@runtime_checkable
+class RecordingSource(Protocol):
+    """One recording that can be read, here or in another process; instances are picklable."""
+
+    @property
+    def dataset(self) -> str:
+        """Name of the dataset that the recording will carry."""
+        ...
+
+    @property
+    def recording_id(self) -> str:
+        """Unique within a build."""
+        ...
+
+    @property
+    def split(self) -> str | None:
+        """The split, where the source decides it; None = by the split rule."""
+        ...
+
+    @property
+    def skip_reason(self) -> str | None:
+        """Why the recording must not be read; None for all that are fine."""
+        ...
+
+    def input_digest(self) -> str:
+        """Digest of everything that reading depends on."""
+        ...
+
+    def read(self) -> Recording:
+        """Read it."""
+        ...
+
+    def without_places(self, message: str) -> str:
+        """A message without the folders of this machine, so that equal inputs give equal datasets anywhere."""
+        ...
+
+
+@dataclass(frozen=True)
+class NativeSource:
+    """A recording in a dataset's own files."""
+
+    root: Path
+    """The folder that was searched."""
+    found: RecordingFiles
+    split: str | None
+    skip_reason: str | None
+
+    @property
+    def dataset(self) -> str:
+        """See :class:`RecordingSource`."""
+        return self.found.dataset
+
+    @property
+    def recording_id(self) -> str:
+        """See :class:`RecordingSource`."""
+        return self.found.recording_id
+
+    @property
+    def size(self) -> int:
+        """Bytes of all input files."""
+        return sum(file.size for file in self.found.files)
+
+    def input_digest(self) -> str:
+        """See :class:`RecordingSource`: roles, names and contents of the files, and the split of a synthetic tree."""
+        files = sorted(self.found.files, key=lambda file: file.role)
+        parts = [text for file in files for text in (file.role, file.path.name, file_digest(file.path))]
+        return text_digest(self.dataset, self.recording_id, self.split or "", *parts)
+
+    def read(self) -> Recording:
+        """See :class:`RecordingSource`."""
+        return reader_for(self.dataset).read(self.found)
+
+    def without_places(self, message: str) -> str:
+        """See :class:`RecordingSource`."""
+        root = self.root.expanduser().resolve()
+        for folder in (root, root.parent):
+            message = message.replace(f"{folder}{os.sep}", "")
+        return message
+
+
+def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[NativeSource, ...]:
+    """The recordings of a dataset's folder that the options choose, sorted by id.
+
+    Raises:
+        UsageError: for a dataset without a reader.
+        InputFileError: if there is no recording, or none that matches the glob.
+    """
+    reader = reader_for(dataset)
+    found = {recording.recording_id: recording for recording in reader.find(root)}
+    tree = read_synthetic_tree(root)
+    manifest = load_manifest(reader.dataset)
+    return tuple(
+        NativeSource(root, found[name], tree.split.get(name) if tree else None, manifest.why_bad(name))
+        for name in chosen_ids(list(found), options, where=root)
+    )
+
+
+def chosen_ids(recording_ids: SequenceOf[str], options: BuildOptions, *, where: Path | str) -> list[str]:
+    """Ids that match the glob, in table order, at most ``options.limit`` of them.
+
+    Table order is that of ``recording_id + "/"``: sequence ids, which go on with a slash, then come out sorted.
+
+    Raises:
+        InputFileError: if none matches.
+    """
+    chosen = [name for name in recording_ids if fnmatch.fnmatchcase(name, options.recordings)]
+    if not chosen:
+        shown = ", ".join(sorted(recording_ids)[:5]) + (" …" if len(recording_ids) > 5 else "")
+        raise InputFileError(
+            where,
+            "",
+            expected=f"recordings whose name matches '{options.recordings}'",
+            found=f"{len(recording_ids)} others: {shown}",
+            remedy="Change the glob of --recordings.",
+        )
+    return sorted(chosen, key=lambda name: f"{name}/")[: options.limit]

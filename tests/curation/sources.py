@@ -1,0 +1,63 @@
+"""Recordings for build tests: the hand-made scene under several names, some of them broken."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from prbench.curation import build_from_sources
+from prbench.errors import InputFileError
+from prbench.recording import Recording
+from prbench.storage import text_digest
+from tests.curation.scenes import PICK, PUT, clock, cup_centre, finger_path, hand, scene, track
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """See :class:`prbench.curation.sources.RecordingSource`."""
+
+    recording_id: str
+    version: int = 0
+    """Another version holds another movement."""
+    problem: str = ""
+    """``file`` or ``defect``: reading fails."""
+    skip_reason: str | None = None
+    dataset: str = "adt"
+    split: str | None = None
+    seconds: float = 0.0
+    """How long reading takes."""
+
+    def input_digest(self) -> str:
+        return text_digest(self.recording_id, str(self.version), self.problem)
+
+    def read(self) -> Recording:
+        time.sleep(self.seconds)
+        if self.problem == "file":
+            raise InputFileError("/home/someone/adt/a.csv", "row 3", expected="a number", found="text")
+        if self.problem == "defect":
+            raise KeyError("left")
+        pick, put = PICK + 0.1 * self.version, PUT
+        slow, fast = clock(30), clock(120)
+        moved = track(slow, cup_centre(slow, pick, put))
+        reaching = hand("left", fast, finger_path(fast, pick, put))
+        return replace(scene(objects=(moved,), hands=(reaching,)), recording_id=self.recording_id, split_group="")
+
+    def without_places(self, message: str) -> str:
+        return message.replace("/home/someone/adt/", "")
+
+
+def some_sources(n: int = 5, seconds: float = 0.0) -> list[SceneSource]:
+    return [SceneSource(f"room_{index}", version=index, seconds=seconds) for index in range(n)]
+
+
+def folder_bytes(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
+    }
+
+
+if __name__ == "__main__":  # run by the resume test, to be killed
+    build_from_sources(some_sources(8, seconds=0.05), Path(sys.argv[1]))

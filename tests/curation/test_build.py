@@ -1,0 +1,117 @@
+"""Building a dataset from several recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from prbench.curation import BuildOptions, CurationOptions, Progress, build_from_sources, funnel_rows
+from prbench.curation.sources import chosen_ids
+from prbench.engine import ProcessPool
+from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
+from prbench.sequences import SequenceTable
+from tests.curation.sources import SceneSource, folder_bytes, some_sources
+
+
+def test_a_build_holds_all_sequences_in_order_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+    report = build_from_sources(some_sources(), tmp_path / "adt")
+    table = SequenceTable.open(tmp_path / "adt")
+    ids = table.scalars()["sequence_id"].to_pylist()
+    assert ids == sorted(ids)
+    assert len(ids) == report.info.counts.sequences == 10
+    assert table.content == report.info.content_digest
+    assert [path.name for path in tmp_path.iterdir()] == ["adt"]
+
+
+def test_names_that_begin_alike_come_out_sorted(tmp_path: Path) -> None:
+    names = ["room", "room-b", "room_c", "room1"]
+    build_from_sources([SceneSource(name) for name in names], tmp_path / "adt")
+    ids = SequenceTable.open(tmp_path / "adt").scalars()["sequence_id"].to_pylist()
+    assert ids == sorted(ids)
+
+
+def test_the_same_bytes_for_any_number_of_workers_and_any_order(tmp_path: Path) -> None:
+    build_from_sources(some_sources(), tmp_path / "one")
+    build_from_sources(some_sources()[::-1], tmp_path / "two", engine=ProcessPool(2))
+    assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
+
+
+def test_failed_and_skipped_recordings_are_counted_named_and_free_of_places(tmp_path: Path) -> None:
+    sources = [
+        *some_sources(2),
+        SceneSource("broken", problem="file"),
+        SceneSource("odd", problem="defect"),
+        SceneSource("noisy", problem="defect", skip_reason="damaged IMU data"),
+    ]
+    seen: list[Progress] = []
+    report = build_from_sources(sources, tmp_path / "adt", progress=seen.append)
+    counts = report.info.counts
+    assert (counts.recordings_found, counts.recordings_read, counts.recordings_failed, counts.recordings_skipped) == (
+        5, 2, 2, 1,
+    )  # fmt: skip
+    messages = {item.recording_id: (item.status, item.message) for item in report.info.quarantine}
+    assert messages["broken"] == ("failed", "a.csv, row 3: expected a number, found text.")
+    assert messages["odd"] == ("failed", "unexpected KeyError: 'left'")
+    assert messages["noisy"] == ("skipped", "damaged IMU data")
+    assert len(SequenceTable.open(tmp_path / "adt").recordings()) == 5
+    assert [(step.done, step.total) for step in seen] == [(index + 1, 5) for index in range(5)]
+    assert b"/home/" not in b"".join(folder_bytes(tmp_path / "adt").values())
+
+
+def test_on_error_stop_ends_the_build_with_the_error(tmp_path: Path) -> None:
+    options = BuildOptions(on_error="stop")
+    with pytest.raises(InputFileError, match="row 3"):
+        build_from_sources([SceneSource("broken", problem="file")], tmp_path / "adt", options=options)
+    with pytest.raises(PrbenchError, match="odd: unexpected KeyError"):
+        build_from_sources([SceneSource("odd", problem="defect")], tmp_path / "adt", options=options)
+    assert not (tmp_path / "adt").exists()
+
+
+def test_the_funnel_loses_nothing(tmp_path: Path) -> None:
+    options = BuildOptions(CurationOptions(minimum_movement="pelvis_displacement"))
+    info = build_from_sources(some_sources(3), tmp_path / "adt", options=options).info
+    rows = {row.stage: row for row in funnel_rows(info)}
+    assert (rows["candidate events"].kept, rows["long enough"].kept) == (6, 6)
+    assert (rows["moved enough"].kept, rows["moved enough"].dropped) == (0, 6)
+    assert "6 minimum_movement" in rows["moved enough"].reason
+    assert rows["sequences"].kept == 0
+    assert info.options["minimum_movement"] == "pelvis_displacement"
+
+
+def test_a_folder_that_is_no_dataset_is_refused_before_any_work(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(StorageError, match="no dataset that may be replaced"):
+        build_from_sources([SceneSource("room", problem="defect")], tmp_path)
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def test_an_earlier_dataset_is_replaced(tmp_path: Path) -> None:
+    build_from_sources(some_sources(3), tmp_path / "adt")
+    build_from_sources(some_sources(1), tmp_path / "adt")
+    assert len(SequenceTable.open(tmp_path / "adt").recordings()) == 1
+
+
+def test_synthetic_recordings_are_never_called_by_the_datasets_name(tmp_path: Path) -> None:
+    sources = [replace(source, dataset="synthetic-adt", split="test") for source in some_sources(2)]
+    info = build_from_sources(sources, tmp_path / "out").info
+    assert (info.dataset, info.synthetic, info.redistribution) == ("synthetic-adt", True, "yes")
+
+
+def test_recordings_are_chosen_by_glob_and_limit() -> None:
+    names = ["b_2", "a_1", "a_2", "a_3"]
+    assert chosen_ids(names, BuildOptions(recordings="a_*", limit=2), where="here") == ["a_1", "a_2"]
+    with pytest.raises(InputFileError, match="matches 'c\\*', found 4 others"):
+        chosen_ids(names, BuildOptions(recordings="c*"), where="here")
+
+
+def test_two_recordings_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match="different names"):
+        build_from_sources([SceneSource("a"), SceneSource("a")], tmp_path / "adt")
+
+
+def test_an_unknown_rule_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+    options = BuildOptions(CurationOptions(in_hand="elbow"), on_error="stop")
+    with pytest.raises(UsageError, match="wrist"):
+        build_from_sources(some_sources(1), tmp_path / "adt", options=options)

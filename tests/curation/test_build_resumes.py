@@ -1,0 +1,95 @@
+"""A build that is killed goes on where it stopped and gives the same bytes."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from prbench.curation import build_from_sources
+from prbench.curation.parts import work_folder
+from tests.curation.sources import SceneSource, folder_bytes, some_sources
+
+ROOT = Path(__file__).parents[2]
+
+
+def start(out: Path) -> subprocess.Popen:
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen([sys.executable, "-m", "tests.curation.sources", str(out)], cwd=ROOT, env=environment)
+
+
+def finished_parts(out: Path) -> int:
+    work = work_folder(out)
+    return len([path for path in work.iterdir() if not path.name.startswith(".")]) if work.is_dir() else 0
+
+
+def kill_after(process: subprocess.Popen, out: Path, parts: int, delay: float) -> None:
+    """Kill a build some time after it has finished so many parts."""
+    while process.poll() is None and finished_parts(out) < parts:
+        time.sleep(0.002)
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    chance = random.Random(20)
+    out = tmp_path / "adt"
+    reached = []
+    for parts in (1, 3, 6, 8):
+        kill_after(start(out), out, parts, chance.uniform(0.0, 0.06))
+        reached.append(finished_parts(out))
+    # The last kill falls into the merge, or just after it; until then no finished part is ever lost.
+    assert reached[:3] == sorted(reached[:3])
+    assert reached[2] >= 6
+    process = start(out)
+    assert process.wait() == 0
+    build_from_sources(some_sources(8), tmp_path / "undisturbed")
+    assert folder_bytes(out) == folder_bytes(tmp_path / "undisturbed")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["adt", "undisturbed"]
+
+
+class Interrupted(Exception):
+    """Stands for a kill between two recordings."""
+
+
+def interrupt_after(parts: int):
+    def progress(step) -> None:
+        if step.done == parts:
+            raise Interrupted
+
+    return progress
+
+
+def interrupted_build(out: Path, sources: list[SceneSource], parts: int) -> None:
+    try:
+        build_from_sources(sources, out, progress=interrupt_after(parts))
+    except Interrupted:
+        return
+    raise AssertionError("the build was not interrupted")
+
+
+def test_only_what_is_missing_is_curated_again(tmp_path: Path) -> None:
+    interrupted_build(tmp_path / "adt", some_sources(5), 3)
+    report = build_from_sources(some_sources(5), tmp_path / "adt")
+    assert report.reused == 3
+
+
+def test_a_changed_input_is_curated_again(tmp_path: Path) -> None:
+    interrupted_build(tmp_path / "adt", some_sources(5), 3)
+    changed = some_sources(5)
+    changed[1] = SceneSource("room_1", version=7)
+    report = build_from_sources(changed, tmp_path / "adt")
+    assert report.reused == 2
+    build_from_sources(changed, tmp_path / "afresh")
+    assert folder_bytes(tmp_path / "adt") == folder_bytes(tmp_path / "afresh")
+
+
+def test_a_failed_recording_is_tried_again(tmp_path: Path) -> None:
+    broken = [SceneSource("a", problem="file"), SceneSource("b")]
+    interrupted_build(tmp_path / "adt", broken, 1)
+    assert build_from_sources(broken, tmp_path / "adt").reused == 0
