@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -127,17 +128,12 @@ def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded]) -> Decoded:
         raise InputFileError(
             path,
             "",
-            expected=f"the keys of {_form_name(decoder.type)}",
+            expected="the keys of this format",
             found=str(error),
             remedy="Is this the right file?",
         ) from error
     except msgspec.DecodeError as error:
         raise InputFileError(path, "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
-
-
-def _form_name(form: object) -> str:
-    """A readable name of what a JSON file should hold."""
-    return getattr(form, "__name__", str(form))
 
 
 def missing_file(path: Path) -> InputFileError:
@@ -174,9 +170,14 @@ def _parse_naming_row(path: Path, types: Mapping[str, pa.DataType]) -> pa.Table:
     try:
         return _parse(path, types, use_threads=False)
     except pa.ArrowInvalid as error:
-        found = str(error).splitlines()[0][:160]
+        found = str(error).splitlines()[0]
+        row = re.search(r"Row #(\d+)", found)
         raise InputFileError(
-            path, "", expected="complete lines of comma-separated numbers", found=found, remedy=_COPY_AGAIN
+            path,
+            f"line {row[1]}" if row else "",
+            expected="complete lines of comma-separated values of the right kind",
+            found=f"'{found[:160]}'",
+            remedy=_COPY_AGAIN,
         ) from error
 
 

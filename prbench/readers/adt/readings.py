@@ -71,7 +71,7 @@ def _read_glasses(found: RecordingFiles) -> adt.GlassesPoses:
             path,
             "gravity columns",
             expected="gravity along -Y (ADT scenes are Y up)",
-            found=f"up = {np.round(trajectory.up, 3).tolist()}",
+            found=f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}",
             remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
         )
     return adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
