@@ -7,7 +7,7 @@ same request finds out from the files what is left to do and ends with the same 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -18,6 +18,7 @@ from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import GROUND_TRUTH, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import PreparedDataset, PreparedRun, prepare_run
+from prbench.evaluation.progress import ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.evaluation.summarise import ScoredSet, summarise
@@ -26,17 +27,6 @@ from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a run has got with one dataset."""
-
-    dataset: str
-    stage: str
-    """``generate`` (in planned batches) or ``score`` (in sequences)."""
-    done: int
-    total: int
 
 
 @dataclass(frozen=True)
@@ -51,13 +41,7 @@ class RunReport:
     """From an earlier call."""
 
 
-def _silent(progress: Progress) -> None:
-    pass
-
-
-def run_method(
-    request: RunRequest, *, engine: Engine | None = None, progress: Callable[[Progress], None] = _silent
-) -> RunReport:
+def run_method(request: RunRequest, *, engine: Engine | None = None, progress: ProgressCallback = silent) -> RunReport:
     """Run a method and score it; goes on where an earlier call with the same request was interrupted.
 
     Args:
@@ -91,7 +75,7 @@ def _generate(
     dataset: PreparedDataset,
     folder: RunFolder,
     engine: Engine,
-    progress: Callable[[Progress], None],
+    progress: ProgressCallback,
 ) -> int:
     """Make the batches that are not there yet; returns how many."""
     files = folder.dataset(dataset.name)
@@ -103,10 +87,10 @@ def _generate(
     done = len(dataset.plan) - len(missing)
     if not missing:
         return 0
-    progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
+    progress(done, len(dataset.plan), f"batches of {dataset.name} generated")
     for _ in engine.map(run_batch, _tasks(prepared, dataset, files, frozenset(missing))):
         done += 1
-        progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
+        progress(done, len(dataset.plan), f"batches of {dataset.name} generated")
     return len(missing)
 
 
@@ -144,7 +128,7 @@ def _scored(
     dataset: PreparedDataset,
     folder: RunFolder,
     engine: Engine,
-    progress: Callable[[Progress], None],
+    progress: ProgressCallback,
 ) -> DatasetSummary:
     """Score what was generated, unless an earlier call has."""
     files = folder.dataset(dataset.name)
@@ -175,7 +159,7 @@ def _write_scores(
     dataset: PreparedDataset,
     files: DatasetFolder,
     engine: Engine,
-    progress: Callable[[Progress], None],
+    progress: ProgressCallback,
 ) -> None:
     rules = ScoringRules(
         load_protocol().metrics,
@@ -187,11 +171,9 @@ def _write_scores(
     write_scores(files.scores, _counted(windows, dataset, progress))
 
 
-def _counted(
-    windows: Iterator[pa.Table], dataset: PreparedDataset, progress: Callable[[Progress], None]
-) -> Iterator[pa.Table]:
+def _counted(windows: Iterator[pa.Table], dataset: PreparedDataset, progress: ProgressCallback) -> Iterator[pa.Table]:
     done, total = 0, len(dataset.selection)
     for window in windows:
         yield window
         done += len(window["sequence_id"].unique())
-        progress(Progress(dataset.name, "score", done, total))
+        progress(done, total, f"sequences of {dataset.name} scored")
