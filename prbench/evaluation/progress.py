@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-
-ProgressCallback = Callable[[int, int, str], None]
-"""Called with finished items, all items, and what they are."""
+from dataclasses import dataclass
 
 
-def silent(done: int, total: int, what: str) -> None:
+@dataclass(frozen=True)
+class Progress:
+    """One step of the way through one dataset."""
+
+    dataset: str
+    stage: str
+    """``generate`` (counted in planned batches) or ``score`` (in sequences)."""
+    done: int
+    total: int
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+def silent(progress: Progress) -> None:
     """Say nothing."""

@@ -18,7 +18,7 @@ from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import GROUND_TRUTH, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import PreparedDataset, PreparedRun, prepare_run
-from prbench.evaluation.progress import ProgressCallback, silent
+from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.evaluation.summarise import ScoredSet, summarise
@@ -87,10 +87,10 @@ def _generate(
     done = len(dataset.plan) - len(missing)
     if not missing:
         return 0
-    progress(done, len(dataset.plan), f"batches of {dataset.name} generated")
+    progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
     for _ in engine.map(run_batch, _tasks(prepared, dataset, files, frozenset(missing))):
         done += 1
-        progress(done, len(dataset.plan), f"batches of {dataset.name} generated")
+        progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
     return len(missing)
 
 
@@ -176,4 +176,4 @@ def _counted(windows: Iterator[pa.Table], dataset: PreparedDataset, progress: Pr
     for window in windows:
         yield window
         done += len(window["sequence_id"].unique())
-        progress(done, total, f"sequences of {dataset.name} scored")
+        progress(Progress(dataset.name, "score", done, total))

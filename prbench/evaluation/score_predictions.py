@@ -16,7 +16,7 @@ from prbench.evaluation.conditions import ConditionSource, derangement, opaque_i
 from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
-from prbench.evaluation.progress import ProgressCallback, silent
+from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.evaluation.summarise import ScoredSet, summarise
 from prbench.manifests import load_protocol
@@ -96,7 +96,7 @@ def score_predictions(
     samples = _require_complete(predictions, selection, request)
     rules = _rules(request, submission.record, selection)
     windows = score_selection(selection, submission.path, samples=samples, rules=rules, engine=engine or InProcess())
-    scores = pa.concat_tables(_reported(windows, len(selection), progress)).combine_chunks()
+    scores = pa.concat_tables(_reported(windows, selection, progress)).combine_chunks()
     summary = summarise(scores, _scored_set(submission, chosen, selection, len(samples)))
     if request.out is not None:
         _write(request.out, scores, summary)
@@ -200,12 +200,12 @@ def _rules(request: ScoreRequest, record: RunRecord | None, selection: Selection
     )
 
 
-def _reported(windows: Iterator[pa.Table], total: int, progress: ProgressCallback) -> Iterator[pa.Table]:
+def _reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
     done = 0
     for window in windows:
         yield window
         done += len(np.unique(window["sequence_id"].to_numpy()))
-        progress(done, total, "sequences scored")
+        progress(Progress(selection.table.info.dataset, "score", done, len(selection)))
 
 
 def _scored_set(submission: _Submission, chosen: Selection, selection: Selection, samples: int) -> ScoredSet:
