@@ -61,6 +61,7 @@ TOES: tuple[int, int] = (Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
 
 _LYING_SIDEWAYS = 0.1  # sine of the angle between shoulder axis and neck-head bone below which no frame is defined
 _SHORTEST_NECK = 0.01  # metres
+_ROUNDING = 1e-12  # metres, or of a unit vector
 
 
 def bone_lengths(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch 21"]:
@@ -149,7 +150,7 @@ def head_forward(
     shoulders = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
     up, neck_length = _normalised(head - neck)
     left, sine = _orthogonal_part(shoulders, up)
-    degenerate = (neck_length < _SHORTEST_NECK) | (sine < _LYING_SIDEWAYS)
+    degenerate = np.asarray((neck_length < _SHORTEST_NECK) | (sine < _LYING_SIDEWAYS))
     if degenerate.any():
         torso_up, _ = _normalised(neck - joints[..., Joint.PELVIS, :])
         torso_left, _ = _orthogonal_part(shoulders, torso_up)
@@ -160,8 +161,9 @@ def head_forward(
 
 
 def _normalised(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    length = np.linalg.norm(vectors, axis=-1)
-    return vectors / np.where(length > 0, length, 1.0)[..., None], length
+    """Unit vectors and lengths; a vector that is nothing but rounding stays next to zero."""
+    length = np.asarray(np.linalg.norm(vectors, axis=-1))
+    return vectors / np.where(length > _ROUNDING, length, 1.0)[..., None], length
 
 
 def _orthogonal_part(vectors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
