@@ -1,0 +1,214 @@
+"""A whole synthetic tree on disk: native files, their mark, and the truth beside them.
+
+Source: ``methods/synthetic-recordings.md`` sections 10, 11 and 14. Recording i depends on seed, preset and world alone,
+so neither the number of recordings nor the number of workers changes a byte of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import pyarrow as pa
+
+import prbench
+from prbench.engine import engine_for
+from prbench.errors import UsageError
+from prbench.storage import atomic_folder, write_json
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.layouts import adt as adt_layout
+from prbench.synthetic.people import perform
+from prbench.synthetic.recordings import require_sensors
+from prbench.synthetic.sensors.adt import sense
+from prbench.synthetic.truth_files import (
+    events_table,
+    fixations_table,
+    joints_table,
+    objects_table,
+    recordings_table,
+    write_truth,
+)
+
+SYNTHETIC_FILE = "synthetic.json"
+Size = Literal["tiny", "default", "large"]
+
+
+@dataclass(frozen=True)
+class SizeOfTree:
+    """How much a size means."""
+
+    recordings: int
+    events: int
+    truth_rate: float
+    """Frames a second of the joints in the truth record."""
+
+
+SIZES: dict[str, SizeOfTree] = {
+    "tiny": SizeOfTree(recordings=2, events=6, truth_rate=30.0),
+    "default": SizeOfTree(recordings=24, events=10, truth_rate=120.0),
+}
+
+
+@dataclass(frozen=True)
+class WrittenRecording:
+    """What one recording of a tree came to."""
+
+    recording_id: str
+    split: str
+    duration: float
+    n_events: int
+    n_objects: int
+
+
+@dataclass(frozen=True)
+class WrittenTree:
+    """What a tree came to."""
+
+    root: Path
+    recordings: tuple[WrittenRecording, ...]
+
+
+def synthesize_tree(
+    preset: str,
+    out: Path,
+    *,
+    recordings: int | None = None,
+    seed: int = 0,
+    size: Size = "tiny",
+    workers: int = 1,
+    n_events: int | None = None,
+    bystander_objects: int | None = None,
+    provocations: Mapping[str, float] | None = None,
+    noise: float = 1.0,
+    on_written: Callable[[WrittenRecording], None] | None = None,
+) -> WrittenTree:
+    """Write native files of synthetic recordings, complete or not at all.
+
+    Args:
+        preset: A preset that has native files (``adt``).
+        out: Folder of the tree; an older synthetic tree there is replaced.
+        recordings: How many; the size's number if None.
+        seed: Of the whole tree.
+        size: ``tiny`` or ``default``; ``large`` is refused.
+        workers: Processes; the bytes do not depend on it.
+        n_events: Picks and puts a recording; the size's number if None.
+        bystander_objects: Objects that never move; 3 to 12 if None.
+        provocations: See :func:`prbench.synthetic.people.perform`.
+        noise: Multiplies every sensor error; 0 for ideal sensors.
+        on_written: Called after each recording, in their order.
+
+    Raises:
+        UsageError: for a preset without native files, the size ``large``, or a folder that holds something else.
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    require_sensors(preset)
+    amount = _amount(size)
+    _require_free(out)
+    count = amount.recordings if recordings is None else recordings
+    if count < 1:
+        raise UsageError(f"a synthetic tree needs at least one recording, {count} were asked for.")
+    with atomic_folder(out) as root:
+        jobs = [
+            _Job(
+                root,
+                preset,
+                seed,
+                index,
+                amount.events if n_events is None else n_events,
+                bystander_objects,
+                None if provocations is None else tuple(sorted(provocations.items())),
+                noise,
+                amount.truth_rate,
+            )
+            for index in range(count)
+        ]
+        done: list[_Done] = []
+        for result in engine_for(workers).map(_write_recording, jobs):
+            done.append(result)
+            if on_written:
+                on_written(result.recording)
+        for name in ("recordings", "events", "fixations"):
+            write_truth(pa.concat_tables([getattr(result, name) for result in done]), root, name)
+        _write_mark(root, preset, seed, done)
+    return WrittenTree(out, tuple(result.recording for result in done))
+
+
+@dataclass(frozen=True)
+class _Job:
+    root: Path
+    preset: str
+    seed: int
+    index: int
+    n_events: int
+    bystander_objects: int | None
+    provocations: tuple[tuple[str, float], ...] | None
+    noise: float
+    truth_rate: float
+
+
+@dataclass(frozen=True)
+class _Done:
+    recording: WrittenRecording
+    world: str
+    recordings: pa.Table
+    events: pa.Table
+    fixations: pa.Table
+
+
+def _write_recording(job: _Job) -> _Done:
+    performance = perform(
+        job.preset,
+        seed=job.seed,
+        index=job.index,
+        n_events=job.n_events,
+        bystander_objects=job.bystander_objects,
+        provocations=None if job.provocations is None else dict(job.provocations),
+    )
+    name = performance.recording_id
+    adt_layout.write(sense(performance, noise=job.noise), job.root / name)
+    write_truth(joints_table(performance, rate=job.truth_rate), job.root, "joints", part=name)
+    write_truth(objects_table(performance), job.root, "objects", part=name)
+    summary = WrittenRecording(
+        name, performance.split, performance.duration, len(performance.events), len(performance.objects)
+    )
+    return _Done(
+        summary,
+        performance.world,
+        recordings_table([performance], noise=job.noise),
+        events_table(performance),
+        fixations_table(performance),
+    )
+
+
+def _write_mark(root: Path, preset: str, seed: int, done: list[_Done]) -> None:
+    write_json(
+        root / SYNTHETIC_FILE,
+        {
+            "generator": f"prbench {prbench.__version__}",
+            "version": GENERATOR_VERSION,
+            "seed": seed,
+            "preset": preset,
+            "world": done[0].world,
+            "split": {result.recording.recording_id: result.recording.split for result in done},
+        },
+    )
+
+
+def _amount(size: str) -> SizeOfTree:
+    if size == "large":
+        raise UsageError(
+            "size 'large' (480 recordings a preset) is not written as native files: that would be about 30 GB of text"
+            " which nobody needs to read. Take 'tiny' or 'default', with --recordings N for more; training data of that"
+            " size goes through recordings in memory."
+        )
+    if size not in SIZES:
+        raise UsageError(f"unknown size '{size}'; use tiny or default.")
+    return SIZES[size]
+
+
+def _require_free(out: Path) -> None:
+    """Refuse to replace anything but an older synthetic tree."""
+    if out.is_dir() and any(out.iterdir()) and not (out / SYNTHETIC_FILE).is_file():
+        raise UsageError(f"{out} holds files that are no synthetic tree; choose an empty or new folder.")

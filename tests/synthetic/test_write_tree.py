@@ -1,0 +1,159 @@
+"""A synthetic tree: what stands in it, and that nothing but its arguments decides a byte."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.errors import InputFileError, UsageError
+from prbench.readers import read_synthetic_tree, reader_for
+from prbench.synthetic.people import perform
+from prbench.synthetic.recordings import recording_from_readings, synthetic_recording
+from prbench.synthetic.sensors.adt import sense
+from prbench.synthetic.truth_files import objects_table, read_truth
+from prbench.synthetic.write_tree import WrittenTree, synthesize_tree
+from tests.comparing import differences
+
+
+TRUTH_OF_A_FRAME = ("recording_id", "t", "joints", "rotations", "eye", "gaze", "head_forward", "planted")
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> WrittenTree:
+    return synthesize_tree("adt", tmp_path_factory.mktemp("trees") / "tree", recordings=2, seed=4, n_events=2)
+
+
+def _digests(root: Path) -> dict[str, str]:
+    files = sorted(path for path in root.rglob("*") if path.is_file())
+    return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def test_two_processes_write_the_same_bytes_as_one(tree, tmp_path) -> None:
+    again = synthesize_tree("adt", tmp_path / "again", recordings=2, seed=4, n_events=2, workers=2)
+    assert _digests(again.root) == _digests(tree.root)
+
+
+def test_a_recording_does_not_depend_on_how_many_there_are(tree, tmp_path) -> None:
+    alone = synthesize_tree("adt", tmp_path / "alone", recordings=1, seed=4, n_events=2)
+    name = alone.recordings[0].recording_id
+    assert _digests(alone.root / name) == _digests(tree.root / name)
+
+
+def test_another_seed_gives_another_world(tree, tmp_path) -> None:
+    other = synthesize_tree("adt", tmp_path / "other", recordings=1, seed=5, n_events=2)
+    assert other.recordings[0].recording_id != tree.recordings[0].recording_id
+
+
+def test_the_tree_says_that_it_is_synthetic_and_how_it_is_split(tree) -> None:
+    mark = read_synthetic_tree(tree.root)
+    assert mark is not None
+    assert (mark.seed, mark.preset, mark.world) == (4, "adt", "default")
+    assert mark.split == {recording.recording_id: recording.split for recording in tree.recordings}
+    found = reader_for("adt").find(tree.root)
+    assert {recording.recording_id for recording in found} == mark.split.keys()
+    assert {recording.dataset for recording in found} == {"synthetic-adt"}
+
+
+def test_files_of_the_tree_and_the_recording_exit_agree_bit_for_bit(tree) -> None:
+    reader = reader_for("adt")
+    for index, found in enumerate(reader.find(tree.root)):
+        performance = perform("adt", seed=4, index=index, n_events=2)
+        assert list(differences(reader.read(found), synthetic_recording(performance))) == []
+        assert recording_from_readings(sense(performance)).dataset == "synthetic-adt"
+
+
+def test_truth_events_are_on_the_recording_s_clock_after_adding_its_offset(tree) -> None:
+    recordings = read_truth(tree.root, "recordings").to_pylist()
+    events = read_truth(tree.root, "events").to_pylist()
+    by_id = {found.recording_id: reader_for("adt").read(found) for found in reader_for("adt").find(tree.root)}
+    assert {row["recording_id"] for row in recordings} == by_id.keys()
+    for row in recordings:
+        recording = by_id[row["recording_id"]]
+        offset = row["clock_offset_s"]["objects"]
+        assert recording.span[0] == pytest.approx(offset)
+        assert row["participant_id"] == recording.participant_id
+        for event in (event for event in events if event["recording_id"] == row["recording_id"]):
+            track = recording.object(event["object_id"])
+            if event["kind"] != "pick" or event["tag"] == "lost":
+                continue
+            around = offset + event["event_s"] + np.array([-0.2, 1.0])
+            position, rotation = track.pose_at(around)
+            lower, upper = track.world_box(position, rotation)
+            centre = (lower + upper) / 2
+            assert centre[0] == pytest.approx(event["goal"], abs=2e-3), "still at the goal shortly before"
+            assert np.linalg.norm(centre[1] - event["goal"]) > 0.05, "moving after it"
+
+
+def test_truth_tables_hold_what_the_page_lists(tree) -> None:
+    joints = read_truth(tree.root, "joints")
+    assert joints.column_names == list(TRUTH_OF_A_FRAME)
+    steps = np.diff(joints["t"].to_numpy())
+    assert np.median(steps) == pytest.approx(1 / 30), "tiny trees keep 30 Hz"
+    events = read_truth(tree.root, "events")
+    assert {"prime_s", "prime_first_s", "prime_kind", "expected", "thin", "goal", "box_min", "box_max"} <= set(
+        events.column_names
+    )
+    assert read_truth(tree.root, "fixations").num_rows > 10
+
+
+def test_object_truth_keeps_rows_while_moving_and_both_ends(performance) -> None:
+    table = objects_table(performance)
+    moved = {motion.object_id for motion in performance.objects if len(motion.position) > 1}
+    still = [motion for motion in performance.objects if len(motion.position) == 1]
+    counts = {entry["values"]: entry["counts"] for entry in table["object_id"].value_counts().to_pylist()}
+    assert all(counts[motion.object_id] == 1 for motion in still)
+    for key in moved:
+        motion = next(motion for motion in performance.objects if motion.object_id == key)
+        moving = (np.diff(motion.position, axis=0) != 0).any(axis=1).sum()
+        assert moving < counts[key] < moving + 20
+
+
+def test_an_older_synthetic_tree_is_replaced_and_anything_else_is_not(tree, tmp_path) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("years of work")
+    with pytest.raises(UsageError, match="no synthetic tree"):
+        synthesize_tree("adt", mine, recordings=1, n_events=1)
+    assert (mine / "thesis.tex").read_text() == "years of work"
+    out = tmp_path / "tree"
+    synthesize_tree("adt", out, recordings=1, seed=1, n_events=1)
+    synthesize_tree("adt", out, recordings=1, seed=2, n_events=1)
+    assert len(list(out.glob("Apartment*"))) == 1
+
+
+def test_a_failure_leaves_nothing_behind(tmp_path) -> None:
+    def stop(_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesize_tree("adt", tmp_path / "tree", recordings=2, n_events=1, on_written=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"size": "large"}, "in memory"),
+        ({"preset": "mogaze"}, "no native files"),
+        ({"recordings": 0}, "at least one"),
+    ],
+    ids=["large", "preset without files", "none"],
+)
+def test_what_cannot_be_written_is_refused_with_a_reason(tmp_path, arguments, words) -> None:
+    preset = arguments.pop("preset", "adt")
+    with pytest.raises(UsageError, match=words):
+        synthesize_tree(preset, tmp_path / "tree", **arguments)
+
+
+def test_truth_of_another_version_is_refused(tree, tmp_path) -> None:
+    (tmp_path / "truth").mkdir()
+    events = read_truth(tree.root, "events").replace_schema_metadata({"prbench.truth_schema": "99"})
+    pq.write_table(events, tmp_path / "truth" / "events.parquet")
+    with pytest.raises(InputFileError, match="found 99"):
+        read_truth(tmp_path, "events")
+    with pytest.raises(InputFileError, match="truth record"):
+        read_truth(tmp_path, "joints")
