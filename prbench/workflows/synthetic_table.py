@@ -1,0 +1,152 @@
+"""From invented people to a table, without native files: performances, sensors, ``Recording``, curation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from prbench.curation import BuildOptions, BuildReport, build_from_sources
+from prbench.curation.options import NO_OPTIONS
+from prbench.engine import Engine, InProcess
+from prbench.errors import UsageError
+from prbench.readers import SYNTHETIC_PREFIX
+from prbench.recording import Recording
+from prbench.storage import text_digest
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.people.perform import name_of_recording, perform
+from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.recordings import require_sensors, synthetic_recording
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished recordings, all of them, and the one that was finished last."""
+World = Literal["default", "large"]
+_IN_PROCESS = InProcess()
+
+
+@dataclass(frozen=True)
+class Staging:
+    """How recordings are acted out and sensed: everything that they depend on, apart from their index."""
+
+    preset: str
+    seed: int
+    world: World = "default"
+    n_events: int = 10
+    noise: float = 1.0
+    provocations: tuple[tuple[str, float], ...] | None = None
+    """Share of the movements for each tag of section 7; None = the default 10 % together, () = none."""
+
+    def perform(self, index: int) -> Performance:
+        """Act out one recording."""
+        return perform(
+            self.preset,
+            seed=self.seed,
+            index=index,
+            world=self.world,
+            n_events=self.n_events,
+            provocations=None if self.provocations is None else dict(self.provocations),
+        )
+
+    def sense(self, performance: Performance) -> Recording:
+        """What the sensors say about it."""
+        return synthetic_recording(performance, noise=self.noise)
+
+    def described(self) -> dict[str, str]:
+        """The staging as text, as ``dataset.json`` holds it."""
+        shares = (
+            "default" if self.provocations is None else " ".join(f"{tag}={share}" for tag, share in self.provocations)
+        )
+        return {
+            "synthetic_seed": str(self.seed),
+            "synthetic_world": self.world,
+            "synthetic_events": str(self.n_events),
+            "synthetic_noise": str(self.noise),
+            "synthetic_provocations": shares,
+            "synthetic_generator": str(GENERATOR_VERSION),
+        }
+
+
+@dataclass(frozen=True)
+class SyntheticSource:
+    """One recording that is acted out when it is read (see :class:`prbench.curation.RecordingSource`)."""
+
+    staging: Staging
+    index: int
+    recording_id: str
+    split: str
+    skip_reason: None = None
+
+    @property
+    def dataset(self) -> str:
+        """Never the dataset's own name."""
+        return f"{SYNTHETIC_PREFIX}{self.staging.preset}"
+
+    def input_digest(self) -> str:
+        """Of what the recording is made from."""
+        described = [text for item in sorted(self.staging.described().items()) for text in item]
+        return text_digest(self.staging.preset, str(self.index), *described)
+
+    def read(self) -> Recording:
+        """Act it out and sense it."""
+        return self.staging.sense(self.staging.perform(self.index))
+
+    def without_places(self, message: str) -> str:
+        """Nothing of this machine is in the messages."""
+        return message
+
+
+def build_synthetic_table(
+    preset: str,
+    recordings: int,
+    seed: int,
+    out: Path,
+    *,
+    engine: Engine = _IN_PROCESS,
+    world: World = "default",
+    n_events: int = 10,
+    noise: float = 1.0,
+    provocations: Mapping[str, float] | None = None,
+    options: BuildOptions = NO_OPTIONS,
+    progress: Progress | None = None,
+) -> BuildReport:
+    """Build the dataset ``synthetic-<preset>``; recording i depends on seed, preset, world and i alone.
+
+    Args:
+        preset: A preset with sensors (``adt``).
+        recordings: How many.
+        seed: Of the whole dataset.
+        out: Folder of the new dataset.
+        engine: Where recordings are acted out and curated.
+        world: How many people and rooms exist.
+        n_events: Picks and puts a recording.
+        noise: Multiplies every sensor error; 0 for ideal sensors.
+        provocations: Share of the movements for each tag; None = 10 % together, {} = none.
+        options: How to curate.
+        progress: Called after each recording.
+
+    Raises:
+        UsageError: for a preset without sensors, or no recordings.
+        StorageError: if ``out`` cannot be written or holds something else.
+    """
+    require_sensors(preset)
+    if recordings < 1:
+        raise UsageError(f"a synthetic table needs at least one recording, not {recordings}.")
+    shares = None if provocations is None else tuple(sorted(provocations.items()))
+    staging = Staging(preset, seed, world, n_events, noise, shares)
+    report = build_from_sources(
+        [synthetic_source(staging, index) for index in range(recordings)],
+        out,
+        options=options,
+        engine=engine,
+        progress=None if progress is None else lambda step: progress(step.done, step.total, step.record.recording_id),
+        extra_options=staging.described() | {"recordings": str(recordings)},
+    )
+    return report
+
+
+def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
+    """Recording ``index`` by name and split, not yet acted out."""
+    casting = cast(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
+    return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), casting.split)
