@@ -74,6 +74,8 @@ class TrueEvent:
     """The outcome that curation should reach: one of the outcomes of ``events``, or ``not_an_event``."""
     thin: bool
     """Too close to a threshold to assert on."""
+    lost_span: tuple[float, float] | None = None
+    """Provocation ``lost``: when tracking must lose the object, seconds; the sensors drop its samples there."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,9 @@ class Performance:
     times: Float[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]
     rotations: Float[np.ndarray, "n 22 4"]
+    """World from the segment that begins at each joint. Pelvis, spine, neck, head (the true one), collars (chest) and
+    feet: x left, y up, z forward. Limbs and hands: y along the bone, away from the trunk, x the hinge (left at
+    neutral)."""
     finger_bases: Float[np.ndarray, "n 2 3"]
     """Middle-finger bases: left, right."""
     head_rotation: Float[np.ndarray, "n 4"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -12,15 +13,25 @@ from prbench.synthetic.people.geometry import UP, frame_of_bone, turn, two_bone,
 from prbench.synthetic.people.person import Body
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.posture import Sway
+from prbench.synthetic.people.provocations import DOOR
 from prbench.synthetic.people.trunk import Trunk
 
 _ARM_LIMIT = (0.95, 0.995)
 _HANGING = 0.96
 _OUTSIDE_SHOULDER = 0.032  # of the stature
 _CARRY_AFTER = 0.75
-_STAY_AFTER_PUT = 0.18
 _BACK_WITHIN = 0.8
 _HUMP_UP, _HUMP_FORWARD = 0.06, 0.09
+
+SLIDE_TIME = 0.15
+"""Seconds that a nudged object slides."""
+OPENING_TIME = 1.0
+"""Seconds in which a door is opened."""
+MEETING_TIME = 0.5
+"""Seconds in which the hands meet for a hand-over."""
+HANDING_TIME = 0.6
+"""Seconds in which the object goes from hand to hand."""
+DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
 
 
 @dataclass(frozen=True)
@@ -34,29 +45,88 @@ class Arms:
 
 
 def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Float[np.ndarray, "n 2 3"]:
-    """Where the wrists are meant to be: waiting, reaching, carrying."""
-    wrists = []
-    for hand in (0, 1):
-        rest = _resting_wrist(plan, trunk, sway, hand)
-        carry = _offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose)
-        wrist = rest.copy()
-        for reach in plan.reaches:
-            if reach.hand == hand:
-                _reach(wrist, reach, rest, carry, times, carries=plan.preset.puts and reach.action == "pick")
-        wrists.append(wrist)
+    """Where the wrists are meant to be: waiting, reaching, carrying. Commands are applied in time order."""
+    rest = [_resting_wrist(plan, trunk, sway, hand) for hand in (0, 1)]
+    carry = [_offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose) for hand in (0, 1)]
+    wrists = [waiting.copy() for waiting in rest]
+    for reach in plan.reaches:
+        if reach.twist.handed_over is not None:
+            _hand_over(plan, wrists, rest, carry, reach, trunk, times)
+        _reach(wrists[reach.hand], reach, np.zeros(3), times)
+        _leave(wrists[reach.hand], reach, rest[reach.hand], carry[reach.hand], times)
+        if reach.twist.second_hand:
+            _second_hand(wrists[1 - reach.hand], reach, rest[1 - reach.hand], carry[reach.hand], trunk, times)
     return np.stack(wrists, axis=1)
 
 
-def _reach(
-    wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, times: np.ndarray, *, carries: bool
-) -> None:
+def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
+    """To the grasp, on a path that bulges up and forward: not through the table's edge or the own shoulder."""
     duration = reach.contact - reach.reach_start
-    blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist)
+    blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside)
     add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
-    if carries:
+
+
+def _leave(wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, times: np.ndarray) -> None:
+    """Carry away what was picked; else stay a little, with what slides or turns, and go back."""
+    if reach.carries:
         blend(wrist, times, reach.event, _CARRY_AFTER, carry)
-    else:
-        blend(wrist, times, reach.event + _STAY_AFTER_PUT, _BACK_WITHIN, rest)
+        return
+    if reach.twist.slide is not None or reach.twist.opening:
+        first = int(np.searchsorted(times, reach.event))
+        wrist[first:] = moved_along(reach, reach.grasp.wrist, times[first:])
+    if np.isfinite(reach.dwell):
+        blend(wrist, times, reach.event + reach.dwell, _BACK_WITHIN, rest)
+
+
+def moved_along(
+    reach: Reach, point: Float[np.ndarray, "3"], times: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """Where a point fixed to a nudged or hinged object is after the event."""
+    if reach.twist.slide is not None:
+        return point + minimum_jerk((times - reach.event) / SLIDE_TIME)[:, None] * reach.twist.slide
+    axis = reach.centre + turn(reach.yaw, 0.0, np.array([DOOR_WIDTH_HALF, 0.0, 0.0]))
+    return axis + turn(opened(reach, times), 0.0, point - axis)
+
+
+def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Angle of a door that is pulled towards the person, radians."""
+    return -reach.twist.opening * minimum_jerk((times - reach.event) / OPENING_TIME)
+
+
+def _second_hand(
+    wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, trunk: Trunk, times: np.ndarray
+) -> None:
+    """The other hand joins after the lift, some way beside the first, and helps to put down."""
+    towards_other = 1.0 if reach.hand == 1 else -1.0
+    beside = np.array([towards_other * reach.twist.second_hand, 0.0, 0.0])
+    if reach.action == "pick":
+        joined = carry + turn(trunk.yaws[3], 0.0, beside)
+        blend(wrist, times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
+        return
+    _reach(wrist, reach, turn(reach.base.heading, 0.0, beside), times)
+    blend(wrist, times, reach.event + reach.dwell, _BACK_WITHIN, rest)
+
+
+def _hand_over(
+    plan: Plan,
+    wrists: list[np.ndarray],
+    rest: list[np.ndarray],
+    carry: list[np.ndarray],
+    put: Reach,
+    trunk: Trunk,
+    times: np.ndarray,
+) -> None:
+    """Both hands meet before the chest; one leaves, the other carries on."""
+    begin = put.twist.handed_over
+    assert begin is not None  # the caller asks for it only then
+    middle = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
+    stature = plan.person.body.stature
+    for hand in (0, 1):
+        offset = np.array([0.08 if hand == 0 else -0.08, -0.18 * stature, 0.21 * stature])
+        blend(wrists[hand], times, begin, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
+    handed = begin + MEETING_TIME + HANDING_TIME
+    blend(wrists[1 - put.hand], times, handed, _BACK_WITHIN, rest[1 - put.hand])
+    blend(wrists[put.hand], times, handed, 0.5, carry[put.hand])
 
 
 def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:
@@ -66,9 +136,7 @@ def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarra
     outside = _OUTSIDE_SHOULDER * body.stature
     length = np.sqrt((_HANGING * body.arm) ** 2 - outside**2)
     angle = side * plan.person.habits.arm_swing * sway.arm_swing
-    hanging = np.stack(
-        [np.full(angle.size, side * outside), -length * np.cos(angle), length * np.sin(angle)], axis=-1
-    )
+    hanging = np.stack([np.full(angle.size, side * outside), -length * np.cos(angle), length * np.sin(angle)], axis=-1)
     return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, hanging) + sway.hands[:, hand]
 
 
@@ -89,9 +157,7 @@ def pose_arms(body: Body, flare: float, trunk: Trunk, wrists: Float[np.ndarray, 
         shoulder, side = trunk.shoulders[hand], (1.0 if hand == 0 else -1.0)
         upward = unit(wrists[:, hand] - shoulder)[:, 1]
         raised = minimum_jerk((upward + 0.3) / 0.8)
-        pole = np.stack(
-            [side * (flare + 0.6 * raised), np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1
-        )
+        pole = np.stack([side * (flare + 0.6 * raised), np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1)
         pole = turn(trunk.yaws[3], trunk.pitches[3], pole)
         elbow, wrist = two_bone(shoulder, wrists[:, hand], (body.upper_arm, body.forearm), pole, _ARM_LIMIT)
         elbows.append(elbow)
@@ -112,7 +178,8 @@ def turn_hands(plan: Plan, arms: Arms, times: np.ndarray) -> Float[np.ndarray, "
                 continue
             begin = reach.reach_start
             blend(axes, times, begin, reach.contact - begin, reach.grasp.hand.T[:2])
-            carries = plan.preset.puts and reach.action == "pick"
-            blend(axes, times, reach.event + (0.0 if carries else _STAY_AFTER_PUT), _BACK_WITHIN, neutral)
+            leave = reach.event + (0.0 if reach.carries else reach.dwell)
+            if np.isfinite(leave):
+                blend(axes, times, leave, _BACK_WITHIN, neutral)
         frames.append(frame_of_bone(axes[:, 1], axes[:, 0]))
     return np.stack(frames, axis=1)

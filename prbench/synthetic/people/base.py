@@ -93,17 +93,13 @@ def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, b
     turn = float(wrap(goal.heading - start.heading))
     if distance < _STAY_WITHIN and abs(turn) < _STAY_TURN:
         return None
-    duration = max(
-        0.55 + 0.8 * distance / max(speed, 0.25), 0.8 + 0.75 * distance, abs(turn) / habits.turn_rate + 0.3
-    )
+    duration = max(0.55 + 0.8 * distance / max(speed, 0.25), 0.8 + 0.75 * distance, abs(turn) / habits.turn_rate + 0.3)
     end = begin + duration
     goal = BasePose(goal.x, goal.z, start.heading + turn)
     return Segment("shuffle", start, goal, begin, end, end, speed, start.heading, duration, 0.0, begin)
 
 
-def _plan_walk(
-    habits: Habits, speed: float, distance: float, start: BasePose, goal: BasePose, begin: float
-) -> Segment:
+def _plan_walk(habits: Habits, speed: float, distance: float, start: BasePose, goal: BasePose, begin: float) -> Segment:
     bearing = np.arctan2(goal.x - start.x, goal.z - start.z)
     turn_in = float(wrap(bearing - start.heading))
     course = start.heading + turn_in
@@ -114,9 +110,7 @@ def _plan_walk(
     arrival = translation_begin + distance / speed + 0.45
     end = arrival + 0.15 * last_turn
     goal = BasePose(goal.x, goal.z, course + turn_out)
-    return Segment(
-        "walk", start, goal, begin, end, arrival, speed, course, first_turn, last_turn, translation_begin
-    )
+    return Segment("walk", start, goal, begin, end, arrival, speed, course, first_turn, last_turn, translation_begin)
 
 
 @dataclass(frozen=True)

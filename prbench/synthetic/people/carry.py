@@ -1,15 +1,30 @@
-"""Objects that stand still, are carried in a hand, and stand still again (``methods/synthetic-recordings.md`` section 4)."""
+"""Objects that stand still, are carried in a hand, and stand still again.
+
+Source: ``methods/synthetic-recordings.md`` sections 4, 6 and 7.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Float
+from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.synthetic.people.arms import HANDING_TIME, MEETING_TIME, moved_along, opened
 from prbench.synthetic.people.channels import minimum_jerk
 from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.world import Item
 from prbench.synthetic.performance import ObjectMotion
+
+
+@dataclass
+class _Track:
+    """Pose of one object over time, filled in movement by movement."""
+
+    position: Float[np.ndarray, "n 3"]
+    rotation: Float[np.ndarray, "n 4"]
+    held_by: Int[np.ndarray, " n"]
 
 
 def move_objects(
@@ -27,74 +42,119 @@ def move_objects(
         hands: World from hand.
         times: Frame times, seconds.
         object_ids: One for each of the plan's items.
+
+    Returns:
+        One motion for each item; an object that never moves has a single pose.
     """
-    tracks = []
+    tracks: list[_Track] = []
     for index, item in enumerate(plan.items):
-        reaches = [reach for reach in plan.reaches if reach.item == index and reach.action in ("pick", "put")]
-        if index < plan.n_handled and plan.preset.puts and reaches:
-            tracks.append(_carried(item, reaches, wrists, hands, times, object_ids[index]))
+        if item.rides_on is not None:
+            tracks.append(_riding(item, plan.items[item.rides_on], tracks[item.rides_on]))
+            continue
+        reaches = [reach for reach in plan.reaches if reach.item == index and _moves_object(plan, reach)]
+        tracks.append(_moving(item, reaches, wrists, hands, times) if reaches else _resting(item))
+    return [
+        ObjectMotion(
+            object_id=object_id,
+            name=item.kind.name,
+            category=item.kind.category,
+            half_extents=item.half_extents,
+            position=track.position,
+            rotation=track.rotation,
+            held_by=track.held_by,
+            movable=True,
+            hinged=item.hinged,
+        )
+        for item, track, object_id in zip(plan.items, tracks, object_ids, strict=True)
+    ]
+
+
+def _moves_object(plan: Plan, reach: Reach) -> bool:
+    return reach.action in ("nudge", "hinge") or (plan.preset.puts and reach.action in ("pick", "put"))
+
+
+def _resting(item: Item) -> _Track:
+    return _Track(item.position[None], quaternion(rotation(item.yaw, 0.0))[None], np.array([-1]))
+
+
+def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndarray, times: np.ndarray) -> _Track:
+    n, rest = times.size, _resting(item)
+    track = _Track(np.tile(rest.position, (n, 1)), np.tile(rest.rotation, (n, 1)), np.full(n, -1))
+    for reach, following in zip(reaches, (*reaches[1:], None), strict=False):
+        first = int(np.searchsorted(times, reach.event))
+        if reach.action == "pick":
+            last = n if following is None else int(np.searchsorted(times, following.event))
+            _carry(track, slice(first, last), reach, following, wrists, hands, times)
+        elif reach.action == "put":
+            track.position[first:] = reach.centre
+            track.rotation[first:] = quaternion(rotation(reach.yaw, 0.0))
         else:
-            tracks.append(_resting(item, object_ids[index]))
-    return tracks
+            track.position[first:] = moved_along(reach, reach.centre, times[first:])
+            if reach.action == "hinge":
+                track.rotation[first:] = quaternion(rotation(reach.yaw + opened(reach, times[first:]), 0.0))
+                track.held_by[first : int(np.searchsorted(times, reach.event + reach.dwell))] = reach.hand
+    return track
 
 
-def _resting(item: Item, object_id: str) -> ObjectMotion:
-    pose = quaternion(rotation(item.yaw, 0.0))[None]
-    return _motion(item, object_id, item.position[None], pose, np.array([-1]))
-
-
-def _motion(
-    item: Item, object_id: str, position: np.ndarray, quaternions: np.ndarray, held_by: np.ndarray
-) -> ObjectMotion:
-    return ObjectMotion(
-        object_id=object_id,
-        name=item.kind.name,
-        category=item.kind.category,
-        half_extents=item.half_extents,
-        position=position,
-        rotation=quaternions,
-        held_by=held_by,
-        movable=True,
-    )
-
-
-def _carried(
-    item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndarray, times: np.ndarray, object_id: str
-) -> ObjectMotion:
-    n = times.size
-    position = np.tile(item.position, (n, 1))
-    turned = np.tile(quaternion(rotation(item.yaw, 0.0)), (n, 1))
-    held_by = np.full(n, -1)
-    for pick, put in zip(reaches[0::2], [*reaches[1::2], None][: len(reaches[0::2])], strict=True):
-        first = int(np.searchsorted(times, pick.event))
-        last = n if put is None else int(np.searchsorted(times, put.event))
-        wrist, hand = wrists[first:last, pick.hand], hands[first:last, pick.hand]
-        carried_position, carried_rotation = _rigid(wrist, hand, pick, put)
-        position[first:last] = carried_position
-        turned[first:last] = quaternion(carried_rotation)
-        held_by[first:last] = pick.hand
-        if put is not None:
-            position[last:] = put.centre
-            turned[last:] = quaternion(rotation(put.yaw, 0.0))
-    return _motion(item, object_id, position, turned, held_by)
-
-
-def _rigid(wrist: np.ndarray, hand: np.ndarray, pick: Reach, put: Reach | None) -> tuple[np.ndarray, np.ndarray]:
+def _carry(
+    track: _Track,
+    span: slice,
+    pick: Reach,
+    put: Reach | None,
+    wrists: np.ndarray,
+    hands: np.ndarray,
+    times: np.ndarray,
+) -> None:
     """Fixed in the hand; what is left at the put is spread over the carry."""
-    at_rest = rotation(pick.yaw, 0.0)
-    offset = hand[0].T @ (pick.centre - wrist[0])
-    position = wrist + hand @ offset
-    turned = hand @ (hand[0].T @ at_rest)
-    if put is None:
-        return position, turned
-    progress = minimum_jerk(np.arange(len(wrist)) / (len(wrist) - 1))
-    position += progress[:, None] * (put.centre - position[-1])
-    rest = quaternion(rotation(put.yaw, 0.0) @ turned[-1].T)
-    return position, _part_of_rotation(rest, progress) @ turned
+    position, turned = _rigid(wrists[span, pick.hand], hands[span, pick.hand], pick, at=0)
+    track.held_by[span] = pick.hand
+    if put is not None and put.twist.handed_over is not None:
+        begin = put.twist.handed_over + MEETING_TIME
+        share = minimum_jerk((times[span] - begin) / HANDING_TIME)
+        position_after, turned_after = _rigid(wrists[span, put.hand], hands[span, put.hand], put, at=-1)
+        position = position + share[:, None] * (position_after - position)
+        turned = _between(turned, turned_after, share)
+        track.held_by[span] = np.where(share < 0.5, pick.hand, put.hand)
+    if put is not None:
+        progress = minimum_jerk(np.arange(len(position)) / (len(position) - 1))
+        position = position + progress[:, None] * (put.centre - position[-1])
+        turned = _part_of_rotation(rotation(put.yaw, 0.0) @ turned[-1].T, progress) @ turned
+    track.position[span] = position
+    track.rotation[span] = quaternion(turned)
 
 
-def _part_of_rotation(rotation_left: np.ndarray, progress: np.ndarray) -> np.ndarray:
-    """A growing part of a rotation (quaternion with w >= 0), as matrices."""
-    half = np.arctan2(np.linalg.norm(rotation_left[1:]), rotation_left[0])
-    axis = rotation_left[1:] / max(float(np.linalg.norm(rotation_left[1:])), 1e-12)
-    return matrix_of(np.concatenate([np.cos(half * progress)[:, None], np.sin(half * progress)[:, None] * axis], axis=1))
+def _rigid(wrist: np.ndarray, hand: np.ndarray, reach: Reach, at: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of an object that is fixed in a hand and lies as the reach has it in frame ``at``."""
+    offset = hand[at].T @ (reach.centre - wrist[at])
+    return wrist + hand @ offset, hand @ (hand[at].T @ rotation(reach.yaw, 0.0))
+
+
+def _between(before: np.ndarray, after: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Rotations a growing share of the way from one to the other."""
+    left = quaternion(after @ np.swapaxes(before, -1, -2))
+    return _scaled_rotation(left, share) @ before
+
+
+def _part_of_rotation(whole: np.ndarray, share: np.ndarray) -> np.ndarray:
+    return _scaled_rotation(np.broadcast_to(quaternion(whole), (len(share), 4)), share)
+
+
+def _scaled_rotation(quaternions: Float[np.ndarray, "n 4"], share: Float[np.ndarray, " n"]) -> np.ndarray:
+    """Matrices of rotations (w >= 0) whose angles are scaled."""
+    sine = np.linalg.norm(quaternions[:, 1:], axis=1)
+    half = np.arctan2(sine, quaternions[:, 0]) * share
+    axis = quaternions[:, 1:] / np.maximum(sine, 1e-12)[:, None]
+    return matrix_of(np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * axis], axis=1))
+
+
+def _riding(item: Item, carrier: Item, track: _Track) -> _Track:
+    """Rigid on another object."""
+    at_rest = rotation(carrier.yaw, 0.0)
+    offset = at_rest.T @ (item.position - carrier.position)
+    if len(track.position) == 1:
+        return _resting(item)
+    frames = matrix_of(track.rotation)
+    turned = frames @ (at_rest.T @ rotation(item.yaw, 0.0))
+    still = np.all(track.position == carrier.position, axis=1)[:, None]
+    position = np.where(still, item.position, track.position + frames @ offset)
+    return _Track(position, quaternion(turned), np.full(len(position), -1))

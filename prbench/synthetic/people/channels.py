@@ -30,7 +30,7 @@ def bump(x: np.ndarray | float) -> np.ndarray:
 
 
 def eased_trapezoid(x: np.ndarray, up: float, down: float) -> np.ndarray:
-    """Progress 0 to 1 of a speed that rises over ``up``, is constant, and falls over ``down`` (shares of x in [0, 1])."""
+    """Progress 0 to 1 of a speed that rises over ``up``, is constant, and falls over ``down`` (shares of the time)."""
     x = np.clip(x, 0.0, 1.0)
     rising = up * minimum_jerk_integral(x / up)
     falling = down * minimum_jerk_integral((x - (1.0 - down)) / down) * (x > 1.0 - down)

@@ -17,9 +17,11 @@ from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.presets import Preset
 
 _SHORTEST_LOOK = 0.15
-_WINDOW = 10.0  # seconds before an event in which a look can prime
+WINDOW = 10.0
+"""Seconds before an event in which a look can prime."""
 _GAP_LIMITS = (0.35, 9.7)
 _WIDEST_BEARING = np.deg2rad(86.0)
+_SWEEP = np.deg2rad(13.0)
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class GazePlan:
     looks: tuple[Look, ...]
     primes: tuple[float | None, ...]
     kinds: tuple[str, ...]
-    """``plain``, ``near`` or ``unprimed`` for every reach."""
+    """``plain``, ``near``, ``unprimed``, ``swept`` or ``unseen`` (no rule either way) for every reach."""
 
 
 class _Timeline:
@@ -88,11 +90,11 @@ def plan_gaze(
     timeline = _Timeline()
     kinds = tuple(scheduler.kind(reach) for reach in plan.reaches)
     primes = tuple(
-        None if kind == "unprimed" else scheduler.prime_time(reach)
+        None if kind in ("unprimed", "unseen") else scheduler.prime_time(reach)
         for reach, kind in zip(plan.reaches, kinds, strict=True)
     )
     looks = [
-        scheduler.goal_looks(reach, prime, kind)
+        scheduler.sweep(reach, prime) if kind == "swept" else scheduler.goal_looks(reach, prime, kind)
         for reach, prime, kind in zip(plan.reaches, primes, kinds, strict=True)
         if prime is not None
     ]
@@ -101,7 +103,11 @@ def plan_gaze(
             for look in parts[priority]:
                 timeline.add(look)
     goals = sorted(timeline.looks, key=lambda look: look.start)
-    avoid = [Avoidance(r.centre, r.event - _WINDOW, r.event if p is None else p) for r, p in zip(plan.reaches, primes, strict=True)]
+    avoid = [
+        Avoidance(reach.centre, reach.event - WINDOW, reach.event if prime is None or kind == "swept" else prime)
+        for reach, prime, kind in zip(plan.reaches, primes, kinds, strict=True)
+        if kind != "unseen"
+    ]
     drawer = FillDrawer(plan, base, eye, times, avoid, rng)
     return GazePlan(tuple(_with_fills(goals, drawer, float(times[-1]))), primes, kinds)
 
@@ -132,8 +138,10 @@ class _Scheduler:
     def kind(self, reach: Reach) -> str:
         """Whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
         preset, chance = self.plan.preset, self.rng.random()
+        if reach.action == "hover":
+            return "unseen"
         if reach.tag != "plain":
-            return "plain"
+            return "swept" if reach.tag == "swept" else "plain"
         if chance < preset.unprimed:
             return "unprimed"
         return "near" if chance < preset.unprimed + preset.near_miss else "plain"
@@ -141,10 +149,10 @@ class _Scheduler:
     def prime_time(self, reach: Reach) -> float:
         """When the first look at the goal begins."""
         preset, rng = self.plan.preset, self.rng
-        if preset.gap:
-            prime = reach.event - _draw_gap(preset, rng)
-        else:
-            prime = reach.motor_start + float(rng.normal(1.0, 0.6))
+        if reach.twist.gap is not None:
+            return reach.event - reach.twist.gap
+        after_motor_start = not preset.gap
+        prime = reach.motor_start + rng.normal(1.0, 0.6) if after_motor_start else reach.event - _draw_gap(preset, rng)
         prime = float(np.clip(prime, 0.4, reach.event - _GAP_LIMITS[0]))
         if reach.number > 0:
             previous = self.plan.reaches[reach.number - 1].event
@@ -177,6 +185,15 @@ class _Scheduler:
                 returns.append(self._look(now, now + 0.4, reach, "plain"))
                 now += 0.4
         return [first], [last] if last.end > last.start else [], returns
+
+    def sweep(self, reach: Reach, prime: float) -> tuple[list[Look], list[Look], list[Look]]:
+        """Two short looks on both sides of the goal, so that one fast saccade crosses it."""
+        index = int(np.searchsorted(self.times, prime))
+        sight = reach.centre - self.eye[index]
+        sideways = np.tan(_SWEEP) * np.array([sight[2], 0.0, -sight[0]])
+        before = Look(prime - 0.34, prime, reach.centre - sideways, False, reach.number)
+        after = Look(prime, prime + 0.34, reach.centre + sideways, False, reach.number)
+        return [before, after], [], []
 
     def _look(self, start: float, end: float, reach: Reach, kind: str) -> Look:
         point = reach.centre + 0.3 * reach.half_world * self.rng.standard_normal(3)

@@ -1,6 +1,7 @@
 """Turning vectors, two-bone limbs and quaternions, vectorised over frames.
 
-Angles are radians: yaw about +Y (0 faces +Z, positive turns left), pitch > 0 looks or leans down; R = Ry(yaw) Rx(pitch).
+Angles are radians: yaw about +Y (0 faces +Z, positive turns left), pitch > 0 looks or leans down, and
+R = Ry(yaw) Rx(pitch).
 """
 
 from __future__ import annotations

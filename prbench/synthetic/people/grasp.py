@@ -52,7 +52,7 @@ class Posture:
     """Shoulder to wrist over arm length; above about .92 the goal is out of reach."""
 
 
-def draw_grasp_numbers(preset: Preset, rng: np.random.Generator) -> float:
+def draw_grasp_number(preset: Preset, rng: np.random.Generator) -> float:
     """The one free number of a grasp: finger base to box surface, or wrist to box centre."""
     return float(rng.uniform(0.010, 0.017) if preset.grasp == "fingertips" else rng.uniform(0.078, 0.112))
 

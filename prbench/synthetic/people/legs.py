@@ -57,7 +57,7 @@ def lowered_pelvis(
     allowed = _allowed_height(body, height, hips, feet)
     dip = np.zeros(times.size)
     missing = np.maximum(height - allowed, 0.0)
-    for step, following in zip(steps, (*steps[1:], None), strict=True):
+    for step, following in zip(steps, (*steps[1:], None), strict=False):
         upto = step.landing + 0.24 * step.period
         if following is not None and following.lift > step.landing:
             upto = min(upto, following.lift)

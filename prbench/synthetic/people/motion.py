@@ -24,7 +24,7 @@ from prbench.synthetic.people.steps import Feet, place_feet, plan_steps
 from prbench.synthetic.people.trunk import Trunk
 
 _WRIST_TOLERANCE = 0.008
-_PASSES = 3
+_CORRECTIONS = 2
 
 
 @dataclass(frozen=True)
@@ -74,14 +74,17 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
     gaze_plan = plan_gaze(plan, base, rough_eye, times, generators.gaze)
     head = move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, generators.head)
 
-    offsets = [np.zeros(3) for _ in plan.reaches]
-    for _ in range(_PASSES):
-        trunk = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, head)
+    def act(tried: list[Posture]) -> tuple[Trunk, Arms, tuple[float, ...]]:
+        trunk = move_trunk(plan, base, bend(plan, tried, times), sway, feet, steps, times, head)
         arms = pose_arms(person.body, person.habits.elbow_flare, trunk, move_wrists(plan, trunk, sway, times))
-        misses = _misses(plan, arms, times)
+        return trunk, arms, _misses(plan, arms, times)
+
+    trunk, arms, misses = act(postures)
+    for _ in range(_CORRECTIONS):
         if max(misses, default=0.0) <= _WRIST_TOLERANCE:
             break
-        postures, offsets = _corrected(plan, postures, offsets, misses, trunk, times)
+        postures = _corrected(plan, postures, misses, trunk, times)
+        trunk, arms, misses = act(postures)
     return _assemble(plan, base, feet, trunk, head, arms, times, gaze_plan, misses)
 
 
@@ -104,24 +107,21 @@ def _misses(plan: Plan, arms: Arms, times: np.ndarray) -> tuple[float, ...]:
 def _corrected(
     plan: Plan,
     postures: list[Posture],
-    offsets: list[np.ndarray],
     misses: tuple[float, ...],
     trunk: Trunk,
     times: np.ndarray,
-) -> tuple[list[Posture], list[np.ndarray]]:
+) -> list[Posture]:
     """Solve the posture again where the wrist did not arrive, with the shoulder where it really was."""
     frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
-    postures, offsets = list(postures), list(offsets)
+    postures = list(postures)
     for number, reach in enumerate(plan.reaches):
         if misses[number] <= _WRIST_TOLERANCE:
             continue
         planned = shoulder_in_posture(plan.person, reach.base, reach.hand, postures[number], plan.pelvis_height)
-        offsets[number] = trunk.shoulders[reach.hand][frames[number]] - planned
-        posture = solve_posture(
-            plan.person, reach.base, reach.hand, reach.grasp.wrist, plan.pelvis_height, offsets[number]
-        )
+        offset = trunk.shoulders[reach.hand][frames[number]] - planned
+        posture = solve_posture(plan.person, reach.base, reach.hand, reach.grasp.wrist, plan.pelvis_height, offset)
         postures[number] = replace(posture, chest_turn=reach.posture.chest_turn)
-    return postures, offsets
+    return postures
 
 
 def _assemble(
@@ -191,9 +191,7 @@ def _rotations(
     foot = rotation(feet.yaw, feet.pitch)
     for side in (0, 1):
         matrices[:, Joint.LEFT_COLLAR + side] = trunk_matrices[3]
-        matrices[:, Joint.LEFT_HIP + side] = frame_of_bone(
-            legs.knee[:, side] - hips[:, side], knee_hinge[:, side]
-        )
+        matrices[:, Joint.LEFT_HIP + side] = frame_of_bone(legs.knee[:, side] - hips[:, side], knee_hinge[:, side])
         matrices[:, Joint.LEFT_KNEE + side] = frame_of_bone(
             legs.ankle[:, side] - legs.knee[:, side], knee_hinge[:, side]
         )

@@ -6,26 +6,33 @@ Source: ``methods/synthetic-recordings.md``.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 
 import numpy as np
 
 from prbench.errors import UsageError
+from prbench.synthetic.people.bystander import bystander_acts
 from prbench.synthetic.people.carry import move_objects
-from prbench.synthetic.people.gaze_plan import Look
+from prbench.synthetic.people.gaze_plan import GazePlan, Look
 from prbench.synthetic.people.head_eye import move_eyes
 from prbench.synthetic.people.motion import Generators, Motion, synthesise
 from prbench.synthetic.people.person import Person, draw_person
-from prbench.synthetic.people.plan import Plan, plan_recording
+from prbench.synthetic.people.plan import OPENING, Plan
+from prbench.synthetic.people.planner import plan_recording
 from prbench.synthetic.people.population import Source, SplitRule, World, cast
 from prbench.synthetic.people.presets import PRESETS, Preset
+from prbench.synthetic.people.provocations import shares_for
+from prbench.synthetic.people.repair import repaired
 from prbench.synthetic.people.steps import plan_steps
-from prbench.synthetic.people.truth import Scene, true_events
-from prbench.synthetic.people.world import draw_room, seated
+from prbench.synthetic.people.truth import Scene, events_of_others, true_events
+from prbench.synthetic.people.world import Room, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, Performance
 
 _CLOSING = 2.0  # seconds after the last movement
 _WORST_WRIST = 0.020
 _ATTEMPTS = 6
+_REPAIRS = 3
+_OTHERS_OBJECTS = 4  # ids kept for what a bystander moves
 
 
 def perform(
@@ -63,14 +70,24 @@ def perform(
     constants, source = PRESETS[preset], Source(seed, preset, world)
     casting = cast(source, index, split_rule)
     person = draw_person(constants, f"S{casting.person:03d}", source.generator("person", casting.person, "body"))
-    plan, motion, times = _acted(constants, source, casting.room, person, index, n_events, rate, bystander_objects)
-    gaze = move_eyes(
-        motion.gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye")
-    )
-    ids = _object_ids(source, index, len(plan.items))
-    objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, ids)
-    recording_id = _recording_id(preset, seed, index)
+    room_rng = source.generator("room", casting.room, "plan")
+    room = draw_room(constants, f"R{casting.room:03d}", room_rng, bystander_objects)
+    shares = shares_for(constants, provocations)
+    plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
+    gaze_plan, gaze = _looked(source, index, plan, motion, times)
+    ids = _object_ids(source, index, len(plan.items) + _OTHERS_OBJECTS)
+    objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, ids[:-_OTHERS_OBJECTS])
+    recording_id = name_of_recording(preset, seed, index)
     scene = Scene(times, motion.joints, motion.eye, gaze)
+    events = true_events(plan, gaze_plan, scene, objects, recording_id)
+    chance = source.generator("recording", index, "bystander").random()
+    others = ()
+    if chance < shares.get("bystander", 0.0) * n_events:
+        other = bystander_acts(source, index, plan, motion, times, ids[-_OTHERS_OBJECTS:])
+        if other is not None:
+            others = (other.person,)
+            events += events_of_others(other.plan, scene, other.objects, recording_id)
+            objects += other.objects
     return Performance(
         preset=preset,
         world=world,
@@ -90,40 +107,63 @@ def perform(
         gaze=gaze,
         planted=motion.planted,
         objects=(*objects, *_furniture(plan, source, casting.room)),
-        events=true_events(plan, motion.gaze_plan, scene, objects, recording_id),
-        fixations=tuple(_fixation(look, recording_id) for look in motion.gaze_plan.looks),
+        events=events,
+        fixations=tuple(_fixation(look, recording_id) for look in gaze_plan.looks),
+        other_people=others,
     )
 
 
 def _acted(
     preset: Preset,
     source: Source,
-    room_index: int,
+    room: Room,
     person: Person,
     index: int,
     n_events: int,
     rate: float,
-    bystander_objects: int | None,
+    shares: Mapping[str, float],
 ) -> tuple[Plan, Motion, np.ndarray]:
     """Plan and motion; planned anew when a wrist stays more than 2 cm from its target."""
-    room = draw_room(preset, f"R{room_index:03d}", source.generator("room", room_index, "plan"), bystander_objects)
-    for attempt in range(_ATTEMPTS):
+
+    def act(attempt: int) -> tuple[Plan, Motion, np.ndarray]:
         rng = source.generator("recording", index, f"plan{attempt}")
         is_seated = bool(rng.random() < preset.seated_share)
-        here = seated(room, source.generator("room", room_index, "seated")) if is_seated else room
-        plan = plan_recording(preset, person, here, n_events, rng, is_seated=is_seated)
+        here = seated(room, source.generator("recording", index, "table")) if is_seated else room
+        provoker = source.generator("recording", index, f"provocations{attempt}")
+        plan = plan_recording(
+            preset, person, here, n_events, rng, is_seated=is_seated, shares=shares, provoker=provoker
+        )
         times = np.arange(int(np.ceil(_duration(plan) * rate)) + 1) / rate
         purposes = (source.generator("recording", index, f"{purpose}{attempt}") for purpose in ("sway", "gaze", "head"))
-        motion = synthesise(plan, times, Generators(*purposes))
-        if max(motion.misses, default=0.0) <= _WORST_WRIST:
+        return plan, synthesise(plan, times, Generators(*purposes)), times
+
+    acted = act(0)
+    for attempt in range(1, _ATTEMPTS):
+        if max(acted[1].misses, default=0.0) <= _WORST_WRIST:
             break
-    return plan, motion, times
+        acted = act(attempt)
+    return acted
+
+
+def _looked(source: Source, index: int, plan: Plan, motion: Motion, times: np.ndarray) -> tuple[GazePlan, np.ndarray]:
+    """True gaze, after moving fills that would prime a goal too early; the head stays as it was."""
+    gaze_plan, shifts = motion.gaze_plan, source.generator("recording", index, "repair")
+    gaze = np.empty((0, 3))
+    for left in reversed(range(_REPAIRS + 1)):
+        gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
+        better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
+        if better is gaze_plan:
+            break
+        gaze_plan = better
+    return gaze_plan, gaze
 
 
 def _duration(plan: Plan) -> float:
-    ends = [reach.event + 1.2 for reach in plan.reaches]
+    ends = [
+        reach.event + 1.2 + (0.0 if reach.carries else reach.dwell) for reach in plan.reaches if isfinite(reach.dwell)
+    ]
     ends += [step.landing for step in plan_steps(plan.person, plan.segments)]
-    return max(ends, default=2.5) + _CLOSING
+    return max(ends, default=OPENING) + _CLOSING
 
 
 def _object_ids(source: Source, index: int, count: int) -> list[str]:
@@ -137,7 +177,8 @@ def _object_ids(source: Source, index: int, count: int) -> list[str]:
     return [str(number) for number in numbers]
 
 
-def _recording_id(preset: str, seed: int, index: int) -> str:
+def name_of_recording(preset: str, seed: int, index: int) -> str:
+    """The recording's id, known before it is acted out; unlike any real one."""
     if preset == "adt":
         return f"Apartment_release_synthetic_seed{seed}_seq{index:03d}_M1292"
     return f"{preset}_synthetic_seed{seed}_{index:04d}"

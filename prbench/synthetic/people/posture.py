@@ -88,7 +88,9 @@ def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
     for reach, posture in zip(plan.reaches, postures, strict=True):
         begin, end = reach.reach_start - 0.1, reach.event - 0.05
         blend(channels, times, begin, end - begin, np.array([posture.lean, posture.crouch, posture.chest_turn]))
-        blend(channels, times, reach.event + 0.12, 0.8 + 1.25 * posture.crouch, np.zeros(3))
+        if np.isfinite(reach.dwell):
+            release = reach.event + 0.12 + max(reach.dwell - 0.18, 0.0) * (not reach.carries)
+            blend(channels, times, release, 0.8 + 1.25 * posture.crouch, np.zeros(3))
     return Bending(channels[:, 0], channels[:, 1], channels[:, 2])
 
 

@@ -67,8 +67,7 @@ def _steps_of(person: Person, segment: Segment) -> list[Step]:
     first = _first_foot(segment)
     swing = (0.76 if walking else 0.80) * period
     return [
-        Step((first + number) % 2, segment.begin + number * period, period, swing, walking)
-        for number in range(n_steps)
+        Step((first + number) % 2, segment.begin + number * period, period, swing, walking) for number in range(n_steps)
     ]
 
 
@@ -81,7 +80,9 @@ def _first_foot(segment: Segment) -> int:
     return int(sideways + 0.3 * turn < 0.0)
 
 
-def place_feet(person: Person, base: BasePath, steps: tuple[Step, ...], times: Float[np.ndarray, " n"], *, seated: bool) -> Feet:
+def place_feet(
+    person: Person, base: BasePath, steps: tuple[Step, ...], times: Float[np.ndarray, " n"], *, seated: bool
+) -> Feet:
     """The balls of both feet over time.
 
     Args:

@@ -5,19 +5,18 @@ Source: ``methods/synthetic-recordings.md`` sections 6 and 10.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from prbench.rays import near_miss, slab_test
 from prbench.skeleton import WRISTS
-from prbench.synthetic.people.gaze_plan import GazePlan
+from prbench.synthetic.people.gaze_plan import WINDOW, GazePlan
 from prbench.synthetic.people.person import SIDES
-from prbench.synthetic.people.plan import Plan, Reach
+from prbench.synthetic.people.plan import Action, Plan, Reach
 from prbench.synthetic.performance import ObjectMotion, TrueEvent
 
-WINDOW = 10.0
 NEAR_MISS = 0.05
 _MOVED = 0.001
 _LASTING = 0.050
@@ -55,20 +54,34 @@ def true_events(
     """The truth about every pick, put and provocation of a recording."""
     events = []
     for reach, prime, kind in zip(plan.reaches, gaze.primes, gaze.kinds, strict=True):
+        if reach.action == "hover":
+            continue
         tag = reach.tag if reach.tag != "plain" else kind
-        events.append(_true_event(plan, reach, prime, tag, scene, objects[reach.item], recording_id))
+        actions: tuple[Action, ...] = ("pick", "put") if reach.action == "hinge" else (reach.action,)
+        for action in actions:
+            moment = replace(reach, action=action)
+            events.append(_true_event(moment, prime, tag, scene, objects[reach.item], recording_id))
     return tuple(events)
 
 
+def events_of_others(plan: Plan, scene: Scene, objects: list[ObjectMotion], recording_id: str) -> tuple[TrueEvent, ...]:
+    """What a bystander does; it belongs to the other person's recording."""
+    events = [
+        _true_event(reach, None, "bystander", scene, objects[reach.item], f"{recording_id}/other")
+        for reach in plan.reaches
+    ]
+    return tuple(replace(event, expected="other_wearer") for event in events)
+
+
 def _true_event(
-    plan: Plan, reach: Reach, prime: float | None, tag: str, scene: Scene, motion: ObjectMotion, recording_id: str
+    reach: Reach, prime: float | None, tag: str, scene: Scene, motion: ObjectMotion, recording_id: str
 ) -> TrueEvent:
     event_time = exact_event_time(reach, motion, scene.times)
     low, high = reach.centre - reach.half_world, reach.centre + reach.half_world
     sight = first_sight(scene, low, high, event_time)
     expected, margin = _expected(reach, sight, scene)
     return TrueEvent(
-        event_id=f"{recording_id}/{reach.number:03d}",
+        event_id=f"{recording_id}/{reach.number:03d}{'b' if tag == 'hinge' and reach.action == 'put' else ''}",
         action="put" if reach.action == "put" else "pick",
         tag=tag,
         object_id=motion.object_id,
@@ -88,6 +101,7 @@ def _true_event(
         reach_start=reach.reach_start,
         expected=expected,
         thin=sight.marginal or margin < _THIN_MOVEMENT,
+        lost_span=reach.twist.lost,
     )
 
 
@@ -95,8 +109,9 @@ def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> f
     """First (pick) or last (put) instant at which the object is more than 1 mm from its rest; crossing interpolated."""
     if len(motion.position) == 1:
         return reach.event
-    first, last = np.searchsorted(times, [reach.event - 1.0, reach.event + 1.0])
-    away = np.linalg.norm(motion.position[first:last] - reach.centre, axis=1)
+    first, last = np.searchsorted(times, [reach.event - 1.0, reach.event + 1.5])
+    rest = motion.position[-1] if reach.action == "put" else reach.centre
+    away = np.linalg.norm(motion.position[first:last] - rest, axis=1)
     beyond = np.flatnonzero(away > _MOVED)
     if not beyond.size:
         return reach.event
@@ -158,6 +173,8 @@ def _is_marginal(
 
 def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
     """The outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
+    if reach.tag == "hinge":
+        return "excluded_category", np.inf
     if reach.action not in ("pick", "put"):
         return "not_an_event", np.inf
     if sight.lasting is None:

@@ -60,6 +60,9 @@ class Item:
     position: Float[np.ndarray, "3"]
     """Centre of the box."""
     yaw: float
+    hinged: bool = False
+    rides_on: int | None = None
+    """Index of the object on which this one is carried."""
 
 
 @dataclass(frozen=True)
@@ -167,19 +170,22 @@ def _place_surface(
     normal = np.array([(0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)][wall])
     across, along = (preset.room[1], preset.room[0]) if wall % 2 == 0 else preset.room
     middle = -normal * across / 2.0 + height * UP
-    width = 1.4 if preset.table_only else float(rng.uniform(0.7, 1.3))
-    for attempt in range(60):
-        width = max(0.5, width * (0.97 if attempt else 1.0))
-        shift = 0.0 if preset.table_only else float(rng.uniform(-0.5, 0.5)) * (along - width)
-        surface = Surface(kind, middle, normal, width, weight)
-        surface = replace(surface, edge_centre=surface.point(shift, 0.0))
-        clear = [
-            abs(float((surface.edge_centre - other.edge_centre) @ surface.left)) > (width + other.width) / 2 + 0.05
-            for other in others
-        ]
-        if all(clear):
+    if preset.table_only:
+        return Surface(kind, middle, normal, 1.4, weight)
+    width = float(rng.uniform(0.7, 1.3))
+    surface = Surface(kind, middle, normal, width, weight)
+    for _ in range(60):
+        shift = float(rng.uniform(-0.5, 0.5)) * (along - width)
+        surface = replace(surface, edge_centre=middle + shift * surface.left, width=width)
+        if not any(_overlap(surface, other) for other in others):
             break
+        width = max(0.5, 0.97 * width)
     return surface
+
+
+def _overlap(surface: Surface, other: Surface) -> bool:
+    apart = abs(float((surface.edge_centre - other.edge_centre) @ surface.left))
+    return apart < (surface.width + other.width) / 2.0 + 0.05
 
 
 def _draw_bystander(
@@ -189,6 +195,7 @@ def _draw_bystander(
     kind = preset.objects[int(rng.integers(len(preset.objects)))]
     half_extents, yaw = draw_item_shape(kind, rng)
     level = number // 12
+    position = np.zeros(3)
     for _ in range(20):
         surface = surfaces[int(rng.integers(len(surfaces)))]
         position = draw_spot(surface, half_extents, yaw, rng) + (level > 0) * (1.0 + 0.22 * level) * UP

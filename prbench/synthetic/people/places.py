@@ -1,0 +1,178 @@
+"""Where to stand for a goal, and whether it can be reached from there.
+
+Source: ``methods/synthetic-recordings.md`` section 1 (standing place) and 3 (hot3d standing).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.synthetic.people.base import BasePose, Segment, plan_segment
+from prbench.synthetic.people.geometry import turn
+from prbench.synthetic.people.grasp import (
+    Grasp,
+    Posture,
+    draw_grasp_number,
+    shoulder_in_posture,
+    solve_posture,
+    take_hold,
+)
+from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.presets import Preset
+from prbench.synthetic.people.trunk import seated_pelvis_height
+from prbench.synthetic.people.world import Room, Surface
+
+_WITHIN_REACH = 0.92
+_STEP_NEARER_ABOVE = 0.905
+_STEP = 0.06
+_NEAREST = 0.34  # metres; nearer, the wrist would pass through the shoulder
+_WALL_CLEARANCE = 0.15
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A box to be held, at rest, and where on it."""
+
+    surface: int
+    centre: Float[np.ndarray, "3"]
+    half_extents: Float[np.ndarray, "3"]
+    yaw: float
+    handle: Float[np.ndarray, "3"] | None = None
+    """Centre of the part that is held, in the object's frame; None: the whole box."""
+    handle_half: Float[np.ndarray, "3"] | None = None
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A place from which a goal can be reached, the way there, and the reach."""
+
+    base: BasePose
+    segment: Segment | None
+    yaw: float
+    """Of the object at rest; a carried one has turned with the body."""
+    grasp: Grasp
+    posture: Posture
+
+
+@dataclass(frozen=True)
+class Held:
+    """How something in the hand was picked."""
+
+    centre: Float[np.ndarray, "3"]
+    yaw: float
+    heading: float
+    grasp: Grasp
+
+
+class Reachability:
+    """One person in one room; all draws come from the plan's generator."""
+
+    def __init__(self, preset: Preset, person: Person, room: Room, rng: np.random.Generator, is_seated: bool) -> None:
+        self.preset, self.person, self.room, self.rng, self.is_seated = preset, person, room, rng, is_seated
+        self.pelvis_height = seated_pelvis_height(person.body) if is_seated else None
+
+    def hand_for(self, base: BasePose, centre: np.ndarray) -> int:
+        """The side of the goal with p = .75, else the preferred hand."""
+        preferred = int(self.person.habits.right_handed)
+        if self.rng.random() >= 0.75:
+            return preferred
+        return int((centre - base.point) @ base.left < 0.0)
+
+    def stand(
+        self, base: BasePose, at_surface: int, goal: Goal, hand: int, held: Held | None, begin: float, *, stay: bool
+    ) -> Stand | None:
+        """A place from which a hand reaches a goal.
+
+        Args:
+            base: Where the person stands now.
+            at_surface: Before which surface.
+            goal: What to reach.
+            hand: 0 left, 1 right.
+            held: Set for a put: its grasp is repeated.
+            begin: When the person starts to move, seconds.
+            stay: Whether the feet must not move.
+
+        Returns:
+            None if the goal is out of reach from everywhere tried.
+        """
+        number = draw_grasp_number(self.preset, self.rng)
+        places = [base] if stay else self._places(base, at_surface, goal, hand)
+        for place in places:
+            segment = plan_segment(self.person.habits, self.preset.speed, base, place, begin)
+            here = base if segment is None else segment.goal
+            if not self.is_seated and np.hypot(goal.centre[0] - here.x, goal.centre[2] - here.z) < _NEAREST:
+                return None
+            yaw, grasp, posture = self._hold(here, hand, goal, number, held)
+            if posture.extension <= (_WITHIN_REACH if place is base else _STEP_NEARER_ABOVE):
+                return Stand(here, segment, yaw, grasp, posture)
+        return None
+
+    def _hold(
+        self, base: BasePose, hand: int, goal: Goal, number: float, held: Held | None
+    ) -> tuple[float, Grasp, Posture]:
+        """Grasp and posture depend on one another through the shoulder: two rounds settle them."""
+        if held is not None:
+            turned = base.heading - held.heading
+            grasp = held.grasp.moved(held.centre, goal.centre, turned)
+            return held.yaw + turned, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
+        centre, half = goal.centre, goal.half_extents
+        if goal.handle is not None and goal.handle_half is not None:
+            centre, half = goal.centre + turn(goal.yaw, 0.0, goal.handle), goal.handle_half
+
+        def grasp_in(posture: Posture) -> Grasp:
+            shoulder = shoulder_in_posture(self.person, base, hand, posture, self.pelvis_height)
+            return take_hold(self.preset, self.person.body, shoulder, centre, half, goal.yaw, number)
+
+        upright = Posture(0.0, 0.0, 0.0, 0.0)
+        first = solve_posture(self.person, base, hand, grasp_in(upright).wrist, self.pelvis_height)
+        grasp = grasp_in(first)
+        return goal.yaw, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
+
+    def _places(self, base: BasePose, at_surface: int, goal: Goal, hand: int) -> list[BasePose]:
+        """Standing places to try in turn: where one stands, the good place, then nearer ones."""
+        if self.is_seated:
+            return [base]
+        front = self.room.surfaces[goal.surface]
+        if self.preset.table_only:
+            return self._table_places(base, front, goal.centre, hand)
+        places = [base] if goal.surface == at_surface and self._feet_may_stay(base, goal.centre) else []
+        good = self._standing_place(front, goal.centre, hand)
+        return [*places, *(_nearer(good, _STEP * number, goal.centre) for number in range(5))]
+
+    def _feet_may_stay(self, base: BasePose, centre: np.ndarray) -> bool:
+        offset = centre - base.point
+        offset[1] = 0.0
+        lateral, ahead = abs(float(offset @ base.left)), float(offset @ base.forward)
+        farthest = 0.31 * self.person.body.stature + 0.30
+        return lateral <= 0.38 and ahead > 0.2 and float(np.linalg.norm(offset)) <= farthest
+
+    def _standing_place(self, front: Surface, centre: np.ndarray, hand: int) -> BasePose:
+        aside = float(self.rng.normal(0.12, 0.06)) * (1.0 if hand == 1 else -1.0)
+        lateral = float((centre - front.edge_centre) @ front.left) + aside
+        point = front.point(lateral, -float(self.rng.uniform(*self.preset.edge)))
+        half_x, half_z = (side / 2.0 - _WALL_CLEARANCE for side in self.room.floor)
+        point[0], point[2] = np.clip(point[0], -half_x, half_x), np.clip(point[2], -half_z, half_z)
+        heading = front.facing + float(np.deg2rad(self.rng.uniform(-8.0, 8.0)))
+        return BasePose(float(point[0]), float(point[2]), heading)
+
+    def _table_places(self, base: BasePose, front: Surface, centre: np.ndarray, hand: int) -> list[BasePose]:
+        """Along one table people shift most of the way to the good place, and lean for the rest."""
+        good = self._standing_place(front, centre, hand)
+        back = float(self.rng.uniform(-0.03, 0.08)) * front.normal
+        place = BasePose(
+            base.x + 0.75 * (good.x - base.x) + float(back[0]),
+            base.z + 0.75 * (good.z - base.z) + float(back[2]),
+            front.facing + float(np.deg2rad(4.0)) * float(self.rng.standard_normal()),
+        )
+        distances = [np.hypot(centre[0] - at.x, centre[2] - at.z) for at in (base, place)]
+        return [place] if max(distances) <= 0.40 * self.person.body.stature else []
+
+
+def _nearer(place: BasePose, by: float, centre: np.ndarray) -> BasePose:
+    towards = centre - place.point
+    towards[1] = 0.0
+    step = towards / np.linalg.norm(towards) * by
+    return replace(place, x=place.x + float(step[0]), z=place.z + float(step[2]))
