@@ -32,8 +32,8 @@ _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a 
 class PreparedDataset:
     """One table, ready to be run."""
 
-    chosen: int
-    """Sequences of split and limit."""
+    chosen: Selection
+    """The sequences of split and limit."""
     selection: Selection
     """Of these, the ones that the method can generate."""
     source: ConditionSource
@@ -135,7 +135,7 @@ def _dataset(
             scored_goals = shuffled.goal_location
         source = shuffled
     plan = plan_batches(selection.n_frames, request.batch_size)
-    return PreparedDataset(len(chosen), selection, source, plan, spec, scored_goals)
+    return PreparedDataset(chosen, selection, source, plan, spec, scored_goals)
 
 
 def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
@@ -185,9 +185,9 @@ def _table_record(dataset: PreparedDataset, request: RunRequest) -> TableRecord:
         redistribution=info.redistribution,
         identity_digest=selection.table.identity,
         content_digest=selection.table.content,
-        sequences=dataset.chosen,
-        unsupported=dataset.chosen - len(selection),
-        selection_digest=selection.digest,
+        sequences=len(dataset.chosen),
+        unsupported=len(dataset.chosen) - len(selection),
+        selection_digest=dataset.chosen.digest,
         batch_plan=BatchPlanRecord(
             batch_size=request.batch_size,
             batches=len(dataset.plan),

@@ -145,7 +145,7 @@ def _scored_set(dataset: PreparedDataset, request: RunRequest) -> ScoredSet:
     return ScoredSet(
         info=selection.table.info,
         recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
-        chosen=dataset.chosen,
+        chosen=len(dataset.chosen),
         method=request.method,
         condition=request.condition.value,
         control=request.control,

@@ -1,0 +1,139 @@
+"""A leaderboard as Markdown: the study's six metrics, a table a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from prbench.leaderboard.tables import (
+    FEWEST_RANKED,
+    MAIN_METRICS,
+    DatasetTable,
+    Leaderboard,
+    MacroRow,
+    MacroTable,
+    TableRow,
+    hides,
+)
+from prbench.metrics import MetricInfo
+
+_DASH = "–"
+_FEW = "†"
+
+
+def as_markdown(leaderboard: Leaderboard) -> str:
+    """The whole document."""
+    blocks = ["# Prime-and-reach leaderboard"]
+    for table in leaderboard.tables:
+        blocks += _dataset_blocks(table, shared_name=_repeats(table, leaderboard))
+    for macro in leaderboard.macro:
+        blocks += _macro_blocks(macro)
+    if leaderboard.notes:
+        blocks += ["## Notes", "\n".join(f"- {_plain(note)}" for note in leaderboard.notes)]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
+    counts = f"{table.sequences} sequences, {table.recordings} recordings"
+    title = f"## {_plain(table.title)}, `{table.dataset}`: {table.split}, {counts}"
+    if shared_name:
+        protocol, identity, content, _, chosen = (part[:8] for part in table.key)
+        title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS)]
+    rows = [
+        [
+            "control" if row.entry.record.method.kind == "control" else row.entry.record.condition,
+            row.entry.method,
+            row.variant,
+            *(_cell(row, info) for info in MAIN_METRICS),
+        ]
+        for row in table.rows
+    ]
+    return [title, _grid(header, rows), "\n".join(f"- {line}" for line in _legend(table))]
+
+
+def _cell(row: TableRow, info: MetricInfo) -> str:
+    """Mean and interval in the printed unit; the best of a condition in bold."""
+    metric = row.entry.metric(info.id)
+    if metric is None:
+        return ""
+    if hides(row.entry, info):
+        return _DASH
+    scale = _scale(info)
+    mean = f"{scale * metric.mean:.2f}"
+    text = f"**{mean}**" if row.ranks.get(info.id) == 1 else mean
+    if metric.low is not None and metric.high is not None:
+        text += f" [{scale * metric.low:.2f}, {scale * metric.high:.2f}]"
+    return text + (f" {_FEW}" if "few_recordings" in metric.marks else "")
+
+
+def _legend(table: DatasetTable) -> Iterable[str]:
+    yield "Rates in %, with 95 % intervals over recordings in brackets."
+    if table.synthetic:
+        yield "These are scores on synthetic data; they say nothing about real people."
+    if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
+        yield f"{_FEW} few recordings (below ten): the interval says little."
+    if table.sequences < FEWEST_RANKED:
+        yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
+    else:
+        yield "Bold: the best of two or more methods under one condition; controls are not ranked."
+    for row in table.rows:
+        if row.entry.summary.unsupported:
+            yield (
+                f"{_plain(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
+                " generate and were left out; not ranked."
+            )
+    if table.redistribution == "non-commercial":
+        yield "The data may be used for non-commercial purposes only."
+
+
+def _macro_blocks(macro: MacroTable) -> list[str]:
+    word = " (synthetic data among them)" if macro.synthetic else ""
+    title = f"## Mean over datasets: {', '.join(_plain(name) for name in macro.datasets)}{word}"
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing"]
+    rows = [
+        [
+            "control" if row.is_control else row.condition,
+            row.method,
+            row.variant,
+            *(_macro_cell(row, info) for info in MAIN_METRICS),
+            _missing(row),
+        ]
+        for row in macro.rows
+    ]
+    legend = "- Every dataset counts alike. Place in its condition in parentheses; none for methods without a dataset."
+    return [title, _grid(header, rows), legend]
+
+
+def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
+    if info.id not in row.means:
+        return _DASH if row.means else ""
+    rank = f" ({row.ranks[info.id]})" if info.id in row.ranks else ""
+    return f"{_scale(info) * row.means[info.id]:.2f}{rank}"
+
+
+def _missing(row: MacroRow) -> str:
+    return ", ".join(row.missing)
+
+
+def _column(info: MetricInfo) -> str:
+    arrow = {True: " ↑", False: " ↓", None: ""}[info.higher_is_better]
+    unit = {"rate": " (%)", "m": " (m)", "ratio": ""}[info.unit]
+    return f"{info.title}{arrow}{unit}"
+
+
+def _scale(info: MetricInfo) -> float:
+    return 100.0 if info.unit == "rate" else 1.0
+
+
+def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    rule = ["---"] * 3 + ["---:"] * len(MAIN_METRICS) + ["---"] * (len(header) - 3 - len(MAIN_METRICS))
+    return "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in [header, rule, *rows])
+
+
+def _plain(text: str) -> str:
+    """Text that cannot break a table."""
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def _repeats(table: DatasetTable, leaderboard: Leaderboard) -> bool:
+    return sum(other.dataset == table.dataset for other in leaderboard.tables) > 1

@@ -1,0 +1,97 @@
+"""Find run folders and read what stands in a leaderboard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import RunError
+from prbench.runs import record as run_record
+from prbench.runs.folder import RunFolder
+from prbench.runs.record import RunRecord, TableRecord
+from prbench.runs.summary import DatasetSummary, MetricSummary
+
+
+@dataclass(frozen=True)
+class LeaderboardRow:
+    """One run on one dataset."""
+
+    run: str
+    """Name of the run folder."""
+    record: RunRecord
+    table: TableRecord
+    summary: DatasetSummary
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.record.method.name
+
+    @property
+    def is_control(self) -> bool:
+        """Made by the harness, or with another sequence's goals: shown, never ranked."""
+        return self.record.method.kind == "control" or self.record.control is not None
+
+    @property
+    def variant(self) -> str:
+        """What tells two runs of one method apart."""
+        method = self.record.method
+        parts = [self.record.control] if self.record.control else []
+        if method.weights:
+            parts.append(f"weights {method.weights}")
+        parts += [f"{key}={value}" for key, value in sorted(method.options.items())]
+        return "; ".join(parts)
+
+    @property
+    def scored(self) -> int:
+        """Number of sequences behind the numbers."""
+        return self.summary.sequences - self.summary.unsupported
+
+    def metric(self, name: str) -> MetricSummary | None:
+        """One metric, if the run has it."""
+        return next((metric for metric in self.summary.metrics if metric.metric == name), None)
+
+
+@dataclass(frozen=True)
+class CollectedRuns:
+    """Rows of all finished runs, and what had to be left out."""
+
+    rows: tuple[LeaderboardRow, ...]
+    left_out: tuple[str, ...]
+
+
+def collect_runs(paths: Iterable[Path]) -> CollectedRuns:
+    """Read run folders, or all run folders below a folder.
+
+    Args:
+        paths: In any order; a run that is named twice counts once.
+
+    Raises:
+        RunError: if a path holds no run, or a run is damaged.
+    """
+    folders: dict[Path, None] = {}
+    for path in paths:
+        found = [path] if (path / run_record.FILE_NAME).is_file() else _runs_below(path)
+        if not found:
+            raise RunError(
+                f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
+            )
+        folders |= {folder.resolve(): None for folder in found}
+    rows: list[LeaderboardRow] = []
+    left_out: list[str] = []
+    for folder in sorted(folders):
+        run = RunFolder.open(folder)
+        unfinished = [table.dataset for table in run.record.tables if not run.dataset(table.dataset).finished]
+        if unfinished:
+            left_out.append(f"{folder.name}: not finished on {', '.join(unfinished)}; run it again, it resumes")
+            continue
+        rows += [
+            LeaderboardRow(folder.name, run.record, table, DatasetSummary.read(run.dataset(table.dataset).path))
+            for table in run.record.tables
+        ]
+    return CollectedRuns(tuple(rows), tuple(left_out))
+
+
+def _runs_below(path: Path) -> list[Path]:
+    return sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []

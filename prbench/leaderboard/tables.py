@@ -1,0 +1,222 @@
+"""Rows that compare, in one table; rows that do not, in tables of their own with the reason.
+
+Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
+within their condition, on the main metrics, where at least 50 sequences were scored; controls and methods that left
+sequences out are shown without rank. The macro mean weighs every dataset alike and exists only for methods that have
+all of them.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
+from prbench.metrics import METRICS, MetricInfo
+
+FEWEST_RANKED = 50
+"""Sequences below which no method is ranked."""
+MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
+_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+_KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One line of a dataset's table."""
+
+    entry: LeaderboardRow
+    variant: str
+    """Unique among the rows of one method and condition in one table."""
+    ranks: dict[str, int]
+    """By main metric; empty where nothing is ranked."""
+
+
+@dataclass(frozen=True)
+class DatasetTable:
+    """All comparable runs on one dataset."""
+
+    dataset: str
+    title: str
+    split: str
+    sequences: int
+    recordings: int
+    synthetic: bool
+    redistribution: str
+    key: tuple[str, ...]
+    """What the rows agree on: values of ``_KEYS``."""
+    rows: tuple[TableRow, ...]
+    """By condition, controls last."""
+
+    @property
+    def protocol_digest(self) -> str:
+        """Of the rules that the rows were scored by."""
+        return self.key[0]
+
+
+@dataclass(frozen=True)
+class MacroRow:
+    """Means of one method over the datasets; empty if it lacks one."""
+
+    method: str
+    is_control: bool
+    condition: str
+    variant: str
+    means: dict[str, float]
+    ranks: dict[str, int]
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MacroTable:
+    """Methods over all datasets of one protocol."""
+
+    datasets: tuple[str, ...]
+    synthetic: bool
+    rows: tuple[MacroRow, ...]
+
+
+@dataclass(frozen=True)
+class Leaderboard:
+    """Everything that an export shows."""
+
+    tables: tuple[DatasetTable, ...]
+    macro: tuple[MacroTable, ...]
+    notes: tuple[str, ...]
+
+
+def make_leaderboard(collected: CollectedRuns) -> Leaderboard:
+    """Sort rows into comparable tables, rank them, and take means over datasets."""
+    groups: dict[tuple[str, ...], list[LeaderboardRow]] = defaultdict(list)
+    for row in collected.rows:
+        groups[(row.summary.dataset, *_comparison_key(row))].append(row)
+    tables = tuple(_dataset_table(rows) for _, rows in sorted(groups.items()))
+    notes = [f"Left out: {reason}." for reason in collected.left_out] + list(_separations(tables))
+    return Leaderboard(tables, tuple(_macro_tables(tables)), tuple(notes))
+
+
+def _comparison_key(row: LeaderboardRow) -> tuple[str, ...]:
+    table = row.table
+    digests = (row.record.protocol_digest, table.identity_digest, table.content_digest)
+    return (*digests, row.record.split, table.selection_digest)
+
+
+def _separations(tables: Sequence[DatasetTable]) -> Iterable[str]:
+    """Why a dataset has more than one table."""
+    for dataset in sorted({table.dataset for table in tables}):
+        keys = [table.key for table in tables if table.dataset == dataset]
+        different = [name for i, name in enumerate(_KEYS) if len({key[i] for key in keys}) > 1]
+        if different:
+            yield f"{dataset} has {len(keys)} tables that must not be compared: they differ in {', '.join(different)}."
+
+
+def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
+    first = entries[0]
+    ordered = sorted(entries, key=_place)
+    variants = _unique_variants(ordered)
+    ranks = [dict[str, int]() for _ in ordered]
+    for condition in _CONDITIONS:
+        ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
+        for info in MAIN_METRICS:
+            values = {i: ordered[i].metric(info.id) for i in ranked if not hides(ordered[i], info)}
+            means = {i: metric.mean for i, metric in values.items() if metric is not None}
+            for i, rank in _ranks(means, info).items():
+                ranks[i][info.id] = rank
+    return DatasetTable(
+        dataset=first.summary.dataset,
+        title=first.summary.title,
+        split=first.record.split,
+        sequences=first.summary.sequences,
+        recordings=max(entry.summary.recordings for entry in entries),
+        synthetic=first.summary.synthetic,
+        redistribution=first.summary.redistribution,
+        key=_comparison_key(first),
+        rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks)),
+    )
+
+
+def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
+    """Whether a number says nothing: a body that stands still does not skate, and the study prints a dash."""
+    return entry.record.method.motionless and info.id == "foot_skating"
+
+
+def _is_ranked(entry: LeaderboardRow) -> bool:
+    return not entry.is_control and not entry.summary.unsupported and entry.scored >= FEWEST_RANKED
+
+
+def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
+    """Place of each value, from 1; equal values share the better place. A single value has none."""
+    if len(values) < 2 or info.higher_is_better is None:
+        return {}
+    sign = -1 if info.higher_is_better else 1
+    return {i: 1 + sum(sign * other < sign * value for other in values.values()) for i, value in values.items()}
+
+
+def _place(entry: LeaderboardRow) -> tuple:
+    condition = _CONDITIONS.index(entry.record.condition) if entry.record.condition in _CONDITIONS else len(_CONDITIONS)
+    return (entry.record.method.kind == "control", condition, entry.method, entry.variant, entry.record.seed, entry.run)
+
+
+def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
+    """Variants, told apart by seed or by the run folder's name where method, condition and variant agree."""
+    plain = [entry.variant for entry in entries]
+    seeded = [_joined(entry.variant, f"seed {entry.record.seed}") for entry in entries]
+    named = [_joined(entry.variant, f"run {entry.run}") for entry in entries]
+
+    def alike(texts: list[str], i: int) -> bool:
+        mine = (entries[i].method, entries[i].record.condition, texts[i])
+        others = [(entry.method, entry.record.condition, text) for entry, text in zip(entries, texts)]
+        return others.count(mine) > 1
+
+    return [
+        plain[i] if not alike(plain, i) else seeded[i] if not alike(seeded, i) else named[i]
+        for i in range(len(entries))
+    ]
+
+
+def _joined(*parts: str) -> str:
+    return "; ".join(part for part in parts if part)
+
+
+def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
+    """One for each protocol with two datasets or more, if each dataset has one table under it."""
+    for protocol in sorted({table.protocol_digest for table in tables}):
+        under = [table for table in tables if table.protocol_digest == protocol]
+        datasets = tuple(table.dataset for table in under)
+        if len(datasets) < 2 or len(set(datasets)) < len(datasets):
+            continue
+        yield MacroTable(datasets, any(table.synthetic for table in under), tuple(_macro_rows(under)))
+
+
+def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
+    found: dict[tuple[str, str, str], dict[str, LeaderboardRow]] = defaultdict(dict)
+    for table in tables:
+        for row in table.rows:
+            found[row.entry.record.condition, row.entry.method, row.variant][table.dataset] = row.entry
+    names = [table.dataset for table in tables]
+    means = {key: _macro_means(entries, names) for key, entries in found.items()}
+    ranks: dict[tuple[str, str, str], dict[str, int]] = {key: {} for key in found}
+    for condition in _CONDITIONS:
+        keys = [key for key in found if key[0] == condition and all(_is_ranked(entry) for entry in found[key].values())]
+        for info in MAIN_METRICS:
+            values = {i: means[key][info.id] for i, key in enumerate(keys) if info.id in means[key]}
+            for i, rank in _ranks(values, info).items():
+                ranks[keys[i]][info.id] = rank
+    for key in sorted(found, key=lambda key: min(_place(entry) for entry in found[key].values())):
+        condition, method, variant = key
+        missing = tuple(name for name in names if name not in found[key])
+        is_control = any(entry.record.method.kind == "control" for entry in found[key].values())
+        yield MacroRow(method, is_control, condition, variant, means[key], ranks[key], missing)
+
+
+def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, float]:
+    if any(name not in entries for name in datasets):
+        return {}
+    means = {}
+    for info in MAIN_METRICS:
+        metrics = [entries[name].metric(info.id) for name in datasets if not hides(entries[name], info)]
+        values = [metric.mean for metric in metrics if metric is not None]
+        if len(values) == len(datasets):
+            means[info.id] = sum(values) / len(values)
+    return means
