@@ -19,13 +19,22 @@ def turn(yaw: np.ndarray | float, pitch: np.ndarray | float, vector: np.ndarray)
     tipped_y = y * cos_pitch - z * sin_pitch
     tipped_z = y * sin_pitch + z * cos_pitch
     cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
-    parts = np.broadcast_arrays(x * cos_yaw + tipped_z * sin_yaw, tipped_y, tipped_z * cos_yaw - x * sin_yaw)
-    return np.stack(parts, axis=-1)
+    turned_x = x * cos_yaw + tipped_z * sin_yaw
+    turned = np.empty((*np.broadcast_shapes(np.shape(turned_x), np.shape(tipped_y)), 3))
+    turned[..., 0], turned[..., 1], turned[..., 2] = turned_x, tipped_y, tipped_z * cos_yaw - x * sin_yaw
+    return turned
 
 
 def rotation(yaw: np.ndarray | float, pitch: np.ndarray | float) -> Float[np.ndarray, "*batch 3 3"]:
     """The matrix Ry(yaw) Rx(pitch); its columns are left, up and forward of the turned frame."""
     return np.stack([turn(yaw, pitch, axis) for axis in np.eye(3)], axis=-1)
+
+
+def rotation_quaternion(yaw: np.ndarray, pitch: np.ndarray) -> Float[np.ndarray, "*batch 4"]:
+    """The quaternion (w x y z) of Ry(yaw) Rx(pitch), w >= 0."""
+    cos_yaw, sin_yaw, cos_pitch, sin_pitch = (f(angle / 2.0) for angle in (yaw, pitch) for f in (np.cos, np.sin))
+    turned = np.stack([cos_yaw * cos_pitch, cos_yaw * sin_pitch, sin_yaw * cos_pitch, -sin_yaw * sin_pitch], axis=-1)
+    return np.where(turned[..., :1] < 0.0, -turned, turned)
 
 
 def direction(yaw: np.ndarray | float, pitch: np.ndarray | float) -> np.ndarray:

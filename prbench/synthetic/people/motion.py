@@ -14,7 +14,7 @@ from prbench.skeleton import N_JOINTS, Joint
 from prbench.synthetic.people.arms import Arms, move_wrists, pose_arms, turn_hands
 from prbench.synthetic.people.base import BasePath, sample_base
 from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze
-from prbench.synthetic.people.geometry import frame_of_bone, quaternion, rotation, turn
+from prbench.synthetic.people.geometry import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.grasp import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.head_eye import Head, move_head
 from prbench.synthetic.people.legs import Legs, pose_legs
@@ -143,12 +143,12 @@ def _assemble(
     head_joint = trunk.neck + turn(neck_yaw, neck_pitch, along_neck)
     eye = head_joint + turn(head.yaw, head.pitch, np.array(body.eye))
     hands = turn_hands(plan, arms, times)
-    head_matrix = rotation(head.yaw, head.pitch)
+    head_rotation = rotation_quaternion(head.yaw, head.pitch)
     return Motion(
         joints=_joints(trunk, legs, arms, head_joint),
-        rotations=_rotations(trunk, legs, arms, feet, rotation(neck_yaw, neck_pitch), head_matrix, hands),
+        rotations=_rotations(trunk, legs, arms, feet, rotation_quaternion(neck_yaw, neck_pitch), head_rotation, hands),
         head=head,
-        head_rotation=quaternion(head_matrix),
+        head_rotation=head_rotation,
         eye=eye,
         hands=hands,
         finger_bases=arms.wrist + body.hand * hands[..., 1],
@@ -180,28 +180,31 @@ def _rotations(
     trunk: Trunk, legs: Legs, arms: Arms, feet: Feet, neck: np.ndarray, head: np.ndarray, hands: np.ndarray
 ) -> Float[np.ndarray, "n 22 4"]:
     """World from the segment that begins at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
-    matrices = np.empty((len(neck), N_JOINTS, 3, 3))
-    trunk_matrices = [rotation(yaw, pitch) for yaw, pitch in zip(trunk.yaws, trunk.pitches, strict=True)]
-    for joint, matrix in zip((Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3), trunk_matrices, strict=True):
-        matrices[:, joint] = matrix
-    matrices[:, Joint.NECK], matrices[:, Joint.HEAD] = neck, head
+    turned = np.empty((len(head), N_JOINTS, 4))
+    for joint, yaw, pitch in zip(
+        (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3), trunk.yaws, trunk.pitches, strict=True
+    ):
+        turned[:, joint] = rotation_quaternion(yaw, pitch)
+    turned[:, Joint.NECK], turned[:, Joint.HEAD] = neck, head
     hips = np.stack(trunk.hips, axis=1)
     shoulders = np.stack(trunk.shoulders, axis=1)
     knee_hinge = np.cross(legs.knee - hips, legs.ankle - legs.knee)
-    foot = rotation(feet.yaw, feet.pitch)
+    foot = rotation_quaternion(feet.yaw, feet.pitch)
     for side in (0, 1):
-        matrices[:, Joint.LEFT_COLLAR + side] = trunk_matrices[3]
-        matrices[:, Joint.LEFT_HIP + side] = frame_of_bone(legs.knee[:, side] - hips[:, side], knee_hinge[:, side])
-        matrices[:, Joint.LEFT_KNEE + side] = frame_of_bone(
-            legs.ankle[:, side] - legs.knee[:, side], knee_hinge[:, side]
+        turned[:, Joint.LEFT_COLLAR + side] = turned[:, Joint.SPINE3]
+        turned[:, Joint.LEFT_HIP + side] = quaternion(
+            frame_of_bone(legs.knee[:, side] - hips[:, side], knee_hinge[:, side])
         )
-        matrices[:, Joint.LEFT_ANKLE + side] = foot[:, side]
-        matrices[:, Joint.LEFT_FOOT + side] = foot[:, side]
-        matrices[:, Joint.LEFT_SHOULDER + side] = frame_of_bone(
-            arms.elbow[:, side] - shoulders[:, side], arms.hinge[:, side]
+        turned[:, Joint.LEFT_KNEE + side] = quaternion(
+            frame_of_bone(legs.ankle[:, side] - legs.knee[:, side], knee_hinge[:, side])
         )
-        matrices[:, Joint.LEFT_ELBOW + side] = frame_of_bone(
-            arms.wrist[:, side] - arms.elbow[:, side], arms.hinge[:, side]
+        turned[:, Joint.LEFT_ANKLE + side] = foot[:, side]
+        turned[:, Joint.LEFT_FOOT + side] = foot[:, side]
+        turned[:, Joint.LEFT_SHOULDER + side] = quaternion(
+            frame_of_bone(arms.elbow[:, side] - shoulders[:, side], arms.hinge[:, side])
         )
-        matrices[:, Joint.LEFT_WRIST + side] = hands[:, side]
-    return quaternion(matrices)
+        turned[:, Joint.LEFT_ELBOW + side] = quaternion(
+            frame_of_bone(arms.wrist[:, side] - arms.elbow[:, side], arms.hinge[:, side])
+        )
+        turned[:, Joint.LEFT_WRIST + side] = quaternion(hands[:, side])
+    return turned

@@ -98,8 +98,7 @@ def place_feet(
     ball = np.stack([np.tile(spot[0], (n, 1)) for spot in spots], axis=1)
     yaw = np.stack([np.full(n, spot[1]) for spot in spots], axis=1)
     pitch, planted = np.zeros((n, 2)), np.ones((n, 2), dtype=bool)
-    ends = {step.lift: step for step in steps}
-    for step in ends.values():
+    for step in steps:
         middle = np.searchsorted(times, step.lift + 1.38 * step.period)
         index = int(min(middle, n - 1))
         new_ball, new_yaw = _plant(person, base.pose(index), step.foot, float(base.speed[index]), None)
@@ -107,7 +106,7 @@ def place_feet(
         spots[step.foot] = new_ball, new_yaw
         stride = float(np.linalg.norm(new_ball - old_ball))
         _swing(ball[:, step.foot], yaw[:, step.foot], times, step, (old_ball, new_ball), (old_yaw, new_yaw))
-        pitch[:, step.foot] += _roll(times, step, min(1.0, stride / 1.1))
+        _roll(pitch[:, step.foot], times, step, min(1.0, stride / 1.1))
         first, last = np.searchsorted(times, [step.lift - _ROLL_BEFORE_LIFT, step.landing])
         planted[first:last, step.foot] = False
     return Feet(ball, yaw, pitch, planted)
@@ -132,19 +131,21 @@ def _swing(
     places: tuple[np.ndarray, np.ndarray],
     yaws: tuple[float, float],
 ) -> None:
-    first = int(np.searchsorted(times, step.lift - _ROLL_BEFORE_LIFT))
-    elapsed = times[first:] - step.lift
+    first, last = np.searchsorted(times, [step.lift - _ROLL_BEFORE_LIFT, step.landing])
+    elapsed = times[first:last] - step.lift
     stride = float(np.linalg.norm(places[1] - places[0]))
     height = (0.060 + 0.025 * min(stride, 1.2)) * min(1.0, stride / 0.12 + abs(yaws[1] - yaws[0]) / 0.5)
     progress = eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
     up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
     down = minimum_jerk((elapsed / step.swing - 0.62) / 0.38)
-    ball[first:] = np.where(progress[:, None] < 1.0, places[0] + progress[:, None] * (places[1] - places[0]), places[1])
-    ball[first:, 1] = BALL_HEIGHT + height * np.where(down < 1.0, up * (1.0 - down), 0.0)
-    yaw[first:] = yaws[0] + progress * (yaws[1] - yaws[0])
+    ball[first:last] = places[0] + progress[:, None] * (places[1] - places[0])
+    ball[first:last, 1] = BALL_HEIGHT + height * up * (1.0 - down)
+    ball[last:] = places[1]
+    yaw[first:last] = yaws[0] + progress * (yaws[1] - yaws[0])
+    yaw[last:] = yaws[1]
 
 
-def _roll(times: np.ndarray, step: Step, factor: float) -> np.ndarray:
+def _roll(pitch: np.ndarray, times: np.ndarray, step: Step, factor: float) -> None:
     """Heel off before the lift, toes up at landing, flat soon after."""
     keys = np.array(
         [
@@ -156,10 +157,8 @@ def _roll(times: np.ndarray, step: Step, factor: float) -> np.ndarray:
         ]
     )
     values = factor * np.array([0.0, _HEEL_UP, 0.0, _TOES_UP, 0.0])
-    pitch = np.zeros(times.size)
-    first, last = np.searchsorted(times, [keys[0], keys[-1]])
-    inside = times[first:last]
-    for begin, end, before, after in zip(keys, keys[1:], values, values[1:], strict=False):
-        part = (inside >= begin) & (inside < end)
-        pitch[first:last][part] = before + minimum_jerk((inside[part] - begin) / (end - begin)) * (after - before)
-    return pitch
+    borders = np.searchsorted(times, keys)
+    for part in range(len(keys) - 1):
+        span = slice(borders[part], borders[part + 1])
+        share = minimum_jerk((times[span] - keys[part]) / (keys[part + 1] - keys[part]))
+        pitch[span] += values[part] + share * (values[part + 1] - values[part])
