@@ -106,9 +106,7 @@ def synthesize_tree(
     require_sensors(preset)
     amount = _amount(size)
     _require_free(out)
-    count = amount.recordings if recordings is None else recordings
-    if count < 1:
-        raise UsageError(f"a synthetic tree needs at least one recording, {count} were asked for.")
+    count = planned_recordings(size, recordings)
     with atomic_folder(out) as root:
         jobs = [
             _Job(
@@ -133,6 +131,18 @@ def synthesize_tree(
             write_truth(pa.concat_tables([getattr(result, name) for result in done]), root, name)
         _write_mark(root, preset, seed, done)
     return WrittenTree(out, tuple(result.recording for result in done))
+
+
+def planned_recordings(size: str, recordings: int | None) -> int:
+    """How many recordings a tree will have.
+
+    Raises:
+        UsageError: for less than one, or a size that is not written.
+    """
+    count = _amount(size).recordings if recordings is None else recordings
+    if count < 1:
+        raise UsageError(f"a synthetic tree needs at least one recording, {count} were asked for.")
+    return count
 
 
 @dataclass(frozen=True)

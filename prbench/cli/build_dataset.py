@@ -1,0 +1,116 @@
+"""``prbench build-dataset``: native recordings into a table."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.progress import progress
+from prbench.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from prbench.curation import BuildPlan, BuildReport
+    from prbench.curation.options import BuildOptions
+
+NOT_EVERYTHING = 3
+"""Exit code of a build that finished, but had to leave recordings out because they could not be read."""
+
+
+def add_parser(commands: argparse._SubParsersAction) -> None:
+    """Register the command."""
+    parser = command(
+        commands,
+        "build-dataset",
+        summary="turn a dataset's recordings into a table of prime-and-reach sequences",
+        example="prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4",
+        execute=_build,
+    )
+    parser.add_argument("dataset", help="name of the dataset, for example adt")
+    parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the table; an earlier table is replaced")
+    parser.add_argument("--recordings", default="*", metavar="GLOB", help="only recordings whose name matches")
+    parser.add_argument("--limit", type=positive, metavar="N", help="only the first N recordings, by name")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be read, and write nothing")
+    parser.add_argument("--in-hand", metavar="RULE", help="another in-hand rule of the manifest, for example wrist")
+    parser.add_argument("--ray-origin", choices=["eye", "camera"], help="where gaze rays start (default: eye)")
+    parser.add_argument(
+        "--minimum-movement",
+        default="wrist_to_goal",
+        metavar="MEASURE",
+        help="what must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement",
+    )
+    parser.add_argument(
+        "--on-error",
+        choices=["quarantine", "stop"],
+        default="quarantine",
+        help="go on without a recording that cannot be read and name it (default), or stop",
+    )
+    add_workers(parser)
+
+
+def _build(arguments: argparse.Namespace) -> int:
+    from prbench.curation import build_dataset, plan_build
+    from prbench.engine import engine_for
+    from prbench.errors import UsageError
+
+    options = _options(arguments)
+    if arguments.dry_run:
+        _print_plan(plan_build(arguments.dataset, arguments.root, options), arguments.workers)
+        return 0
+    if arguments.out is None:
+        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+    with progress(f"building {arguments.dataset}") as show:
+        report = build_dataset(
+            arguments.dataset,
+            arguments.root,
+            arguments.out,
+            options=options,
+            engine=engine_for(arguments.workers),
+            progress=lambda step: show(step.done, step.total, step.record.recording_id),
+        )
+    return _print_report(report)
+
+
+def _options(arguments: argparse.Namespace) -> BuildOptions:
+    from prbench.curation.options import BuildOptions, CurationOptions
+
+    return BuildOptions(
+        curation=CurationOptions(
+            in_hand=arguments.in_hand,
+            ray_origin=arguments.ray_origin,
+            minimum_movement=arguments.minimum_movement,
+        ),
+        recordings=arguments.recordings,
+        limit=arguments.limit,
+        on_error=arguments.on_error,
+    )
+
+
+def _print_plan(plan: BuildPlan, workers: int) -> None:
+    print(f"{len(plan.recordings)} recordings, {plan.input_bytes / 1e6:,.1f} MB to read")
+    if plan.skipped:
+        print(f"{len(plan.skipped)} of them are known to be bad and would be skipped: {', '.join(plan.skipped)}")
+    minutes = plan.estimated_seconds / workers / 60
+    print(
+        f"estimated: {minutes:,.1f} minutes with {workers} worker{'s' if workers > 1 else ''},"
+        f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
+    )
+
+
+def _print_report(report: BuildReport) -> int:
+    from prbench.curation.funnel import funnel_rows
+
+    if report.reused:
+        print(f"{report.reused} recordings were taken over from an interrupted build.", file=sys.stderr)
+    rows = [(row.stage, str(row.kept), str(row.dropped or ""), row.reason) for row in funnel_rows(report.info)]
+    print_table(
+        f"{report.info.title}: from files to sequences", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2)
+    )
+    for record in report.records:
+        if record.status != "read":
+            print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
+    print(f"table: {report.folder}")
+    return NOT_EVERYTHING if report.info.counts.recordings_failed else 0

@@ -1,0 +1,106 @@
+"""``prbench run``: a method over tables, scored."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.cli.arguments import add_data, add_workers, command, key_value, positive
+from prbench.cli.progress import progress
+from prbench.cli.summaries import print_summary
+
+if TYPE_CHECKING:
+    from prbench.engine import Engine
+    from prbench.evaluation.request import RunRequest
+
+_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+
+
+def add_parser(commands: argparse._SubParsersAction) -> None:
+    """Register the command."""
+    parser = command(
+        commands,
+        "run",
+        summary="run a method over tables and score what it generates",
+        example="prbench run --method static --condition none --data tables/adt --out runs/static",
+        execute=_run,
+    )
+    parser.add_argument(
+        "--method", required=True, metavar="NAME", help="an installed method, or the control ground-truth or scripted"
+    )
+    parser.add_argument("--condition", choices=_CONDITIONS, default="none", help="what the method is given")
+    add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: one under ./runs); resumes")
+    parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
+    parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="the method's weights")
+    parser.add_argument(
+        "--option", type=key_value, action="append", default=[], metavar="KEY=VALUE", help="for the method; repeatable"
+    )
+    parser.add_argument("--control", choices=["shuffled-goal"], help="give every sequence another one's goal")
+    parser.add_argument("--seed", type=int, default=0, help="of the run (default 0)")
+    parser.add_argument("--samples", type=positive, default=1, metavar="N", help="motions a sequence (default 1)")
+    parser.add_argument("--batch-size", type=positive, default=64, metavar="N", help="sequences a batch (default 64)")
+    parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
+    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads a worker (default 1)")
+    add_workers(parser)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from prbench.engine import engine_for
+    from prbench.evaluation.run import run_method
+
+    engine = engine_for(arguments.workers)
+    data = tuple(arguments.data) if arguments.data else (_embedded_table(engine),)
+    with progress(f"running {arguments.method}") as show:
+        report = run_method(
+            _request(arguments, data),
+            engine=engine,
+            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
+        )
+    if report.batches_found:
+        print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
+    for summary in report.summaries:
+        print_summary(summary)
+    print(f"run folder: {report.folder.path}")
+    return 0
+
+
+def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunRequest:
+    from prbench.contract import Condition
+    from prbench.evaluation.request import RunRequest
+
+    return RunRequest(
+        method=arguments.method,
+        data=data,
+        condition=Condition(arguments.condition),
+        weights=arguments.weights,
+        options=dict(arguments.option),
+        split=arguments.split,
+        limit=arguments.limit,
+        seed=arguments.seed,
+        samples=arguments.samples,
+        batch_size=arguments.batch_size,
+        device=arguments.device,
+        threads=arguments.threads,
+        control=arguments.control,
+        out=arguments.out,
+    )
+
+
+def _embedded_table(engine: Engine) -> Path:
+    """The folder of the embedded synthetic dataset, which is built on the first call."""
+    from prbench.workflows.first_run import RECORDINGS, default_table, default_table_folder
+
+    folder = default_table_folder()
+    if (folder / "dataset.json").is_file():
+        print(f"no --data given: using the embedded synthetic dataset in {folder}", file=sys.stderr)
+    else:
+        print(
+            f"no --data given: building a synthetic dataset of {RECORDINGS} recordings in {folder} (once)",
+            file=sys.stderr,
+        )
+    with progress("building synthetic data") as show:
+        return default_table(engine, show).folder

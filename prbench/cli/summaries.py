@@ -1,0 +1,44 @@
+"""Scores on the terminal: one row a metric, its interval beside it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from prbench.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from prbench.runs.summary import DatasetSummary, MetricSummary
+
+_MARKS = {
+    "few_recordings": "few recordings",
+    "one_recording": "one recording",
+    "all_equal": "all equal",
+}
+
+
+def print_summary(summary: DatasetSummary) -> None:
+    """Print the scores of one method on one dataset."""
+    control = f", {summary.control}" if summary.control else ""
+    title = (
+        f"{summary.title}: {summary.method}, condition {summary.condition}{control}; {summary.sequences} sequences of"
+        f" {summary.recordings} recordings, split {summary.split}"
+    )
+    rows = [(metric.title, *_cells(metric), _remarks(metric)) for metric in summary.metrics]
+    print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
+    if summary.unsupported:
+        print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
+    if summary.synthetic:
+        print("These are scores on synthetic data: never compare them with published ones.")
+
+
+def _cells(metric: MetricSummary) -> tuple[str, str]:
+    scale, unit = (100.0, " %") if metric.unit == "rate" else (1.0, " m" if metric.unit == "m" else "")
+    mean = f"{metric.mean * scale:.2f}{unit}"
+    if metric.low is None or metric.high is None:
+        return mean, "–"
+    return mean, f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
+
+
+def _remarks(metric: MetricSummary) -> str:
+    flags = [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
+    return "; ".join([_MARKS.get(mark, mark) for mark in metric.marks] + flags)

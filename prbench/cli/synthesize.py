@@ -1,0 +1,144 @@
+"""``prbench synthesize``: synthetic recordings in a dataset's native files, with the truth beside them."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.progress import progress
+from prbench.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from prbench.engine import Engine
+    from prbench.workflows.matching import Verification
+
+FEWEST_VERIFIED = 4
+"""Recordings on which each noise level is verified at least."""
+
+
+def add_parser(commands: argparse._SubParsersAction) -> None:
+    """Register the command."""
+    parser = command(
+        commands,
+        "synthesize",
+        summary="write synthetic recordings in a dataset's native layout, with the truth beside them",
+        example="prbench synthesize adt --recordings 4 --seed 1 --out synthetic/adt",
+        execute=_synthesize,
+    )
+    parser.add_argument("layout", nargs="?", help="native layout to write, for example adt")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the recordings")
+    parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")
+    parser.add_argument("--seed", type=int, default=0, help="of everything (default 0)")
+    parser.add_argument("--size", choices=["tiny", "default", "large"], default="tiny", help="how much (default tiny)")
+    parser.add_argument("--events", type=positive, metavar="N", help="picks and puts a recording")
+    parser.add_argument("--bystander-objects", type=int, metavar="N", help="objects that never move")
+    parser.add_argument(
+        "--no-verify", action="store_true", help="do not compare what curation finds in the files with the truth"
+    )
+    parser.add_argument("--gallery", type=Path, metavar="FILE", help="draw a contact sheet of sequences as PNG")
+    add_workers(parser)
+
+
+def _synthesize(arguments: argparse.Namespace) -> int:
+    from prbench.errors import UsageError
+
+    if arguments.gallery is None and arguments.layout is None:
+        raise UsageError("name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE.")
+    if arguments.layout is not None:
+        _write_tree(arguments)
+    if arguments.gallery is not None:
+        _draw_gallery(arguments)
+    return 0
+
+
+def _write_tree(arguments: argparse.Namespace) -> None:
+    from prbench.engine import engine_for
+    from prbench.errors import UsageError
+    from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
+
+    if arguments.out is None:
+        raise UsageError("--out DIR is needed: the folder of the recordings.")
+    done, planned = itertools.count(1), planned_recordings(arguments.size, arguments.recordings)
+    with progress(f"writing {arguments.layout}") as show:
+        tree = synthesize_tree(
+            arguments.layout,
+            arguments.out,
+            recordings=arguments.recordings,
+            seed=arguments.seed,
+            size=arguments.size,
+            workers=arguments.workers,
+            n_events=arguments.events,
+            bystander_objects=arguments.bystander_objects,
+            on_written=lambda written: show(next(done), planned, written.recording_id),
+        )
+    print_table(
+        "synthetic recordings",
+        ("recording", "split", "seconds", "events", "objects"),
+        [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events), str(r.n_objects)) for r in tree.recordings],
+        numbers=(2, 3, 4),
+    )
+    if not arguments.no_verify:
+        _verify(arguments, len(tree.recordings), engine_for(arguments.workers))
+    print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
+
+
+def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> None:
+    """What curation finds in the files just written, and at each noise level in recordings of the same seed."""
+    from prbench.workflows.verify_synthetic import LEVELS, verify_level, verify_tree
+
+    rows = []
+    with progress("comparing curation with the truth") as show:
+        rows.append(
+            _verification_row("these files", verify_tree(arguments.out, dataset=arguments.layout, engine=engine))
+        )
+        for done, level in enumerate(LEVELS, start=1):
+            show(done, len(LEVELS), level.name)
+            result = verify_level(
+                level,
+                preset=arguments.layout,
+                recordings=max(recordings, FEWEST_VERIFIED),
+                seed=arguments.seed,
+                engine=engine,
+            )
+            rows.append(_verification_row(level.name, result))
+    print_table(
+        "what curation finds, against what was acted out",
+        (
+            "sensors", "recordings", "events", "recall", "precision", "timing bias", "median", "p95", "priming recall",
+            "false primes", "prime median", "p5 … p95",
+        ),
+        rows,
+        numbers=range(1, 12),
+    )  # fmt: skip
+    print("times in ms; events within the sensors' resolution of a threshold and lost tracks are not counted")
+
+
+def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
+    low, _, high = result.prime_quantiles
+    return (
+        name,
+        str(result.recordings),
+        str(result.true_events),
+        f"{result.recall:.3f}",
+        f"{result.precision:.3f}",
+        f"{result.timing.bias * 1e3:+.0f}",
+        f"{result.timing.median * 1e3:.0f}",
+        f"{result.timing.p95 * 1e3:.0f}",
+        f"{result.priming_recall:.3f}",
+        f"{result.false_primes:.3f} of {result.unprimed}",
+        f"{result.prime.median * 1e3:.0f}",
+        f"{low * 1e3:+.0f} … {high * 1e3:+.0f}",
+    )
+
+
+def _draw_gallery(arguments: argparse.Namespace) -> None:
+    from prbench.synthetic.people import PRESETS, perform
+    from prbench.viewing.gallery import render_gallery
+
+    presets = (arguments.layout,) if arguments.layout else tuple(PRESETS)
+    performances = [perform(preset, seed=arguments.seed, index=0) for preset in presets]
+    render_gallery(performances, arguments.gallery)
+    print(f"gallery: {arguments.gallery}")

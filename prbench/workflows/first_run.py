@@ -1,0 +1,41 @@
+"""The embedded default: a small synthetic dataset in the user's cache, built when no data is given."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import platformdirs
+
+from prbench.engine import Engine
+from prbench.manifests import digest_of, load_manifest, load_protocol
+from prbench.sequences import SequenceTable
+from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.storage import text_digest
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.workflows.synthetic_table import Progress, build_synthetic_table
+
+PRESET = "adt"
+RECORDINGS = 40
+SEED = 0
+
+
+def cache_folder() -> Path:
+    """Where prbench keeps what it can make again: ``PRBENCH_CACHE``, else the user's cache folder."""
+    return Path(os.environ.get("PRBENCH_CACHE") or platformdirs.user_cache_dir("prbench", appauthor=False))
+
+
+def default_table_folder() -> Path:
+    """Folder of the embedded dataset; another version of generator, protocol or schema gets another folder."""
+    key = text_digest(
+        str(GENERATOR_VERSION), str(SCHEMA_VERSION), load_protocol().digest, digest_of(load_manifest(PRESET))
+    )
+    return cache_folder() / "tables" / f"synthetic-{PRESET}-{RECORDINGS}-{key[:12]}"
+
+
+def default_table(engine: Engine, progress: Progress) -> SequenceTable:
+    """Open the embedded dataset, building it first where it is not there yet."""
+    folder = default_table_folder()
+    if not (folder / "dataset.json").is_file():
+        build_synthetic_table(PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress)
+    return SequenceTable.open(folder)
