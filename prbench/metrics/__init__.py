@@ -42,7 +42,6 @@ def score(
     metrics: Collection[str] | None = None,
     allow_length_mismatch: bool = False,
     chunk_frames: int = CHUNK_FRAMES,
-    threads: int = 2,
 ) -> dict[str, MetricValues]:
     """Score predicted motions against the recorded ones.
 
@@ -58,7 +57,6 @@ def score(
         allow_length_mismatch: Accept motions of another length than the recorded one: the final frame is then each
             motion's own, MPJPE takes the frames that both have, and the values carry the flag ``length_mismatch``.
         chunk_frames: Frames that are worked on at once; a matter of speed and memory only.
-        threads: Chunks that are worked on at the same time; likewise.
 
     Returns:
         The values by metric id, in printed order.
@@ -75,5 +73,4 @@ def score(
         metrics=metrics,
         allow_length_mismatch=allow_length_mismatch,
         chunk_frames=chunk_frames,
-        threads=threads,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -24,21 +23,16 @@ def score_pair(
     metrics: Collection[str] | None,
     allow_length_mismatch: bool,
     chunk_frames: int,
-    threads: int,
 ) -> dict[str, MetricValues]:
     """Compute the wanted metrics chunk by chunk; see :func:`prbench.metrics.score`."""
     wanted = _wanted(pair, families, metrics)
     _check(pair, wanted, allow_length_mismatch=allow_length_mismatch)
-    bounds = list(pair.predicted.chunk_bounds(chunk_frames))
-
-    def score_chunk(start_stop: tuple[int, int]) -> dict[str, MetricValues]:
-        part = pair.part(*start_stop)
-        part.predicted.require_finite("predicted", counted_from=start_stop[0])
-        part.recorded.require_finite("recorded", counted_from=start_stop[0])
-        return {values.metric: values for family in wanted for values in family.compute(part, constants)}
-
-    with ThreadPoolExecutor(threads) as pool:
-        chunks = list(pool.map(score_chunk, bounds))
+    chunks = []
+    for start, stop in pair.predicted.chunk_bounds(chunk_frames):
+        part = pair.part(start, stop)
+        part.predicted.require_finite("predicted", counted_from=start)
+        part.recorded.require_finite("recorded", counted_from=start)
+        chunks.append({values.metric: values for family in wanted for values in family.compute(part, constants)})
     mismatch = pair.predicted.n_frames != pair.recorded.n_frames
     ids = [info.id for info in _infos(wanted, metrics)]
     return {metric: _joined(metric, [chunk[metric] for chunk in chunks], mismatch) for metric in ids}

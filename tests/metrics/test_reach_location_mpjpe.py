@@ -125,3 +125,11 @@ def test_agree_with_slow_references(seed: int) -> None:
 def test_unequal_lengths_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="sequence 1: expected 4 frames, found 3"):
         mpjpe(batch(standing(2), standing(3)), batch(standing(2), standing(4)))
+
+
+def test_a_single_frame_scores_alone_as_it_does_in_a_batch() -> None:
+    predicted, recorded, _ = random_problem(0, [1] * 30)
+    together = mpjpe(predicted, recorded), goal_mpjpe(predicted, recorded)
+    for i in range(30):
+        alone = predicted.part(i, i + 1), recorded.part(i, i + 1)
+        assert (mpjpe(*alone)[0], goal_mpjpe(*alone)[0]) == (together[0][i], together[1][i])
