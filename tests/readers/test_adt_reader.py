@@ -13,6 +13,7 @@ from prbench.formats import adt
 from prbench.formats.aria_mps import device_from_cpf
 from prbench.readers.adt import find_recordings, read_recording
 from prbench.recording import Recording
+from prbench.recording.body_quality import hold_neighbours
 from prbench.skeleton import Joint
 from prbench.synthetic.layouts import adt as layout
 from tests.readers.conftest import FINGER_BASES, FORK, SOFA, STANDING, TABLE
@@ -99,6 +100,20 @@ def test_implausible_body_frames_are_masked_and_hold_their_neighbours(readings, 
     right_finger = recording.hand_streams("middle_finger_base")[1]
     assert np.flatnonzero(~right_finger.valid).tolist() == [20, 40, 60]
     assert recording.body.valid[60]
+
+
+def test_fillers_come_from_the_nearest_valid_frame() -> None:
+    values = np.array([[0.0], [1.0], [2.0], [3.0], [4.0], [5.0]])
+    valid = np.array([False, True, False, False, True, False])
+    assert hold_neighbours(values, valid)[:, 0].tolist() == [1, 1, 1, 4, 4, 4]
+    assert not hold_neighbours(values, np.zeros(6, dtype=bool)).any()
+
+
+@pytest.mark.parametrize(("twin", "group"), [("", "still_life"), ("a_twin", "a_twin"), ("z_twin", "still_life")])
+def test_of_concurrent_twins_the_smaller_id_names_the_group_even_if_its_copy_is_absent(
+    readings, tmp_path, twin, group
+) -> None:
+    assert _through_files(replace(readings, concurrent=twin), tmp_path).split_group == group
 
 
 def test_objects_without_box_name_or_pose_are_left_out_and_counted(folder) -> None:

@@ -18,7 +18,6 @@ from prbench.synthetic.truth_files import objects_table, read_truth
 from prbench.synthetic.write_tree import WrittenTree, synthesize_tree
 from tests.comparing import differences
 
-
 TRUTH_OF_A_FRAME = ("recording_id", "t", "joints", "rotations", "eye", "gaze", "head_forward", "planted")
 
 

@@ -38,7 +38,6 @@ _GAZE_MARGIN = 0.02  # rad, half of the written uncertainty interval
 _BODY_NOISE, _BODY_WOBBLE, _BODY_WOBBLE_HZ = 0.8e-3, 3e-3, (0.05, 0.3)
 _BODY_LOSS, _MARKER_LOSS, _THROW = 1e-4, 0.01, 0.5  # share, share, m
 _OBJECT_NOISE, _OBJECT_TURN = 0.3e-3, np.deg2rad(0.1)
-_LOST = (0.3, 1.0)  # s around the event
 _ROOM_HALF_EXTENTS = (6.0, 1.5, 6.0)
 _METRES, _QUATERNION = 6, 9  # decimals
 
@@ -219,15 +218,10 @@ def _object_poses(
 def _untracked(
     performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Instants around ``lost`` events at which nobody sees the object."""
-    hidden = np.zeros(len(times), dtype=bool)
-    for event in performance.events:
-        if event.tag == "lost" and event.object_id == motion.object_id:
-            rng = sensor_generator(performance, f"lost-{event.event_id}")
-            length = rng.uniform(*_LOST)
-            start = event.event_time - length * rng.uniform(0.3, 0.7)
-            hidden |= (times >= start) & (times <= start + length)
-    return hidden
+    """Instants of ``lost`` events, at which nobody sees the object."""
+    spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
+    hidden = [(times >= start) & (times <= end) for start, end in spans]
+    return np.any(hidden, axis=0) if hidden else np.zeros(len(times), dtype=bool)
 
 
 def _room_object() -> adt.AdtObject:
