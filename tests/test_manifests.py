@@ -47,7 +47,7 @@ def test_an_unknown_key_is_refused():
 
 
 def test_unknown_names_are_answered_with_the_known_ones():
-    with pytest.raises(UsageError, match="known ones are: .*adt"):
+    with pytest.raises(UsageError, match=r"known ones are: .*adt"):
         load_manifest("atd")
     with pytest.raises(UsageError, match="its alternatives are: wrist"):
         load_manifest("adt").in_hand_rule("elbow")

@@ -11,12 +11,23 @@ from prbench.errors import InputFileError, StorageError
 from prbench.storage import atomic_folder, atomic_path, file_digest, inside, read_json, text_digest, write_json
 
 
+def write_half(path):
+    with atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("killed here")
+
+
+def fill_half(folder):
+    with atomic_folder(folder) as temporary:
+        (temporary / "two").write_text("2")
+        raise RuntimeError("killed here")
+
+
 def test_a_failed_write_leaves_the_old_file_and_no_trace(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"old": 1})
-    with pytest.raises(RuntimeError), atomic_path(path) as temporary:
-        temporary.write_text("half")
-        raise RuntimeError("killed here")
+    with pytest.raises(RuntimeError):
+        write_half(path)
     assert json.loads(path.read_text()) == {"old": 1}
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
 
@@ -37,9 +48,8 @@ def test_a_folder_takes_the_place_of_the_old_one_only_when_complete(tmp_path):
     folder = tmp_path / "d"
     with atomic_folder(folder) as temporary:
         (temporary / "one").write_text("1")
-    with pytest.raises(RuntimeError), atomic_folder(folder) as temporary:
-        (temporary / "two").write_text("2")
-        raise RuntimeError
+    with pytest.raises(RuntimeError):
+        fill_half(folder)
     assert [entry.name for entry in folder.iterdir()] == ["one"]
     with atomic_folder(folder) as temporary:
         (temporary / "three").write_text("3")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 from collections.abc import Sequence
 
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 on success; the ``exit_code`` of a :class:`PrbenchError`; 2 for wrong arguments; 130 after Ctrl-C.
     """
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a console that lacks a character shows a substitute, not a traceback
+        if isinstance(stream, io.TextIOWrapper):  # a console that lacks a character shows a substitute, not a traceback
             stream.reconfigure(errors="replace")
     parser = _parser()
     chosen = parser.parse_args(arguments)

@@ -63,7 +63,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if report.batches_found:
         print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
     for summary in report.summaries:
-        print_summary(summary)
+        print_summary(summary, motionless=report.folder.record.method.motionless)
     print(f"run folder: {report.folder.path}")
     return 0
 

@@ -16,14 +16,19 @@ _MARKS = {
 }
 
 
-def print_summary(summary: DatasetSummary) -> None:
-    """Print the scores of one method on one dataset."""
+def print_summary(summary: DatasetSummary, *, motionless: bool = False) -> None:
+    """Print the scores of one method on one dataset; of one whose motions stand still, no Foot Skating."""
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method}, condition {summary.condition}{control}; {summary.sequences} sequences of"
         f" {summary.recordings} recordings, split {summary.split}"
     )
-    rows = [(metric.title, *_cells(metric), _remarks(metric)) for metric in summary.metrics]
+    rows = [
+        (metric.title, "–", "", "stands still")
+        if motionless and metric.metric == "foot_skating"
+        else (metric.title, *_cells(metric), _remarks(metric))
+        for metric in summary.metrics
+    ]
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
