@@ -71,7 +71,7 @@ def read_gaze_angles(path: Path) -> GazeAngles:
     Two yaws (schema B) become one; bounds that a schema lacks are NaN, and so is a missing depth.
 
     Raises:
-        InputFileError: if the file or a column is missing, or time runs backwards.
+        InputFileError: if the file or a column is missing, it has no rows, or time runs backwards.
     """
     names = read_header(path)
     two_eyes = mps.YAW not in names and mps.LEFT_YAW in names
@@ -85,6 +85,10 @@ def read_gaze_angles(path: Path) -> GazeAngles:
     )
     wanted = (*yaws, mps.PITCH, *(name for name in optional if name in names))
     table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(wanted, float)})
+    if len(table) == 0:
+        raise InputFileError(
+            path, "", expected="gaze rows", found="none", remedy="Without gaze nothing is primed; download it again."
+        )
     require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     columns = {name: table[name].to_numpy() for name in table.column_names}
     unknown = np.full(len(table), np.nan)

@@ -60,9 +60,11 @@ def _swap_lines(name: str, first: int, second: int) -> Callable[[Path], None]:
     return damage
 
 
-def _keep_header(folder: Path) -> None:
-    path = folder / "aria_trajectory.csv"
-    path.write_text(path.read_text().splitlines()[0] + "\n")
+def _keep_header(name: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        (folder / name).write_text((folder / name).read_text().splitlines()[0] + "\n")
+
+    return damage
 
 
 def _first_joints(content: dict, joints: list) -> None:
@@ -112,6 +114,10 @@ FILE_DAMAGE = {
         ["eyegaze.csv, line 4", "a time after 5000033330 us"],
     ),
     "object's clock backwards": (_swap_lines("scene_objects.csv", 20, 21), ["scene_objects.csv, line 21", "backwards"]),
+    "object both still and moving": (
+        _edit_line("scene_objects.csv", 4, _set(1, "-1")),
+        ["scene_objects.csv, line", "one row of time -1", "both"],
+    ),
     "body's clock backwards": (_edit_json("Skeleton_T.json", _swap_frames), ["Skeleton_T.json, frame 5", "backwards"]),
     "50 joints": (
         _edit_json("Skeleton_T.json", lambda content: _first_joints(content, [[0.0, 0.0, 0.0]] * 50)),
@@ -125,7 +131,8 @@ FILE_DAMAGE = {
         _edit_json("Skeleton_T.json", lambda content: content["frames"].clear()),
         ["frames of a body", "none"],
     ),
-    "no poses": (_keep_header, ["aria_trajectory.csv", "at least one pose", "none"]),
+    "no gaze rows": (_keep_header("eyegaze.csv"), ["eyegaze.csv", "gaze rows", "none"]),
+    "no poses": (_keep_header("aria_trajectory.csv"), ["aria_trajectory.csv", "at least one pose", "none"]),
     "another clock": (
         _edit_json("metadata.json", lambda content: content.update(gt_time_domain="TIME_CODE")),
         ["metadata.json, gt_time_domain", "'DEVICE_CAPTURE'", "'TIME_CODE'"],
@@ -189,7 +196,7 @@ def test_a_recording_known_to_be_bad_is_skipped_by_name(folder) -> None:
 def test_errors_survive_a_process_border(folder) -> None:
     import pickle
 
-    _keep_header(folder)
+    _keep_header("aria_trajectory.csv")(folder)
     with pytest.raises(PrbenchError) as error:
         _read(folder)
     assert str(pickle.loads(pickle.dumps(error.value))) == str(error.value)

@@ -115,7 +115,17 @@ def _require_clock(
     path: Path, codes: Int[np.ndarray, " n"], times: Int[np.ndarray, " n"], order: Int[np.ndarray, " n"]
 ) -> None:
     """Refuse an object whose rows are not in the order of time; rows are grouped by object here."""
-    backwards = np.flatnonzero((np.diff(codes) == 0) & (np.diff(times) <= 0))
+    same_object = np.diff(codes) == 0
+    mixed = np.flatnonzero(same_object & ((times[:-1] == adt.STATIC_TIME) | (times[1:] == adt.STATIC_TIME)))
+    if mixed.size:
+        raise InputFileError(
+            path,
+            f"line {int(order[mixed[0] + 1]) + 2}",
+            expected="one row of time -1 for an object that never moves, or rows with times",
+            found="both, or two rows of time -1, for one object",
+            remedy="Remove one of the rows, or download the file again.",
+        )
+    backwards = np.flatnonzero(same_object & (np.diff(times) <= 0))
     if backwards.size:
         earlier, later = backwards[0], backwards[0] + 1
         require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)
