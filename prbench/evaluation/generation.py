@@ -33,9 +33,6 @@ class BatchTask:
     protocol_version: int
 
 
-_timed_before: set[MethodSpec] = set()  # methods whose first, slower batch this process has behind it
-
-
 def run_batch(task: BatchTask) -> int:
     """Generate, check, measure and write one batch.
 
@@ -54,21 +51,21 @@ def run_batch(task: BatchTask) -> int:
 
 
 def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
-    adapter = task.method.load()
-    warm_up = task.method not in _timed_before
+    method = task.method.load()
+    warm_up = not method.warmed_up
     _set_threads(task.method.threads)
     _reset_device_peak()
     samples, halvings, peak = [], 0, 0
     started = _synchronised_time()
     for batch in task.conditions:
         motions, halved = generate_checked(
-            adapter, batch, seed=task.seed, method=task.method.name, sequence_ids=task.sequence_ids
+            method.adapter, batch, seed=task.seed, method=task.method.name, sequence_ids=task.sequence_ids
         )
         samples.append(motions)
         halvings += halved
         peak = max(peak, psutil.Process().memory_info().rss)
     seconds = _synchronised_time() - started
-    _timed_before.add(task.method)
+    method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
     return samples, _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
 

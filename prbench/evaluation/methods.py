@@ -17,6 +17,15 @@ from prbench.storage import file_digest, text_digest
 _FIT_SEED = 0  # of baselines that a run fits by itself; the run's own seed varies what is generated, not what is learnt
 
 
+@dataclass
+class LoadedMethod:
+    """A method in this process."""
+
+    adapter: Adapter
+    warmed_up: bool = False
+    """It has generated a batch, and with it loaded whatever loads on first use."""
+
+
 @dataclass(frozen=True)
 class MethodSpec:
     """Enough to make a method in any process."""
@@ -31,7 +40,7 @@ class MethodSpec:
     table_folder: Path | None = None
     """The dataset that it is fitted to."""
 
-    def load(self) -> Adapter:
+    def load(self) -> LoadedMethod:
         """The method, ready to generate; made once a process."""
         return _load(self)
 
@@ -41,7 +50,7 @@ class MethodSpec:
         Fits are kept in the cache folder by method, version, options and both digests of the table; the method itself
         finds there what an earlier fit has left.
         """
-        if self.weights is not None or not isinstance(self.load(), Trainable):
+        if self.weights is not None or not isinstance(self.load().adapter, Trainable):
             return self
         key = text_digest(
             installed.package,
@@ -55,12 +64,12 @@ class MethodSpec:
 
 
 @lru_cache(maxsize=1)
-def _load(spec: MethodSpec) -> Adapter:
+def _load(spec: MethodSpec) -> LoadedMethod:
     adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
     if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
         run = TrainingRun(folder=spec.fit_folder, seed=_FIT_SEED, device=spec.device)
         adapter.fit(SequenceTable.open(spec.table_folder), validation=None, run=run)
-    return adapter
+    return LoadedMethod(adapter)
 
 
 def forget_loaded_methods() -> None:

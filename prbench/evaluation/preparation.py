@@ -94,7 +94,7 @@ def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, Instal
         return MethodRecord(name=request.method, kind="control", **own, **limits), None
     digest = weights_digest(request.weights)
     installed = find_adapter(request.method, also_known=METHOD_CONTROLS)
-    adapter = spec.load()
+    adapter = spec.load().adapter
     require_condition(request.method, adapter, request.condition)
     native_fps = getattr(adapter, "native_fps", None)
     return MethodRecord(

@@ -38,8 +38,8 @@ class DatasetFolder:
 
     @property
     def finished(self) -> bool:
-        """The summary is written last."""
-        return (self.path / summary.FILE_NAME).is_file()
+        """Everything is there; the summary is written last."""
+        return all(path.is_file() for path in (self.scores, self.cost, self.path / summary.FILE_NAME))
 
     def part(self, batch: int) -> Path:
         """Predictions of one batch."""
@@ -85,6 +85,8 @@ class RunFolder:
         """
         if (path / record.FILE_NAME).is_file():
             wanted.require_same(RunRecord.read(path), path)
+            for left in path.rglob(".*.partial*"):  # by a process that was killed while it wrote
+                left.unlink(missing_ok=True)
         elif path.is_dir() and any(path.iterdir()):
             raise StorageError(
                 f"{path}: is not empty and holds no {record.FILE_NAME}, so it is no run folder."

@@ -89,7 +89,7 @@ class Predictions:
         Raises:
             PredictionsError: if there is none, or columns are missing or of a wrong kind.
         """
-        paths = tuple(sorted(path.glob("*.parquet"))) if path.is_dir() else (path,)
+        paths = (path,) if not path.is_dir() else tuple(sorted(p for p in path.glob("*.parquet") if p.name[0] != "."))
         if not paths:
             raise PredictionsError(f"{path}: expected predictions (*.parquet), found none.")
         id_column = _id_column(paths[0])

@@ -107,7 +107,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
             RunError: naming the first key that differs, with both values.
         """
         wanted, found = _flat(msgspec.to_builtins(self)), _flat(msgspec.to_builtins(other))
-        for key in sorted(wanted.keys() | found.keys()):
+        for key in wanted | found:
             if wanted.get(key) != found.get(key):
                 raise RunError(
                     f"{folder / FILE_NAME}, {key}: expected {_shown(wanted.get(key))} for this run,"
@@ -120,7 +120,7 @@ def _flat(value: object, prefix: str = "") -> dict[str, object]:
     """Leaves by dotted key; tables are named by their dataset."""
     if isinstance(value, dict):
         items = [(str(key), item) for key, item in value.items()]
-    elif isinstance(value, list):
+    elif isinstance(value, list | tuple):
         items = [(item["dataset"] if isinstance(item, dict) else str(i), item) for i, item in enumerate(value)]
     else:
         return {prefix: value}
