@@ -100,4 +100,4 @@ def two_pole_low_pass(values: Float[np.ndarray, " n"], time_constant: float, rat
 
 def wrap(angle: np.ndarray | float) -> np.ndarray:
     """Angle in [-pi, pi)."""
-    return (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+    return np.asarray((np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi)

@@ -121,7 +121,7 @@ class FillDrawer:
         return eye + (point - eye) * (self.rng.uniform(2.0, 4.0) / distance)
 
     def _is_seen(self, point: np.ndarray, first: int, last: int) -> bool:
-        return self._bearing(point, first) <= _BEARING_AT_START and self._bearing(point, last) <= _BEARING_AT_END
+        return bool(self._bearing(point, first) <= _BEARING_AT_START and self._bearing(point, last) <= _BEARING_AT_END)
 
     def _bearing(self, point: np.ndarray, index: int) -> float:
         bearing = np.arctan2(point[0] - self.eye[index, 0], point[2] - self.eye[index, 2])

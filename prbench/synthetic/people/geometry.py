@@ -47,7 +47,7 @@ def direction(yaw: np.ndarray | float, pitch: np.ndarray | float) -> np.ndarray:
 def yaw_and_pitch(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Yaw and pitch of a direction; inverse of :func:`direction` up to full turns."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    return np.arctan2(x, z), -np.arctan2(y, np.hypot(x, z))
+    return np.asarray(np.arctan2(x, z)), np.asarray(-np.arctan2(y, np.hypot(x, z)))
 
 
 def unit(vector: np.ndarray) -> np.ndarray:

@@ -168,7 +168,7 @@ def _is_marginal(
     at_border = times[start] < event_time - WINDOW + _GAZE_PERIOD or settled > event_time
     look = slice(start, min(start + max(2, int(2 * _GAZE_PERIOD / step)), len(times)))
     grazing = bool(np.all(~hit[look] & (np.abs(distance[look] - NEAR_MISS) < _THIN_RAY)))
-    return brief or distinct or at_border or grazing
+    return bool(brief or distinct or at_border or grazing)
 
 
 def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
