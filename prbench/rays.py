@@ -53,8 +53,7 @@ def slab_test(
         inverse = 1.0 / np.where(direction == 0, 1.0, direction)
         np.subtract(box_min[None, :, axis], origin, out=entry)
         np.subtract(box_max[None, :, axis], origin, out=leave)
-        if parallel.any():
-            inside = (entry[parallel] <= 0) & (leave[parallel] >= 0)
+        inside = (entry[parallel] <= 0) & (leave[parallel] >= 0)
         entry *= inverse
         leave *= inverse
         backwards = direction[:, 0] < 0
