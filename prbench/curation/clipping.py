@@ -47,7 +47,10 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     grid = SequenceGrid.ending_at(event_time, prime_time=prime_time, lead=constants.lead, fps=protocol.fps)
     if recording.body is None:
         return Decision("no_body", "body")
-    uncovered = _outside(recording.span, grid) or _body_gap(recording.body, grid, constants.largest_interpolated_gap)
+    interval = (prime_time - constants.lead, event_time)
+    uncovered = _outside(recording.span, interval) or _body_gap(
+        recording.body, grid, constants.largest_interpolated_gap
+    )
     if uncovered is not None:
         return uncovered
     step, max_gap = 1 / grid.fps, constants.largest_interpolated_gap
@@ -83,9 +86,9 @@ def has_heading(joints: Float[np.ndarray, "22 3"]) -> bool:
     return True
 
 
-def _outside(span: tuple[float, float], grid: SequenceGrid) -> Decision | None:
-    """A decision if the grid does not lie within the recording; value and threshold are seconds before the event."""
-    start, end = grid.start_time, grid.times[-1]
+def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decision | None:
+    """A decision if the interval does not lie within the recording; value and threshold are lengths in seconds."""
+    start, end = interval
     if end > span[1] + _SLACK:
         return Decision("too_short", "clipping", span[1] - start, end - start)
     if start < span[0] - _SLACK:

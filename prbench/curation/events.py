@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.curation.gaps import LONGEST_SURE_GAP
 from prbench.curation.in_hand import Holding, contact_streams, find_holdings, nearest_hand
 from prbench.curation.rest import Departure
 from prbench.manifests import InHandRule
@@ -98,8 +99,8 @@ def _events_of(recording: Recording, holding: Holding, rule: InHandRule) -> list
         events.append(_event(recording, holding, "pick", holding.pick, rule))
     if holding.put is not None:
         events.append(_event(recording, holding, "put", holding.put, rule))
-    elif holding.end < holding.track.times[-1] - rule.join_gap:
-        events.append(_put_without_place(recording, holding))
+    elif holding.vanished is not None:
+        events.append(_put_without_place(recording, holding, holding.vanished))
     return events
 
 
@@ -113,8 +114,8 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
         rejected = Decision("other_wearer", "in_hand", distance if np.isfinite(distance) else None, other_distance)
     elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:
         rejected = Decision("excluded_category", "in_hand")
-    elif rest.gap > rule.join_gap:
-        rejected = Decision("tracking_lost", "location", rest.gap, rule.join_gap)
+    elif not rest.placed:
+        rejected = Decision("tracking_lost", "location", abs(rest.gap[1] - rest.gap[0]), LONGEST_SURE_GAP)
     low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
     return PickPutEvent(
         event_id=event_id(recording, holding.track.object_id, action, rest.time),
@@ -129,14 +130,14 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
     )
 
 
-def _put_without_place(recording: Recording, holding: Holding) -> PickPutEvent:
+def _put_without_place(recording: Recording, holding: Holding, time: float) -> PickPutEvent:
     """The object leaves the hand and never comes to rest while it is tracked."""
     return PickPutEvent(
-        event_id=event_id(recording, holding.track.object_id, "put", holding.end),
+        event_id=event_id(recording, holding.track.object_id, "put", time),
         object_id=holding.track.object_id,
         object_name=holding.track.name,
         action="put",
-        event_time=holding.end,
+        event_time=time,
         place=None,
         hand=None,
         displacement=holding.displacement,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.curation.gaps import placed_in_gap
 from prbench.curation.masks import held_segments
 from prbench.curation.rest import Departure, Track, find_departure, windowed_speed
 from prbench.manifests import InHandRule
@@ -24,14 +25,12 @@ class Holding:
     """One object taken from a rest, moved, and brought to another rest."""
 
     track: ObjectTrack
-    start: float
-    """First sample at which it is surely held, seconds."""
-    end: float
-    """Last such sample."""
     pick: Departure | None
-    """None where the object is never at rest before: it was in hand when the recording began."""
+    """None where the object was in hand, or moving, when the recording began."""
     put: Departure | None
-    """None where it is never at rest afterwards."""
+    """None where it still is when the recording ends, or where it never comes to rest."""
+    vanished: float | None
+    """When it was last surely held, seconds, where it leaves the hand and never comes to rest; else None."""
     displacement: float
     """Largest distance from its rest, metres."""
 
@@ -123,9 +122,10 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
     close = np.min(distances, axis=0) < rule.distance
     moving = samples.speed > rule.moving_speed
     still = samples.speed < rule.moving_speed / 2
+    staying = close | ~still  # what never came to rest was not put down
     segments = held_segments(
         close & moving,
-        close | ~still,  # what never came to rest was not put down
+        staying,
         samples.times,
         minimum_duration=rule.minimum_duration,
         join_gap=rule.join_gap,
@@ -140,11 +140,20 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         put = find_departure(
             backwards, still[::-1], n - stop, n - start, floor=n - ceiling, tolerance=rule.rest_tolerance
         )
-        put = None if put is None else replace(put, time=-put.time)
+        put = None if put is None else put.reversed()
         displacement = _displacement(samples.centre[start:stop], pick or put)
-        if displacement >= rule.smallest_displacement:
-            span = float(samples.times[start]), float(samples.times[stop - 1])
-            found.append(Holding(track, *span, pick, put, displacement))
+        if displacement < rule.smallest_displacement:
+            continue
+        held_before, held_after = bool(staying[:start].all()), bool(staying[stop:].all())
+        found.append(
+            Holding(
+                track=track,
+                pick=None if pick is None or held_before else placed_in_gap(pick, hands, rule.distance),
+                put=None if put is None or held_after else placed_in_gap(put, hands, rule.distance),
+                vanished=float(samples.times[stop - 1]) if put is None and not held_after else None,
+                displacement=displacement,
+            )
+        )
     return found
 
 

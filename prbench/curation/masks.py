@@ -24,9 +24,9 @@ def held_segments(
 ) -> Int[np.ndarray, "k 2"]:
     """Holdings from raw per-sample evidence (``methods/synthetic-recordings.md`` section 10).
 
-    Runs of ``held`` shorter than ``minimum_duration`` are dropped (debounce); two neighbours are joined where every
-    sample between them is ``staying``, or where they are at most ``join_gap`` apart (hysteresis: it takes more to
-    begin a holding than to go on with one).
+    Neighbouring runs of ``held`` that are at most ``join_gap`` apart are one piece; pieces shorter than
+    ``minimum_duration`` are dropped (debounce); two that are left are joined where every sample between them is
+    ``staying`` (hysteresis: it takes more to begin a holding than to go on with one).
 
     Args:
         held: Samples at which the object is surely held: a hand is close and the object moves.
@@ -39,17 +39,16 @@ def held_segments(
         First index and end (exclusive) of each holding, in order, without overlap.
     """
     pieces = runs(held)
+    pieces = _joined(pieces, times[pieces[1:, 0]] - times[pieces[:-1, 1] - 1] <= join_gap + _SLACK)
+    pieces = pieces[times[pieces[:, 1] - 1] - times[pieces[:, 0]] >= minimum_duration - _SLACK]
+    left_before = np.concatenate(([0], np.cumsum(~staying)))
+    return _joined(pieces, left_before[pieces[1:, 0]] == left_before[pieces[:-1, 1]])
+
+
+def _joined(pieces: Int[np.ndarray, "k 2"], together: Bool[np.ndarray, " gaps"]) -> Int[np.ndarray, "m 2"]:
+    """Pieces with the gaps between them closed where ``together`` says so; one entry a gap."""
     if len(pieces) == 0:
         return pieces
-    duration = times[pieces[:, 1] - 1] - times[pieces[:, 0]]
-    pieces = pieces[duration >= minimum_duration - _SLACK]
-    if len(pieces) < 2:
-        return pieces
-    ends, starts = pieces[:-1, 1], pieces[1:, 0]
-    left_before = np.concatenate(([0], np.cumsum(~staying)))
-    stayed = left_before[starts] == left_before[ends]
-    brief = times[starts] - times[ends - 1] <= join_gap + _SLACK
-    separate = ~(stayed | brief)
     return np.column_stack(
-        [pieces[np.concatenate(([True], separate)), 0], pieces[np.concatenate((separate, [True])), 1]]
+        [pieces[np.concatenate(([True], ~together)), 0], pieces[np.concatenate((~together, [True])), 1]]
     )

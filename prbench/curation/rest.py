@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,15 +18,24 @@ class Departure:
     """An object leaves its rest (or, seen backwards in time, comes to rest)."""
 
     time: float
-    """When the distance from the rest passes the tolerance, interpolated between samples, seconds."""
-    gap: float
-    """Time between the last sample at rest and the first away from it, seconds."""
+    """When the movement begins, seconds: see :func:`find_departure`."""
+    gap: tuple[float, float]
+    """Times of the last sample at rest and of the first away from it, seconds."""
+    first_away: Float[np.ndarray, "3"]
+    """Centre of the box at the latter."""
     centre: Float[np.ndarray, "3"]
     """Median centre of the box during the rest."""
     position: Float[np.ndarray, "3"]
     """Median position of the object's origin during the rest."""
     rotation: Float[np.ndarray, "4"]
     """Mean orientation of the rest, w x y z."""
+
+    placed: bool = True
+    """False where the object was not tracked in the gap, and nothing tells when in it the movement began."""
+
+    def reversed(self) -> Departure:
+        """The same with time running backwards."""
+        return replace(self, time=-self.time, gap=(-self.gap[0], -self.gap[1]))
 
 
 @dataclass(frozen=True)
@@ -75,7 +84,10 @@ def find_departure(
 
     From the start of the holding the search goes back to the last ``still`` sample; the still run that ends there is
     the rest. The boundary is the last crossing of ``tolerance`` on the way out, so that single noisy samples during
-    the rest move nothing. For the rest *after* a holding call this with everything reversed.
+    the rest move nothing. Where the object creeps away, that crossing comes late: the time is therefore extrapolated
+    back by as long as it takes from ``tolerance`` to twice that (exact for a steady departure; a smooth one that grows
+    with the cube of time is then 0.4 tolerances away), at most by half of the speed's window.
+    For the rest *after* a holding call this with everything reversed.
 
     Args:
         track: The object's samples.
@@ -101,19 +113,28 @@ def find_departure(
     if len(away) == 0:
         return None
     # The still sample looks half a window ahead, so the way out may begin before it.
-    begin = min(quiet.stop, last + int(away[0])) - 1
-    distance = np.linalg.norm(track.centre[begin : last + int(away[0]) + 1] - rest, axis=1)
-    near = np.flatnonzero(distance[:-1] <= tolerance)
-    inner = int(near[-1]) if len(near) else 0
-    share = np.clip((tolerance - distance[inner]) / max(distance[inner + 1] - distance[inner], 1e-12), 0.0, 1.0)
-    gap = float(track.times[begin + inner + 1] - track.times[begin + inner])
+    begin, end = min(quiet.stop, last + int(away[0])) - 1, last + int(away[0]) + 1
+    times, distance = track.times[begin:end], np.linalg.norm(track.centre[begin:end] - rest, axis=1)
+    inner, crossing = _last_crossing(times, distance, tolerance)
+    _, further = _last_crossing(times, distance, 2 * tolerance)
     return Departure(
-        time=float(track.times[begin + inner] + share * gap),
-        gap=gap,
+        time=crossing - min(further - crossing, track.window / 2),
+        gap=(float(times[inner]), float(times[inner + 1])),
+        first_away=track.centre[begin + inner + 1],
         centre=rest,
         position=np.median(track.position[quiet], axis=0),
         rotation=_mean_rotation(track.rotation[quiet]),
     )
+
+
+def _last_crossing(
+    times: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"], level: float
+) -> tuple[int, float]:
+    """Index of the last sample within ``level`` (the first where none is), and the time at which it is passed."""
+    near = np.flatnonzero(distance[:-1] <= level)
+    inner = int(near[-1]) if len(near) else 0
+    share = np.clip((level - distance[inner]) / max(distance[inner + 1] - distance[inner], 1e-12), 0.0, 1.0)
+    return inner, float(times[inner] + share * (times[inner + 1] - times[inner]))
 
 
 def _quiet_part(track: Track, first: int, last: int) -> slice:

@@ -46,7 +46,11 @@ def test_three_pieces_of_which_two_belong_together() -> None:
 
 
 def test_a_short_slide_beside_a_holding_does_not_lengthen_it() -> None:
-    assert segments("##..####", "########") == [[4, 8]]
+    assert segments("##....####", "##########") == [[6, 10]]
+
+
+def test_a_movement_that_pauses_at_its_beginning_is_one_piece_from_its_beginning() -> None:
+    assert segments("##..####") == [[0, 8]]
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.lists(st.booleans(), min_size=60, max_size=60))

@@ -1,0 +1,178 @@
+"""Found events against true ones, as ``methods/synthetic-recordings.md`` section 10 compares a curation run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from prbench.sequences.sequence import EventRecord
+from prbench.synthetic.performance import TrueEvent
+
+LARGEST_DIFFERENCE = 0.5
+"""Seconds between a found and a true event that may be the same."""
+NOT_AN_EVENT = "not_an_event"
+LOST = "lost"
+PRIMED_STAGES = ("priming", "clipping", "body", "filters")
+"""Stages at which it is known whether an event was primed."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """One true event beside the found one; either may be missing."""
+
+    true: TrueEvent | None
+    """Times on the recording's clock."""
+    found: EventRecord | None
+
+    @property
+    def expected(self) -> str:
+        """What curation should have made of it."""
+        return NOT_AN_EVENT if self.true is None else self.true.expected
+
+    @property
+    def outcome(self) -> str:
+        """What it made of it."""
+        return "not_found" if self.found is None else self.found.outcome
+
+
+def match_events(true: Sequence[TrueEvent], found: Sequence[EventRecord]) -> list[Match]:
+    """Pair the events of one recording one to one: same object and action, least time difference first, ≤ 0.5 s.
+
+    Args:
+        true: Times on the recording's clock.
+        found: What curation says.
+
+    Returns:
+        Every true and every found event exactly once.
+    """
+    if not true or not found:
+        return [Match(event, None) for event in true] + [Match(None, event) for event in found]
+    difference = np.abs(np.subtract.outer([t.event_time for t in true], [f.event_time for f in found]))
+    same = np.array([[t.object_id == f.object_id and t.action == f.action for f in found] for t in true])
+    rows, columns = np.nonzero(same & (difference <= LARGEST_DIFFERENCE))
+    partner: dict[int, int] = {}
+    taken: set[int] = set()
+    for index in np.argsort(difference[rows, columns], kind="stable"):
+        row, column = int(rows[index]), int(columns[index])
+        if row not in partner and column not in taken:
+            partner[row] = column
+            taken.add(column)
+    matches = [Match(event, found[partner[row]] if row in partner else None) for row, event in enumerate(true)]
+    return matches + [Match(None, event) for column, event in enumerate(found) if column not in taken]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A sample of differences, summarised; NaN for an empty one."""
+
+    n: int
+    bias: float
+    median: float
+    """Of the absolute values."""
+    p95: float
+    """Of the absolute values."""
+    largest: float
+    """Absolute value."""
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Spread:
+        """Summarise signed differences."""
+        sample = np.array(list(values), dtype=np.float64)
+        if len(sample) == 0:
+            return cls(0, *(float("nan"),) * 4)
+        size = np.abs(sample)
+        return cls(
+            len(sample), float(sample.mean()), float(np.median(size)), float(np.quantile(size, 0.95)), float(size.max())
+        )
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How well curation found what was acted out; ``thin`` events are left out of every number but their own count.
+
+    Events that are tagged ``lost`` (not tracked around the event) are counted apart.
+    """
+
+    recordings: int
+    true_events: int
+    found_events: int
+    matched: int
+    thin: int
+    thin_missed: int
+    recall: float
+    precision: float
+    timing: Spread
+    """Found minus true event time, seconds."""
+    location: Spread
+    """Distance between found and true goal, metres."""
+    priming_recall: float
+    """Share of the matched events with a true prime that were primed."""
+    false_primes: float
+    """Share of the matched events without a true prime that were primed all the same."""
+    unprimed: int
+    """How many events have no true prime."""
+    prime: Spread
+    """Found minus true prime time (first look of at least 50 ms), seconds."""
+    prime_quantiles: tuple[float, float, float]
+    """5th, 50th and 95th percentile of the same."""
+    prime_first: Spread
+    """Found minus true first instant of looking there at all, seconds."""
+    lost: dict[str, int]
+    """What became of events around which the object was not tracked: found, reported or missed."""
+    confusion: dict[tuple[str, str], int]
+    """Events by (expected, found) outcome, ``lost`` and ``thin`` ones left out."""
+
+
+def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
+    """Summarise the matches of some recordings."""
+    thin = [m for m in matches if m.true is not None and m.true.thin]
+    lost = [m for m in matches if m.true is not None and m.true.tag == LOST]
+    counted = [m for m in matches if m.true is None or not (m.true.thin or m.true.tag == LOST)]
+    real = [m for m in counted if m.expected != NOT_AN_EVENT]
+    found = [m for m in counted if m.found is not None]
+    pairs = [(m.true, m.found) for m in real if m.true is not None and m.found is not None]
+    primed = [(t, f) for t, f in pairs if f.stage in PRIMED_STAGES and t.prime_time is not None]
+    unprimed = [(t, f) for t, f in pairs if f.stage in PRIMED_STAGES and t.prime_time is None]
+    errors = [f.prime_time - t.prime_time for t, f in primed if f.prime_time is not None and t.prime_time is not None]
+    late = [f.prime_time - t.prime_first for t, f in pairs if f.prime_time is not None and t.prime_first is not None]
+    return Verification(
+        recordings=recordings,
+        true_events=len(real),
+        found_events=len(found),
+        matched=len(pairs),
+        thin=len(thin),
+        thin_missed=sum(m.found is None and m.expected != NOT_AN_EVENT for m in thin),
+        recall=_share(len(pairs), len(real)),
+        precision=_share(len(pairs), len(found)),
+        timing=Spread.of(f.event_time - t.event_time for t, f in pairs),
+        location=Spread.of(float(np.linalg.norm(f.location - t.goal)) for t, f in pairs if f.location is not None),
+        priming_recall=_share(sum(f.prime_time is not None for _, f in primed), len(primed)),
+        false_primes=_share(sum(f.prime_time is not None for _, f in unprimed), len(unprimed), empty=0.0),
+        unprimed=len(unprimed),
+        prime=Spread.of(errors),
+        prime_quantiles=_quantiles(errors),
+        prime_first=Spread.of(late),
+        lost=_lost_counts(lost),
+        confusion=dict(sorted(Counter((m.expected, m.outcome) for m in counted).items())),
+    )
+
+
+def _lost_counts(lost: Sequence[Match]) -> dict[str, int]:
+    counts = Counter(
+        "missed" if m.found is None else "reported" if m.found.outcome == "tracking_lost" else "found" for m in lost
+    )
+    return {name: counts[name] for name in ("found", "reported", "missed")}
+
+
+def _share(part: int, whole: int, *, empty: float = 1.0) -> float:
+    return part / whole if whole else empty
+
+
+def _quantiles(values: Sequence[float]) -> tuple[float, float, float]:
+    if not values:
+        return float("nan"), float("nan"), float("nan")
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
+    return float(low), float(middle), float(high)
