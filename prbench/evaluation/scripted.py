@@ -7,8 +7,9 @@ is a fair opponent. It knows the first pose and the goal, whatever the condition
    and the head nods on the neck to the goal's height. Both follow a minimum-jerk curve over the second before, so the
    turn slows down as it arrives.
 2. From 2.0 s to the last frame the body glides in a straight line until it stands 0.45 m before the goal (not at all
-   if it already stands nearer), and over the same time the wrist of the nearer arm moves to the goal. The elbow keeps
-   both bones' lengths where the goal is within the arm's length of the shoulder; where it is not, the arm stretches.
+   if it already stands nearer), and over the same time the wrist that was nearer in the first frame moves to the goal.
+   The elbow keeps both bones' lengths where the goal is within the arm's length of the shoulder; where it is not, the
+   arm stretches, which bone_length_change shows.
 
 The feet never step. Sequences that end less than half a second after 2.0 s begin the second part earlier.
 """
@@ -138,15 +139,18 @@ def _glide(joints: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def _reaching(body: np.ndarray, goal: np.ndarray, progress: np.ndarray) -> np.ndarray:
-    """The body with the wrist of its nearer arm moved to the goal as ``progress`` goes from 0 to 1."""
-    final = body[:, -1]
-    distances = [np.linalg.norm(final[:, wrist] - goal, axis=1) for _, _, wrist in _ARMS]
+    """The body with the wrist of one arm moved to the goal as ``progress`` goes from 0 to 1.
+
+    The arm is the one whose wrist is nearer in the first frame; once the body faces the goal, both are about as near.
+    The hand's way is a straight line as seen from the body, so that the arm never lags behind while the body glides.
+    """
+    distances = [np.linalg.norm(body[:, 0, wrist] - goal, axis=1) for _, _, wrist in _ARMS]
     nearer = np.argmin(distances, axis=0)
     moved = body.copy()
     for side, (shoulder, elbow, wrist) in enumerate(_ARMS):
         rows = np.flatnonzero(nearer == side)
         share = progress[rows][..., None]
-        hand = body[rows, :, wrist] * (1 - share) + goal[rows, None] * share
+        hand = body[rows, :, wrist] + (goal[rows] - body[rows, -1, wrist])[:, None] * share
         arm = (body[rows, :, shoulder], body[rows, :, elbow], body[rows, :, wrist])
         moved[rows, :, elbow] = _elbow(*arm, hand, downwards=share)
         moved[rows, :, wrist] = hand

@@ -112,7 +112,7 @@ def _reachable(root):
 def test_goal_location_never_comes_with_the_goal_pose(source):
     assert batch_of(source, Condition.GOAL_LOCATION).goal_joints is None
     given = {name: getattr(batch_of(source, Condition.GOAL_POSE), name) for name in ("goal_joints",)}
-    with pytest.raises(ValueError, match="goal_joints"):
+    with pytest.raises(ValueError, match=r"goal_joints"):
         dataclasses.replace(batch_of(source, Condition.GOAL_LOCATION), **given)
 
 
@@ -157,5 +157,5 @@ def test_shuffled_goals_change_the_goal_and_nothing_else(source, table):
 
 
 def test_goals_of_a_single_sequence_cannot_be_shuffled(table):
-    with pytest.raises(UsageError, match="two sequences or more, found 1"):
+    with pytest.raises(UsageError, match=r"two sequences or more, found 1"):
         derangement(select(table, split="test", limit=1), seed=0)

@@ -27,7 +27,7 @@ def test_a_limit_above_the_split_takes_all(table):
 
 
 def test_an_unknown_split_is_named_with_the_known_ones(table):
-    with pytest.raises(UsageError, match="unknown split 'tset'; the splits are: train, validation, test"):
+    with pytest.raises(UsageError, match=r"unknown split 'tset'; the splits are: train, validation, test"):
         select(table, split="tset", limit=None)
 
 
