@@ -92,7 +92,7 @@ def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Floa
     Raises:
         InputFileError: naming the first bad line.
     """
-    bad = ~(np.isfinite(position).all(axis=1) & np.isfinite(rotation).all(axis=1))
+    bad = ~np.isfinite(np.einsum("nk->n", position) + np.einsum("nk->n", rotation))
     if bad.any():
         raise InputFileError(
             path,
@@ -101,7 +101,7 @@ def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Floa
             found="NaN or nothing",
             remedy="Remove the row, or download the file again.",
         )
-    length = np.linalg.norm(rotation, axis=1)
+    length = np.sqrt(np.einsum("nk,nk->n", rotation, rotation))
     bad = np.abs(length - 1) > _QUATERNION_TOLERANCE
     if bad.any():
         row = int(np.argmax(bad))

@@ -130,3 +130,18 @@ def test_joints(both) -> None:
 
 def test_the_order_of_the_joints(both) -> None:
     assert tuple(official.AriaDigitalTwinSkeletonProvider.get_joint_labels()) == adt.JOINT_NAMES
+
+
+def test_the_official_reader_opens_the_older_layout_too(tmp_path) -> None:
+    from prbench.synthetic.layouts import adt as layout
+    from tests.readers.conftest import still_life
+
+    layout.write_v1({"M1292": still_life()}, tmp_path / "sequence", version="1.2")
+    paths = official.AriaDigitalTwinDataPathsProvider(str(tmp_path / "sequence")).get_datapaths_by_device_num(0, True)
+    provider = official.AriaDigitalTwinDataProvider(paths)
+    (found,) = find_recordings(tmp_path)
+    readings = read_readings(found)
+    assert provider.get_start_time_ns() == readings.glasses.time_us[0] * 1000
+    assert sorted(provider.get_object_ids()) == [entry.object_id for entry in readings.objects]
+    assert provider.has_skeleton()
+    assert provider.has_eyegaze()
