@@ -1,0 +1,72 @@
+"""Predictions on disk: batches written whole, read back in any order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.contract import Motions
+from prbench.runs import predictions as module
+from prbench.runs.folder import DatasetFolder
+from prbench.runs.predictions import Predictions, write_part
+from prbench.runs.schema import PREDICTIONS
+
+
+def motions(*lengths: int, start: float = 0.0) -> Motions:
+    joints = np.full((len(lengths), max(lengths), 22, 3), np.nan, dtype=np.float32)
+    for row, n in enumerate(lengths):
+        joints[row, :n] = start + row + np.arange(n)[:, None, None] / 100
+    return Motions(joints, np.array(lengths))
+
+
+@pytest.fixture
+def folder(tmp_path) -> DatasetFolder:
+    files = DatasetFolder(tmp_path)
+    files.predictions.mkdir()
+    samples = [motions(3, 5), motions(3, 5, start=10)]
+    write_part(files.part(0), ["b", "a"], [(1, 2), (3, 4)], samples, protocol_version=1)
+    write_part(files.part(1), ["c"], [(5,), (6,)], [motions(2, start=20), motions(2, start=30)], protocol_version=1)
+    return files
+
+
+def test_motions_come_back_in_the_order_asked_for(folder):
+    rows = Predictions.open(folder.predictions).motions(["c", "a", "b"], 1)
+    assert list(rows.offsets) == [0, 2, 7, 10]
+    assert np.allclose(rows.values[:, 4, 2], [30, 30.01, 11, 11.01, 11.02, 11.03, 11.04, 10, 10.01, 10.02])
+    assert ("a", 0) in Predictions.open(folder.predictions)
+    assert ("a", 2) not in Predictions.open(folder.predictions)
+
+
+def test_a_small_cache_changes_nothing(folder, monkeypatch):
+    whole = Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values
+    monkeypatch.setattr(module, "_CACHED_ROW_GROUPS", 1)
+    assert np.array_equal(Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values, whole)
+
+
+def test_files_have_the_columns_of_the_design_and_the_encoding_of_the_table(folder):
+    file = pq.ParquetFile(folder.part(0))
+    assert file.schema_arrow.equals(PREDICTIONS, check_metadata=False)
+    assert file.read()["seed"].to_pylist() == [1, 2, 3, 4]
+    joints = file.metadata.row_group(0).column(3)
+    assert joints.compression == "ZSTD"
+    assert "BYTE_STREAM_SPLIT" in joints.encodings
+
+
+def test_equal_motions_give_equal_bytes_whatever_their_padding_holds(folder):
+    before = folder.part(0).read_bytes()
+    samples = [motions(3, 5), motions(3, 5, start=10)]
+    for sample in samples:
+        sample.joints[0, 3:] = 7.0
+    write_part(folder.part(0), ["b", "a"], [(1, 2), (3, 4)], samples, protocol_version=1)
+    assert folder.part(0).read_bytes() == before
+
+
+def test_a_part_counts_only_with_exactly_its_sequences_and_samples(folder):
+    assert folder.has_part(0, ["b", "a"], 2)
+    assert not folder.has_part(0, ["a", "b"], 2)
+    assert not folder.has_part(0, ["b", "a"], 1)
+    assert not folder.has_part(0, ["b", "a", "c"], 2)
+    assert not folder.has_part(2, ["b", "a"], 2)
+    folder.part(0).write_bytes(b"PAR1 and nothing more")
+    assert not folder.has_part(0, ["b", "a"], 2)
