@@ -1,0 +1,315 @@
+"""Runs side by side: what is compared, ranked, separated and printed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from prbench.errors import RunError, UsageError
+from prbench.leaderboard import collect_runs, export, make_leaderboard
+from prbench.metrics import METRICS
+from prbench.runs.record import RunRecord
+from prbench.runs.summary import DatasetSummary, MetricSummary
+from tests.runs.test_record import METHOD, RECORD, SUMMARY, TABLE
+
+UNITS = {info.id: info.unit for info in METRICS}
+
+
+def metrics(**means: float) -> tuple[MetricSummary, ...]:
+    values = {info.id: 0.5 for info in METRICS if info.main} | means
+    return tuple(
+        MetricSummary(
+            metric=info.id,
+            title=info.title,
+            unit=info.unit,
+            mean=values[info.id],
+            low=values[info.id] * 0.9,
+            high=values[info.id] * 1.1,
+            level=0.95,
+            interval="bootstrap",
+            sequences=80,
+            recordings=12,
+            marks=(),
+            flags={},
+        )
+        for info in METRICS
+        if info.id in values
+    )
+
+
+def write_run(
+    folder: Path,
+    method: str = "pr",
+    *,
+    datasets: tuple[str, ...] = ("synthetic-adt",),
+    sequences: int = 80,
+    kind: str = "adapter",
+    motionless: bool = False,
+    options: dict[str, str] | None = None,
+    record: dict | None = None,
+    table: dict | None = None,
+    summary: dict | None = None,
+    **means: float,
+) -> Path:
+    """A finished run with the given means."""
+    made = msgspec.structs.replace(METHOD, name=method, kind=kind, motionless=motionless, options=options or {})
+    tables = tuple(
+        msgspec.structs.replace(TABLE, **{"dataset": name, "sequences": sequences, **(table or {})})
+        for name in datasets
+    )
+    run: RunRecord = msgspec.structs.replace(RECORD, **{"method": made, "tables": tables, **(record or {})})
+    run.write(folder)
+    for name in datasets:
+        result: DatasetSummary = msgspec.structs.replace(
+            SUMMARY,
+            **{
+                "dataset": name,
+                "title": f"{name} title (synthetic)",
+                "method": method,
+                "sequences": sequences,
+                "recordings": 12,
+                "metrics": metrics(**means),
+                **(summary or {}),
+            },
+        )
+        path = folder if len(datasets) == 1 else folder / name
+        result.write(path)
+        for left in ("scores.parquet", "cost.json"):
+            (path / left).write_bytes(b"")
+    return folder
+
+
+def leaderboard(*folders: Path):
+    return make_leaderboard(collect_runs(folders))
+
+
+def only(items):
+    (item,) = items
+    return item
+
+
+def cells(markdown: str, heading: str) -> list[list[str]]:
+    block = markdown.split(f"## {heading}")[1].split("\n## ")[0]
+    lines = [line for line in block.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+
+
+def test_two_runs_stand_in_one_table_by_condition_with_controls_last(tmp_path):
+    write_run(tmp_path / "a", "ground-truth", kind="control")
+    write_run(tmp_path / "b", "pr", record={"condition": "goal-loc"})
+    write_run(tmp_path / "c", "static")
+    table = only(leaderboard(tmp_path).tables)
+    assert [row.entry.method for row in table.rows] == ["static", "pr", "ground-truth"]
+
+
+def test_the_printed_table_holds_the_six_metrics_in_percent_and_metres(tmp_path):
+    write_run(tmp_path / "a", prime_success=0.3542, goal_mpjpe=0.0249, foot_skating=0.111)
+    text = export(leaderboard(tmp_path), "md")
+    header, _, row = cells(text, "synthetic-adt title")
+    assert header[3:] == [
+        "Prime Success ↑ (%)",
+        "Reach Success ↑ (%)",
+        "Goal MPJPE ↓ (m)",
+        "Location Error ↓ (%)",
+        "MPJPE ↓ (m)",
+        "Foot Skating ↓",
+    ]
+    assert row[3] == "35.42 [31.88, 38.96]"
+    assert row[5] == "0.02 [0.02, 0.03]"
+    assert row[8] == "0.11 [0.10, 0.12]"
+
+
+def test_synthetic_data_are_called_so(tmp_path):
+    write_run(tmp_path / "a")
+    board = leaderboard(tmp_path)
+    assert re.search(
+        r"^## .*\(synthetic\), `synthetic-adt`: test, 80 sequences, 12 recordings$", export(board, "md"), re.M
+    )
+    assert "scores on synthetic data" in export(board, "md")
+    assert all("synthetic" in row["note"] for row in csv.DictReader(io.StringIO(export(board, "csv"))))
+    assert json.loads(export(board, "json"))["tables"][0]["synthetic"] is True
+
+
+def test_a_body_that_stands_still_has_a_dash_for_foot_skating_everywhere(tmp_path):
+    write_run(tmp_path / "a", "still", motionless=True, datasets=("adt", "gimo"), foot_skating=0.0)
+    write_run(tmp_path / "b", "pr", datasets=("adt", "gimo"), foot_skating=0.2)
+    board = leaderboard(tmp_path)
+    text = export(board, "md")
+    by_method = {row[1]: row for row in cells(text, "adt title")[2:]}
+    assert by_method["still"][8] == "–"
+    assert by_method["pr"][8].startswith("0.20")  # and is not best of one
+    assert {row[1]: row[8] for row in cells(text, "Mean over")[2:]}["still"] == "–"
+    rows = [row for row in csv.DictReader(io.StringIO(export(board, "csv"))) if row["metric"] == "foot_skating"]
+    assert {row["value"] for row in rows if row["method"] == "still"} == {""}
+
+
+@pytest.mark.parametrize("low", [None, 0.1])
+def test_few_recordings_are_marked_and_explained(tmp_path, low):
+    marked = tuple(msgspec.structs.replace(m, marks=("few_recordings",), low=low, high=low and 0.9) for m in metrics())
+    write_run(tmp_path / "a", summary={"metrics": marked})
+    text = export(leaderboard(tmp_path), "md")
+    assert cells(text, "synthetic-adt title")[2][3] == ("50.00 [10.00, 90.00] †" if low else "50.00 †")
+    assert "- † few recordings" in text
+
+
+def test_ranks_follow_the_direction_of_each_metric_within_a_condition(tmp_path):
+    write_run(tmp_path / "a", "one", prime_success=0.6, mpjpe=0.3, location_error=0.1)
+    write_run(tmp_path / "b", "two", prime_success=0.4, mpjpe=0.2, location_error=0.1)
+    write_run(tmp_path / "c", "three", prime_success=0.9, record={"condition": "goal-loc"})
+    write_run(tmp_path / "d", "ground-truth", kind="control", prime_success=1.0, mpjpe=0.0)
+    write_run(tmp_path / "e", "one", record={"control": "shuffled-goal"}, prime_success=1.0)
+    ranks = {(row.entry.method, row.variant): row.ranks for row in only(leaderboard(tmp_path).tables).rows}
+    assert ranks["one", ""]["prime_success"] == 1
+    assert ranks["two", ""]["prime_success"] == 2
+    assert (ranks["one", ""]["mpjpe"], ranks["two", ""]["mpjpe"]) == (2, 1)
+    assert (ranks["one", ""]["location_error"], ranks["two", ""]["location_error"]) == (1, 1)
+    assert ranks["three", ""] == ranks["ground-truth", ""] == ranks["one", "shuffled-goal"] == {}
+    text = export(leaderboard(tmp_path), "md")
+    by_row = {(row[1], row[2]): row for row in cells(text, "synthetic-adt title")[2:]}
+    assert by_row["one", ""][3].startswith("**60.00** ")
+    assert by_row["two", ""][3].startswith("40.00 ")
+
+
+@pytest.mark.parametrize(("sequences", "ranked"), [(49, False), (50, True)])
+def test_nothing_is_ranked_below_fifty_sequences(tmp_path, sequences, ranked):
+    write_run(tmp_path / "a", "one", sequences=sequences, prime_success=0.6)
+    write_run(tmp_path / "b", "two", sequences=sequences, prime_success=0.4)
+    board = leaderboard(tmp_path)
+    assert any(row.ranks for row in only(board.tables).rows) is ranked
+    assert ("**" in export(board, "md")) is ranked
+    assert ("Nothing is ranked: fewer than 50" in export(board, "md")) is not ranked
+
+
+def test_a_method_that_left_sequences_out_is_shown_without_rank(tmp_path):
+    write_run(tmp_path / "a", "one", prime_success=0.6, summary={"unsupported": 5})
+    write_run(tmp_path / "b", "two", prime_success=0.4)
+    write_run(tmp_path / "c", "three", prime_success=0.3)
+    ranks = {row.entry.method: row.ranks.get("prime_success") for row in only(leaderboard(tmp_path).tables).rows}
+    assert ranks == {"one": None, "two": 1, "three": 2}
+    assert "one: 5 sequences are longer than it can generate" in export(leaderboard(tmp_path), "md")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"record": {"protocol_digest": "e" * 64}}, "protocol"),
+        ({"table": {"identity_digest": "e" * 64}}, "table identity"),
+        ({"table": {"content_digest": "e" * 64}}, "table content"),
+        ({"record": {"split": "train"}}, "split"),
+        ({"table": {"selection_digest": "e" * 64}}, "chosen sequences"),
+    ],
+)
+def test_runs_that_do_not_compare_are_kept_apart_and_the_reason_is_given(tmp_path, changes, reason):
+    write_run(tmp_path / "a", "one", prime_success=0.6)
+    write_run(tmp_path / "b", "two", prime_success=0.4, **changes)
+    board = leaderboard(tmp_path)
+    assert len(board.tables) == 2
+    assert all(len(table.rows) == 1 and not table.rows[0].ranks for table in board.tables)
+    assert board.notes == (f"synthetic-adt has 2 tables that must not be compared: they differ in {reason}.",)
+    headings = re.findall(r"^## synthetic-adt title.*$", export(board, "md"), re.M)
+    assert len(set(headings)) == 2
+    assert {row["table"] for row in csv.DictReader(io.StringIO(export(board, "csv")))} == {"1", "2"}
+
+
+def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt",), prime_success=0.2)
+    write_run(tmp_path / "b", "one", datasets=("gimo",), prime_success=0.6, sequences=1000)
+    write_run(tmp_path / "c", "two", datasets=("adt", "gimo"), prime_success=0.3)
+    write_run(tmp_path / "d", "three", datasets=("adt",), prime_success=0.9)
+    board = leaderboard(tmp_path)
+    # other sequences of gimo: its two runs do not compare, so no mean stands
+    assert len(board.tables) == 2
+    rows = {row.method: row for row in only(board.macro).rows}
+    assert rows["one"].means["prime_success"] == pytest.approx(0.4)
+    assert rows["two"].means["prime_success"] == pytest.approx(0.3)
+    assert rows["three"].means == {}
+    assert rows["three"].missing == ("gimo",)
+    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 2)
+    assert rows["three"].ranks == {}
+    printed = {row[1]: row for row in cells(export(board, "md"), "Mean over")[2:]}
+    assert printed["one"][3] == "40.00 (1)"
+    assert printed["three"][3:] == [""] * 6 + ["gimo"]
+
+
+def test_no_macro_mean_over_tables_that_do_not_compare(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt", "gimo"))
+    write_run(tmp_path / "b", "two", datasets=("adt",), table={"content_digest": "e" * 64})
+    assert leaderboard(tmp_path).macro == ()
+
+
+def test_variants_tell_runs_of_one_method_apart(tmp_path):
+    write_run(tmp_path / "a", "one", options={"steps": "10"})
+    write_run(tmp_path / "b", "one", options={"steps": "50"})
+    write_run(tmp_path / "c", "one")
+    write_run(tmp_path / "d", "one", record={"seed": 1})
+    write_run(tmp_path / "e", "one", record={"seed": 1, "batch_size": 2} if False else {"seed": 1, "threads": 4})
+    variants = [row.variant for row in only(leaderboard(tmp_path).tables).rows]
+    assert sorted(variants) == ["run d", "run e", "seed 0", "steps=10", "steps=50"]
+
+
+def test_csv_has_one_number_a_row_and_a_unique_key(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt", "gimo"), prime_success=1 / 3)
+    write_run(tmp_path / "b", "two", datasets=("adt", "gimo"))
+    text = export(leaderboard(tmp_path), "csv")
+    assert "\r" not in text
+    rows = list(csv.DictReader(io.StringIO(text)))
+    key = ("table", "dataset", "condition", "method", "variant", "metric")
+    assert list(rows[0])[:9] == [*key, "value", "unit", "higher_is_better"]
+    assert len({tuple(row[name] for name in key) for row in rows}) == len(rows) == 3 * 2 * 6
+    first = next(row for row in rows if row["method"] == "one" and row["metric"] == "prime_success")
+    assert (first["value"], first["unit"], first["higher_is_better"]) == ("33.333333", "%", "true")
+    assert all(float(row["value"]) >= 0 for row in rows)
+
+
+def test_json_holds_everything_with_rates_from_0_to_1(tmp_path):
+    write_run(tmp_path / "a", "one", prime_success=1 / 3)
+    table = only(json.loads(export(leaderboard(tmp_path), "json"))["tables"])
+    row = only(table["rows"])
+    assert (row["method"], row["scored"], table["split"]) == ("one", 80, "test")
+    assert next(m["mean"] for m in row["metrics"] if m["metric"] == "prime_success") == pytest.approx(1 / 3)
+
+
+def test_text_from_a_run_cannot_break_the_table(tmp_path):
+    write_run(tmp_path / "a", "one|two", options={"note": "a|b\nc"})
+    rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
+    assert {len(row) for row in rows} == {9}
+    assert rows[2][1] == r"one\|two"
+
+
+def test_every_table_line_has_the_same_number_of_cells(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt", "gimo"))
+    write_run(tmp_path / "b", "two", datasets=("adt",))
+    text = export(leaderboard(tmp_path), "md")
+    for heading in ("adt title", "gimo title", "Mean over"):
+        assert len({len(row) for row in cells(text, heading)}) == 1
+    assert re.fullmatch(r"(?s)# [^\n]+\n\n(## |- |\|).*\n", text.replace("\n\n", "\n\n", 1))
+
+
+def test_the_order_of_the_paths_and_naming_a_run_twice_change_nothing(tmp_path):
+    a, b = write_run(tmp_path / "a", "one"), write_run(tmp_path / "b", "two")
+    assert export(leaderboard(b, a, a, tmp_path), "json") == export(leaderboard(a, b), "json")
+
+
+def test_a_run_that_is_not_finished_is_named_and_left_out(tmp_path):
+    write_run(tmp_path / "a", "one")
+    (write_run(tmp_path / "b", "two") / "summary.json").unlink()
+    board = leaderboard(tmp_path)
+    assert [row.entry.method for row in only(board.tables).rows] == ["one"]
+    assert board.notes == ("Left out: b: not finished on synthetic-adt; run it again, it resumes.",)
+    assert "not finished" in export(board, "md")
+
+
+def test_a_folder_without_runs_and_an_unknown_format_are_errors(tmp_path):
+    with pytest.raises(RunError, match=r"expected a run folder .* found none"):
+        collect_runs([tmp_path])
+    with pytest.raises(RunError, match=r"gone"):
+        collect_runs([tmp_path / "gone"])
+    write_run(tmp_path / "a")
+    with pytest.raises(UsageError, match=r"unknown format 'html'; known ones are: md, csv, json"):
+        export(leaderboard(tmp_path), "html")
