@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import re
 from pathlib import Path
@@ -223,7 +224,6 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     write_run(tmp_path / "c", "two", datasets=("adt", "gimo"), prime_success=0.3)
     write_run(tmp_path / "d", "three", datasets=("adt",), prime_success=0.9)
     board = leaderboard(tmp_path)
-    # other sequences of gimo: its two runs do not compare, so no mean stands
     assert len(board.tables) == 2
     rows = {row.method: row for row in only(board.macro).rows}
     assert rows["one"].means["prime_success"] == pytest.approx(0.4)
@@ -248,7 +248,7 @@ def test_variants_tell_runs_of_one_method_apart(tmp_path):
     write_run(tmp_path / "b", "one", options={"steps": "50"})
     write_run(tmp_path / "c", "one")
     write_run(tmp_path / "d", "one", record={"seed": 1})
-    write_run(tmp_path / "e", "one", record={"seed": 1, "batch_size": 2} if False else {"seed": 1, "threads": 4})
+    write_run(tmp_path / "e", "one", record={"seed": 1, "threads": 4})
     variants = [row.variant for row in only(leaderboard(tmp_path).tables).rows]
     assert sorted(variants) == ["run d", "run e", "seed 0", "steps=10", "steps=50"]
 
@@ -288,7 +288,9 @@ def test_every_table_line_has_the_same_number_of_cells(tmp_path):
     text = export(leaderboard(tmp_path), "md")
     for heading in ("adt title", "gimo title", "Mean over"):
         assert len({len(row) for row in cells(text, heading)}) == 1
-    assert re.fullmatch(r"(?s)# [^\n]+\n\n(## |- |\|).*\n", text.replace("\n\n", "\n\n", 1))
+    for before, line in itertools.pairwise(text.splitlines()):
+        if line.startswith("|") and not before.startswith("|"):
+            assert before == ""  # a table needs an empty line before it
 
 
 def test_the_order_of_the_paths_and_naming_a_run_twice_change_nothing(tmp_path):
