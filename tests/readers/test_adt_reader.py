@@ -11,7 +11,7 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.formats import adt
 from prbench.formats.aria_mps import device_from_cpf
-from prbench.readers.adt import find_recordings, read_recording
+from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.recording import Recording
 from prbench.recording.body_quality import hold_neighbours
 from prbench.skeleton import Joint
@@ -137,6 +137,19 @@ def test_gaze_from_the_mps_folder_when_the_sequence_has_none(folder) -> None:
     (folder / "mps" / "eye_gaze").mkdir(parents=True)
     (folder / "eyegaze.csv").rename(folder / "mps" / "eye_gaze" / "general_eye_gaze.csv")
     assert read_recording(find_recordings(folder)[0]).gaze.valid.all()
+
+
+def test_an_online_calibration_tells_size_and_camera(folder, samples) -> None:
+    (folder / "mps" / "slam").mkdir(parents=True)
+    calibration = samples / "mps/mps_sample/trajectory/online_calibration.jsonl"
+    (folder / "mps" / "slam" / "online_calibration.jsonl").write_bytes(calibration.read_bytes())
+    (found,) = find_recordings(folder)
+    readings, recording = read_readings(found), read_recording(found)
+    assert readings.glasses_size == "DVT-S"
+    assert readings.device_from_rgb is not None
+    assert not any("assumed" in message for message in recording.messages)
+    turned = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+    assert recording.camera.position[0] == pytest.approx(turned @ readings.device_from_rgb[:3, 3] + (0.0, 1.6, 0.0))
 
 
 def test_search_lists_every_input_with_its_size(folder) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields, replace
 from typing import Any
 
@@ -101,3 +102,31 @@ def test_readings_survive_the_text(readings, tmp_path) -> None:
     back = read_readings(find_recordings(tmp_path)[0])
     markers_are_not_read = tuple(replace(person, markers=None) for person in readings.skeletons)
     assert list(differences(back, replace(readings, skeletons=markers_are_not_read))) == []
+
+
+@pytest.mark.parametrize("name", ["aria_trajectory.csv", "eyegaze.csv", "3d_bounding_box.csv", "scene_objects.csv"])
+def test_columns_stand_in_the_order_of_the_release(readings, tmp_path, samples, name) -> None:
+    layout.write(readings, tmp_path / "written")
+    real = (samples / "adt" / "aria_digital_twin_test_data" / name).read_text().splitlines()[0]
+    assert (tmp_path / "written" / name).read_text().splitlines()[0] == real
+
+
+@pytest.mark.parametrize(
+    "name", ["metadata.json", "instances.json", "skeleton_aria_association.json", "Skeleton_T.json"]
+)
+def test_json_files_have_the_keys_of_the_release(readings, tmp_path, samples, name) -> None:
+    (person,) = readings.skeletons
+    layout.write(replace(readings, skeletons=(replace(person, name="Skeleton_T"),)), tmp_path / "written")
+    real = json.loads((samples / "adt" / "aria_digital_twin_test_data" / name).read_text())
+    assert _shape(json.loads((tmp_path / "written" / name).read_text())) == _shape(real)
+
+
+def _shape(value: Any) -> Any:
+    """Keys and kinds of a JSON value: of a list its first entry, of objects by id the first."""
+    if isinstance(value, list):
+        return [_shape(value[0])] if value else []
+    if isinstance(value, dict):
+        return {
+            ("id" if key[:1].isdigit() or key[:5] == "SYNTH" else key): _shape(entry) for key, entry in value.items()
+        }
+    return float if isinstance(value, float) else type(value)

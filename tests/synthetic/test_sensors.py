@@ -121,6 +121,18 @@ def test_default_noise_has_the_sizes_of_the_page(performance) -> None:
     assert np.concatenate(shifts).std() == pytest.approx(0.3e-3, rel=0.1)
 
 
+def test_readings_have_the_resolution_of_the_files(performance) -> None:
+    readings = sense(performance)
+    for values in (
+        readings.glasses.position,
+        readings.gaze.yaw,
+        readings.skeletons[0].joints,
+        readings.objects[0].box_max,
+    ):
+        known = values[np.isfinite(values)] * 1e6
+        assert known == pytest.approx(np.rint(known), abs=1e-6)
+
+
 def test_twice_the_noise_is_twice_the_error(performance) -> None:
     ideal, once, twice = (sense(performance, noise=noise).glasses.position for noise in (0.0, 1.0, 2.0))
     assert twice - ideal == pytest.approx(2 * (once - ideal), abs=2e-6)
@@ -146,6 +158,8 @@ def test_bad_frames_are_found_and_filled(performance) -> None:
     body = recording_from_readings(readings).body
     assert body is not None
     assert 0 < bad.sum() < 0.05 * len(bad)
+    at_origin = (readings.skeletons[0].joints == 0).all(axis=(1, 2))
+    assert 0 < at_origin.sum() < bad.sum(), "some frames are lost, in others a joint is thrown off"
     assert not body.valid[readings.skeletons[0].joints[:, 0, 1] == 0.0].any()
     lengths = bone_lengths(body.joints)
     assert np.abs(lengths - np.median(lengths, axis=0)).max() < 0.05, "fillers are bodies too"

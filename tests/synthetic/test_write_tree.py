@@ -107,8 +107,15 @@ def test_object_truth_keeps_rows_while_moving_and_both_ends(performance) -> None
     assert all(counts[motion.object_id] == 1 for motion in still)
     for key in moved:
         motion = next(motion for motion in performance.objects if motion.object_id == key)
-        moving = (np.diff(motion.position, axis=0) != 0).any(axis=1).sum()
-        assert moving < counts[key] < moving + 20
+        poses = np.hstack([motion.position, motion.rotation])
+        last = len(poses) - 1
+        kept = [
+            i
+            for i in range(last + 1)
+            if i in (0, last) or (poses[i - 1] != poses[i]).any() or (poses[i] != poses[i + 1]).any()
+        ]
+        assert counts[key] == len(kept)
+        assert len(kept) < last
 
 
 def test_an_older_synthetic_tree_is_replaced_and_anything_else_is_not(tree, tmp_path) -> None:
