@@ -74,7 +74,7 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         yield f"{_FEW} few recordings (below ten): the interval says little."
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
-    else:
+    elif any(row.ranks for row in table.rows):
         yield "Bold: the best of two or more methods under one condition; controls are not ranked."
     for row in table.rows:
         if row.entry.summary.unsupported:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import msgspec
 import pyarrow.parquet as pq
@@ -59,6 +60,39 @@ def test_a_run_killed_at_random_moments_ends_with_the_same_bytes(table, tmp_path
     report = run_method(request(table, killed, "made", batch_size=1, samples=2))
     assert 0 < report.batches_found < 15
     assert reproducible_bytes(killed) == reproducible_bytes(whole)
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_run_stopped_at_any_of_its_writes_ends_with_the_same_bytes(table, tmp_path, monkeypatch, when):
+    asked = {"method": "scripted", "limit": 4, "batch_size": 2}
+    run_method(request(table, tmp_path / "whole", **asked))
+    expected = reproducible_bytes(tmp_path / "whole")
+    replace = Path.replace
+    for stop_at in range(1, 100):
+        writes = 0
+
+        def interrupted(self, target, stop_at=stop_at):
+            nonlocal writes
+            writes += 1
+            if writes == stop_at and when == "before":
+                raise KeyboardInterrupt
+            replace(self, target)
+            if writes == stop_at:
+                raise KeyboardInterrupt
+
+        out = tmp_path / str(stop_at)
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", interrupted)
+            try:
+                run_method(request(table, out, **asked))
+            except KeyboardInterrupt:
+                pass
+            else:
+                break
+        assert not list(out.rglob("*partial*"))
+        run_method(request(table, out, **asked))
+        assert reproducible_bytes(out) == expected
+    assert stop_at == 1 + 2 * 2 + 3 + 1  # run.json, two batches with their costs, scores, cost, summary; then none
 
 
 def test_what_a_killed_process_left_half_written_is_removed_and_never_read(table, tmp_path, install):
