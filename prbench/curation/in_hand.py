@@ -16,8 +16,9 @@ from prbench.recording import HandStream, ObjectTrack, Recording
 from prbench.recording.streams import Side
 from prbench.timelines import covered, interpolate
 
-LONGEST_HAND_GAP = 0.1
-"""Seconds; hand samples further apart are not interpolated."""
+LONGEST_HAND_GAP = 1.0
+"""Seconds; hand samples further apart are not interpolated. Long enough that a holding survives the stretches of
+implausible poses that a noisy suit gives: who holds something before and after holds it in between."""
 
 
 @dataclass(frozen=True)

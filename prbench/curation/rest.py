@@ -13,6 +13,12 @@ from prbench.timelines import interpolate
 _LONGEST_REST = 1.0  # seconds of rest that are averaged: enough to suppress sensor noise, short enough to be local
 
 
+_STANDS_OUT = 2.6
+"""Times the median distance of resting samples from their centre: 4 standard deviations of isotropic noise."""
+_FINEST_LEVEL = 0.4
+"""Share of the tolerance below which no movement is looked for, however quiet the rest: 1 mm of 2.5 mm."""
+
+
 @dataclass(frozen=True)
 class Departure:
     """An object leaves its rest (or, seen backwards in time, comes to rest)."""
@@ -83,10 +89,9 @@ def find_departure(
     """The last rest before a holding, and the instant at which the object leaves it.
 
     From the start of the holding the search goes back to the last ``still`` sample; the still run that ends there is
-    the rest. The boundary is the last crossing of ``tolerance`` on the way out, so that single noisy samples during
-    the rest move nothing. Where the object creeps away, that crossing comes late: the time is therefore extrapolated
-    back by as long as it takes from ``tolerance`` to twice that (exact for a steady departure; a smooth one that grows
-    with the cube of time is then 0.4 tolerances away), at most by half of the speed's window.
+    the rest. It has surely left once it is twice ``tolerance`` away; the boundary is where, on its way there, it passed
+    the level at which a movement stands out from the noise of this rest, at most ``tolerance``. (An object that creeps
+    away or settles slowly is 2.5 mm from its rest up to 0.1 s after its movement began or before it ends.)
     For the rest *after* a holding call this with everything reversed.
 
     Args:
@@ -108,31 +113,35 @@ def find_departure(
     first = floor if len(moving_before) == 0 else floor + int(moving_before[-1]) + 1
     quiet = _quiet_part(track, first, last)
     rest = np.median(track.centre[quiet], axis=0)
-    distance = np.linalg.norm(track.centre[last:stop] - rest, axis=1)
-    away = np.flatnonzero(distance > 2 * tolerance)
+    distance = np.linalg.norm(track.centre[:stop] - rest, axis=1)
+    away = np.flatnonzero(distance[last:] > 2 * tolerance) + last
     if len(away) == 0:
         return None
-    # The still sample looks half a window ahead, so the way out may begin before it.
-    begin, end = min(quiet.stop, last + int(away[0])) - 1, last + int(away[0]) + 1
-    times, distance = track.times[begin:end], np.linalg.norm(track.centre[begin:end] - rest, axis=1)
-    inner, crossing = _last_crossing(times, distance, tolerance)
-    _, further = _last_crossing(times, distance, 2 * tolerance)
+    # The last still sample looks half a window ahead, so the way out may begin before it: where the quiet part ends.
+    way = slice(min(quiet.stop, int(away[0])) - 1, int(away[0]) + 1)
+    noise = _STANDS_OUT * float(np.median(distance[quiet]))
+    level = float(np.clip(noise, _FINEST_LEVEL * tolerance, tolerance))
+    inner, time = _leaving(track.times[way], distance[way], level)
+    inner += way.start
     return Departure(
-        time=crossing - min(further - crossing, track.window / 2),
-        gap=(float(times[inner]), float(times[inner + 1])),
-        first_away=track.centre[begin + inner + 1],
+        time=time,
+        gap=(float(track.times[inner]), float(track.times[inner + 1])),
+        first_away=track.centre[inner + 1],
         centre=rest,
         position=np.median(track.position[quiet], axis=0),
         rotation=_mean_rotation(track.rotation[quiet]),
     )
 
 
-def _last_crossing(
-    times: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"], level: float
-) -> tuple[int, float]:
-    """Index of the last sample within ``level`` (the first where none is), and the time at which it is passed."""
-    near = np.flatnonzero(distance[:-1] <= level)
-    inner = int(near[-1]) if len(near) else 0
+def _leaving(times: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"], level: float) -> tuple[int, float]:
+    """Index of the last sample before ``level`` is passed, and the time at which it is passed.
+
+    The passage that counts is the first one after the last sample within half of the level: who turns back half-way has
+    not left, who dips just below the level has.
+    """
+    close = np.flatnonzero(distance[:-1] <= level / 2)
+    home = int(close[-1]) if len(close) else 0
+    inner = home + int(np.flatnonzero(distance[home + 1 :] > level)[0])
     share = np.clip((level - distance[inner]) / max(distance[inner + 1] - distance[inner], 1e-12), 0.0, 1.0)
     return inner, float(times[inner] + share * (times[inner + 1] - times[inner]))
 

@@ -65,10 +65,10 @@ def test_one_holding_gives_a_pick_and_a_put_at_the_instants_of_departure_and_res
 
 
 def test_a_steady_departure_is_timed_exactly() -> None:
-    path = PLACE_A + np.clip(SLOW - PICK - 0.017, 0, 2)[:, None] * [0.0, 0.1, 0.0]
+    path = PLACE_A + np.clip(SLOW - PICK, 0, 2)[:, None] * [0.0, 0.1, 0.0]
     pick, put = events(scene(objects=(track(SLOW, path),), hands=(visit(path),)))
-    assert pick.event_time == pytest.approx(PICK + 0.017, abs=1e-3)
-    assert put.event_time == pytest.approx(PICK + 2.017, abs=1e-3)
+    assert pick.event_time == pytest.approx(PICK + 0.01, abs=1e-6), "1 mm away at 0.1 m/s"
+    assert put.event_time == pytest.approx(PICK + 2 - 0.01, abs=1e-6)
 
 
 def test_a_pick_lies_where_the_object_rested_and_a_put_where_it_will_rest() -> None:
@@ -83,7 +83,7 @@ def test_noise_of_a_tracking_system_moves_instants_and_places_little() -> None:
     noisy = events(scene(objects=(track(SLOW, cup_centre(SLOW), noise=0.0006),)))
     assert [event.action for event in noisy] == ["pick", "put"]
     for one, other in zip(quiet, noisy, strict=True):
-        assert other.event_time == pytest.approx(one.event_time, abs=0.04)
+        assert other.event_time == pytest.approx(one.event_time, abs=0.08), "this cup takes 0.06 s from 1 to 2.5 mm"
         np.testing.assert_allclose(other.place.location, one.place.location, atol=0.002)
 
 
