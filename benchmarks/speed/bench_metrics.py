@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.speed.naive_metrics import naive_metrics
+from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.manifests import load_protocol
 from prbench.metrics import METRICS, MotionBatch, ScoringTargets, score
 from prbench.runs.schema import PREDICTIONS
@@ -47,23 +46,16 @@ def main() -> None:
         reading = timed(lambda: [pq.read_table(file) for file in files], options.repeats)
         size = sum(file.stat().st_size for file in files)
 
-    frames = len(predicted.values)
-    table = Table(title=f"{options.sequences:,} sequences, {frames:,} frames; best of {options.repeats}")
-    for column in ("", "seconds", "against all metrics"):
-        table.add_column(column, justify="left" if not column else "right")
     rows = [
-        (f"all {len(values)} metrics", ours),
-        ("the six of the study", six),
-        (f"naive loop, six metrics (from {NAIVE_SEQUENCES} sequences)", naive),
-        (f"warm pq.read_table of both motion files ({size / 1e6:.0f} MB)", reading),
+        Row(f"prbench: all {len(values)} metrics", ours),
+        Row("prbench: the six of the study", six),
+        Row(f"naive loop, six metrics (from {NAIVE_SEQUENCES} sequences)", naive),
+        Row(f"warm pq.read_table of both motion files ({size / 1e6:.0f} MB)", reading),
     ]
-    for name, seconds in rows:
-        table.add_row(name, f"{seconds:.2f}", f"{seconds / ours:.2f}")
-    console = Console(width=110)
-    console.print(table)
-    console.print(f"all metrics / warm read = {ours / reading:.2f} (aim: at most 3); {ours:.2f} s (aim: below 2 s)")
+    print_rows(f"scoring {options.sequences:,} sequences, {len(predicted.values):,} frames", rows)
     memory = peak_memory(lambda: score(predicted, recorded, targets, constants))
-    console.print(f"peak memory of scoring beside the motions themselves: {memory / 1e6:.0f} MB")
+    print(f"all metrics / warm read = {ours / reading:.2f} (aim: at most 3); {ours:.2f} s (aim: below 2 s)")
+    print(f"peak memory of scoring beside the motions themselves: {memory / 1e6:.0f} MB")
 
 
 def random_problem(n: int) -> tuple[MotionBatch, MotionBatch, ScoringTargets]:
@@ -123,17 +115,6 @@ def time_naive(
                 raise SystemExit(f"{metric} of sequence {i}: naive {value}, prbench {expected[metric][i]}")
     frames = predicted.offsets[NAIVE_SEQUENCES]
     return (time.perf_counter() - start) * len(predicted.values) / frames
-
-
-def timed(work: Callable[[], object], repeats: int) -> float:
-    """Shortest duration of some repetitions after a first one that warms up, seconds."""
-    work()
-    durations = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        durations.append(time.perf_counter() - start)
-    return min(durations)
 
 
 def peak_memory(work: Callable[[], object]) -> int:

@@ -61,7 +61,7 @@ def read_plainly(folder: Path) -> int:
     for path in sorted(folder.rglob("*.csv")):
         with open(path, newline="") as file:
             for row in csv.DictReader(file):
-                numbers += len([float(cell) for name, cell in row.items() if cell and "[" in name or "_us" in name])
+                numbers += len([float(cell) for name, cell in row.items() if (cell and "[" in name) or "_us" in name])
     for path in sorted(folder.glob("Skeleton_*.json")):
         for frame in json.loads(path.read_text())["frames"]:
             numbers += len([[float(x), float(y), float(z)] for x, y, z in frame["joints"]])
