@@ -123,11 +123,10 @@ def measure(performances: Sequence[Performance]) -> Plausibility:
     batch, constants = MotionBatch.from_motions(on_floor), load_protocol().metrics
     skating = foot_skating(batch, FPS, constants)
     extremes = np.array([_extremes(performance) for performance in performances])
-    knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0)
+    knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0).tolist()
     jerk = np.concatenate([_jerk(performance).ravel() for performance in performances])
-    (slide, bones, knees_high, backwards, elbows_high, foot_yaw, head, ball, wrist, pelvis, pelvis_jerk) = extremes[
-        :, 3:
-    ].max(axis=0)
+    highest = extremes[:, 3:].max(axis=0).tolist()
+    slide, bones, knees_high, backwards, elbows_high, foot_yaw, head, ball, wrist, pelvis, pelvis_jerk = highest
     return Plausibility(
         foot_skating_mean=float(skating.mean()),
         foot_skating_worst=float(skating.max()),

@@ -20,6 +20,7 @@ _SHORTEST_LOOK = 0.15
 WINDOW = 10.0
 """Seconds before an event in which a look can prime."""
 _GAP_LIMITS = (0.35, 9.7)
+_SEEN_BEFORE_TOUCHED = 0.7
 _WIDEST_BEARING = np.deg2rad(86.0)
 _SWEEP = np.deg2rad(13.0)
 
@@ -153,7 +154,8 @@ class _Scheduler:
             return reach.event - reach.twist.gap
         after_motor_start = not preset.gap
         prime = reach.motor_start + rng.normal(1.0, 0.6) if after_motor_start else reach.event - _draw_gap(preset, rng)
-        prime = float(np.clip(prime, 0.4, reach.event - _GAP_LIMITS[0]))
+        latest = reach.event - (_SEEN_BEFORE_TOUCHED if after_motor_start else _GAP_LIMITS[0])
+        prime = float(np.clip(prime, 0.4, latest))
         if reach.number > 0:
             previous = self.plan.reaches[reach.number - 1].event
             if previous - 0.6 <= prime <= previous + 0.15:

@@ -85,6 +85,22 @@ def take_hold(
     return Grasp(wrist, frame_of_bone(-backwards, np.cross(UP, -backwards)))
 
 
+def kept_away(
+    grasp: Grasp,
+    hand_length: float,
+    centre: Float[np.ndarray, "3"],
+    half_extents: Float[np.ndarray, "3"],
+    yaw: float,
+    clearance: float,
+) -> Grasp:
+    """The same hand, drawn back along itself until its finger base is ``clearance`` metres from the box."""
+    backwards = -grasp.hand[:, 1]
+    wrists = grasp.wrist + np.linspace(0.0, 0.25, 251)[:, None] * backwards
+    in_box = turn(-yaw, 0.0, wrists - hand_length * backwards - centre)
+    distance = np.linalg.norm(np.maximum(np.abs(in_box) - half_extents, 0.0), axis=-1)
+    return Grasp(wrists[int(np.abs(distance - clearance).argmin())], grasp.hand)
+
+
 def shoulder_in_posture(
     person: Person,
     base: BasePose,

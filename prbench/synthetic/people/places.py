@@ -28,6 +28,7 @@ from prbench.synthetic.people.world import Room, Surface
 _WITHIN_REACH = 0.92
 _STEP_NEARER_ABOVE = 0.905
 _STEP = 0.06
+_DEEP_BEND, _LOW_GOAL = np.deg2rad(57.0), 0.76  # people step nearer rather than bend like this for a high goal
 _NEAREST = 0.34  # metres; nearer, the wrist would pass through the shoulder
 _WALL_CLEARANCE = 0.15
 
@@ -100,15 +101,19 @@ class Reachability:
         """
         number = draw_grasp_number(self.preset, self.rng)
         places = [base] if stay else self._places(base, at_surface, goal, hand)
+        bent_low = None
         for place in places:
             segment = plan_segment(self.person.habits, self.preset.speed, base, place, begin)
             here = base if segment is None else segment.goal
             if not self.is_seated and np.hypot(goal.centre[0] - here.x, goal.centre[2] - here.z) < _NEAREST:
-                return None
+                break
             yaw, grasp, posture = self._hold(here, hand, goal, number, held)
             if posture.extension <= (_WITHIN_REACH if place is base else _STEP_NEARER_ABOVE):
-                return Stand(here, segment, yaw, grasp, posture)
-        return None
+                found = Stand(here, segment, yaw, grasp, posture)
+                if posture.lean <= _DEEP_BEND or goal.centre[1] < _LOW_GOAL:
+                    return found
+                bent_low = bent_low or found
+        return bent_low
 
     def _hold(
         self, base: BasePose, hand: int, goal: Goal, number: float, held: Held | None

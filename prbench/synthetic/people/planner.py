@@ -13,6 +13,7 @@ import numpy as np
 
 from prbench.synthetic.people.base import BasePose, Segment
 from prbench.synthetic.people.geometry import UP, turn
+from prbench.synthetic.people.grasp import kept_away
 from prbench.synthetic.people.person import Person
 from prbench.synthetic.people.places import Goal, Held, Reachability, Stand
 from prbench.synthetic.people.plan import OPENING, Action, Plan, Reach, Twist
@@ -32,6 +33,7 @@ from prbench.synthetic.people.provocations import (
 from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot, world_half_extents
 
 _TRIES = 14
+_TRIES_A_SURFACE = 5  # before another is drawn: else hard ones, very high or very low, would become rare
 _RESTING_GAP = 0.13  # metres between the centres of two objects at rest
 _LARGE_GAP = 0.24  # around trays and doors
 _PUT_FROM_PICK = 0.22
@@ -39,7 +41,8 @@ _HIGHEST_GOAL = 0.96  # of the stature
 _DWELL = {"pick": 0.18, "put": 0.18, "hover": np.inf, "pass_by": 0.02, "touch": 0.5, "nudge": 0.35, "hinge": 1.25}
 _HANDING_OVER_AFTER = 1.0  # seconds after the pick
 _HANDING_OVER_TAKES = 1.5
-_HOVER_ABOVE = 0.07
+_HOVER_ABOVE = 0.03
+_PASSING = (0.031, 0.044)  # metres between finger base and box when a hand passes by
 
 
 @dataclass
@@ -191,9 +194,9 @@ class _Planner:
         state.items.append(Item(kind, goal.half_extents, goal.centre, goal.yaw, hinged=tag == "hinge"))
         reach = self._reach(state, cast(Action, tag), goal, stand, hand, len(state.items) - 1, motor_start, False)
         if tag == "pass_by":
-            wider = float(self.provoker.uniform(0.022, 0.030))
-            away = -wider * reach.grasp.hand[:, 1]
-            reach = replace(reach, grasp=replace(reach.grasp, wrist=reach.grasp.wrist + away))
+            clearance = float(self.provoker.uniform(*_PASSING))
+            grasp = kept_away(reach.grasp, self.person.body.hand, goal.centre, goal.half_extents, goal.yaw, clearance)
+            reach = replace(reach, grasp=grasp)
         self._commit(state, reach, stand)
 
     def _hover(self, state: _State, goal: Goal, stand: Stand, hand: int, item: int, motor_start: float) -> float:
@@ -262,12 +265,18 @@ class _Planner:
         stays = self.preset.table_only or near or self.rng.random() < self.preset.same_surface
         is_near = self.rng.random() < self.preset.near
 
+        tries = 0
+        chosen = state.surface
+
         def draw() -> tuple[int, tuple[float, float] | None]:
-            surface = state.surface if stays else self._other_surface(state.surface)
-            if not is_near or surface != state.surface or not state.spots:
-                return surface, None
-            place = self.room.surfaces[surface]
-            return surface, (float((state.spots[-1] - place.edge_centre) @ place.left), self.preset.spread)
+            nonlocal tries, chosen
+            if not stays and tries % _TRIES_A_SURFACE == 0:
+                chosen = self._other_surface(state.surface)
+            tries += 1
+            if not is_near or chosen != state.surface or not state.spots:
+                return chosen, None
+            place = self.room.surfaces[chosen]
+            return chosen, (float((state.spots[-1] - place.edge_centre) @ place.left), self.preset.spread)
 
         return draw
 

@@ -44,6 +44,7 @@ class Sight:
     """First instant of a look of at least 50 ms."""
     first: float | None
     kind: str | None
+    """``hit`` if that look meets the box at all: a saccade that arrives passes its border first."""
     marginal: bool
     """So close to a border that noise decides."""
 
@@ -142,7 +143,7 @@ def first_sight(scene: Scene, low: np.ndarray, high: np.ndarray, event_time: flo
     return Sight(
         None if start is None else float(times[start]),
         None if earliest is None else float(times[earliest]),
-        None if start is None else ("hit" if hit[start] else "near_miss"),
+        None if start is None else ("hit" if hit[start : ends[lasting[0]]].any() else "near_miss"),
         marginal,
     )
 

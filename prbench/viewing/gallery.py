@@ -1,0 +1,200 @@
+"""Filmstrips, top views and curves of synthetic performances, to be looked at.
+
+Source: ``methods/synthetic-recordings.md`` section 12. matplotlib is imported when something is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from prbench.skeleton import TOES, Joint
+from prbench.storage import atomic_path
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.viewing.curves import Curves, curves_of
+from prbench.viewing.stick_figure import draw_figure, flattened
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import SubFigure
+
+_N_FIGURES = 9
+_SPACING = 1.15  # metres between the figures of a strip
+_PREROLL = 2.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One event of a performance: what one picture shows."""
+
+    performance: Performance
+    event: TrueEvent
+
+    @property
+    def start(self) -> float:
+        """Two seconds before the prime time, or before the reach if there is none; seconds of the recording."""
+        first = self.event.prime_time if self.event.prime_time is not None else self.event.motor_start
+        return max(float(self.performance.times[0]), first - _PREROLL)
+
+    @property
+    def end(self) -> float:
+        """The event."""
+        return self.event.event_time
+
+    @property
+    def title(self) -> str:
+        """Preset, event and kind."""
+        event = self.event
+        return f"{self.performance.preset} #{self.performance.index}: {event.action} {event.object_name} ({event.tag})"
+
+
+def sequences_of(performances: Sequence[Performance]) -> list[Scene]:
+    """All events of some performances that become sequences."""
+    return [Scene(p, event) for p in performances for event in p.events if event.expected == "sequence"]
+
+
+def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 3, dpi: int = 80) -> None:
+    """Draw a contact sheet: for every scene two filmstrips, the top view and the curves.
+
+    Args:
+        scenes: What to show, row by row.
+        path: PNG to write; replaced when it exists.
+        columns: Scenes side by side.
+        dpi: Resolution; a scene is 8 by 5.6 inches.
+
+    Raises:
+        ValueError: if there is nothing to show.
+        StorageError: if the file cannot be written.
+    """
+    if not scenes:
+        raise ValueError("expected at least one scene for the gallery, found none")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(columns, len(scenes))
+    rows = -(-len(scenes) // columns)
+    figure = Figure(figsize=(8.0 * columns, 5.6 * rows), dpi=dpi)
+    FigureCanvasAgg(figure)
+    cells = np.asarray(figure.subfigures(rows, columns, squeeze=False)).ravel()
+    for cell, scene in zip(cells, scenes, strict=False):
+        draw_scene(cell, scene)
+    with atomic_path(Path(path)) as draft:
+        figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
+
+
+def draw_scene(cell: SubFigure, scene: Scene) -> None:
+    """Fill one cell of the sheet."""
+    axes = cell.add_gridspec(3, 3, height_ratios=[1.0, 1.0, 1.15], left=0.06, right=0.985, top=0.94, bottom=0.075)
+    cell.suptitle(scene.title, fontsize=9, y=0.985)
+    towards = _towards_goal(scene)
+    across = np.array([towards[2], 0.0, -towards[0]])
+    _draw_strip(cell.add_subplot(axes[0, :]), scene, towards)
+    _draw_strip(cell.add_subplot(axes[1, :]), scene, -across)
+    _draw_top(cell.add_subplot(axes[2, 0]), scene)
+    curves = curves_of(scene.performance, scene.event, scene.start, scene.end)
+    _draw_distances(cell.add_subplot(axes[2, 1]), scene, curves)
+    _draw_speeds(cell.add_subplot(axes[2, 2]), scene, curves)
+
+
+def _towards_goal(scene: Scene) -> np.ndarray:
+    """Horizontal unit vector from the pelvis to the goal at the event."""
+    frame = _frame(scene, scene.end)
+    offset = scene.event.goal - scene.performance.joints[frame, Joint.PELVIS]
+    offset[1] = 0.0
+    return offset / np.linalg.norm(offset)
+
+
+def _frame(scene: Scene, time: float) -> int:
+    times = scene.performance.times
+    return min(int(np.searchsorted(times, time)), times.size - 1)
+
+
+def _draw_strip(axes: Axes, scene: Scene, sideways: np.ndarray) -> None:
+    """Figures from the first frame to the event; the goal box stands where it is relative to each pelvis."""
+    performance, event = scene.performance, scene.event
+    for number, time in enumerate(np.linspace(scene.start, scene.end, _N_FIGURES)):
+        frame, at = _frame(scene, time), number * _SPACING
+        joints = performance.joints[frame]
+        goal = flattened(event.goal[None], joints[Joint.PELVIS], sideways, at)[0]
+        if abs(goal[0] - at) < 0.75 * _SPACING:
+            axes.plot(*goal, "s", color="tab:orange", markersize=4.5, markeredgecolor="k", markeredgewidth=0.4)
+        draw_figure(
+            axes,
+            joints,
+            performance.person.neck_tilt_deg,
+            sideways,
+            at,
+            finger_bases=performance.finger_bases[frame],
+        )
+        axes.text(at, -0.13, f"{time - scene.end:+.1f}", fontsize=6, ha="center", va="top")
+    axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
+    axes.set_xlim(-0.8, (_N_FIGURES - 1) * _SPACING + 0.8)
+    axes.set_ylim(-0.25, 2.0)
+    axes.set_aspect("equal")
+    axes.axis("off")
+
+
+def _draw_top(axes: Axes, scene: Scene) -> None:
+    """Way of the pelvis, planted feet, points looked at, furniture, goal."""
+    performance, event = scene.performance, scene.event
+    for piece in performance.objects:
+        if not piece.movable:
+            axes.fill(*_outline(piece.position[0], piece.half_extents, piece.rotation[0]), color="0.9", zorder=0)
+    span = slice(_frame(scene, scene.start), _frame(scene, scene.end) + 1)
+    pelvis = performance.joints[span, Joint.PELVIS]
+    axes.plot(pelvis[:, 0], pelvis[:, 2], color="0.2", linewidth=1.2)
+    axes.plot(pelvis[0, 0], pelvis[0, 2], "o", color="0.2", markersize=4)
+    for side, (toe, colour) in enumerate(zip(TOES, ("tab:blue", "tab:red"), strict=True)):
+        planted = performance.joints[span, toe][performance.planted[span, side]]
+        axes.plot(planted[:, 0], planted[:, 2], ".", color=colour, markersize=3)
+    for fixation in performance.fixations:
+        if fixation.end > scene.start and fixation.start < scene.end:
+            colour = "tab:green" if fixation.kind == "goal" else "0.6"
+            axes.plot(fixation.target[0], fixation.target[2], "+", color=colour, markersize=4, linewidth=0.5)
+    axes.plot(event.goal[0], event.goal[2], "s", color="tab:orange", markersize=5, markeredgecolor="k")
+    middle, reach = pelvis[:, [0, 2]].mean(axis=0), max(1.3, float(np.ptp(pelvis[:, [0, 2]], axis=0).max()) * 0.75)
+    axes.set_xlim(middle[0] + reach, middle[0] - reach)  # x points left, so that the view is from above
+    axes.set_ylim(middle[1] - reach, middle[1] + reach)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=6)
+
+
+def _outline(centre: np.ndarray, half: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box that is turned about the vertical, from above."""
+    yaw = 2.0 * np.arctan2(quaternion[2], quaternion[0])
+    x, z = half[0] * np.array([1, 1, -1, -1]), half[2] * np.array([1, -1, -1, 1])
+    return centre[0] + np.cos(yaw) * x + np.sin(yaw) * z, centre[2] - np.sin(yaw) * x + np.cos(yaw) * z
+
+
+def _draw_distances(axes: Axes, scene: Scene, curves: Curves) -> None:
+    axes.plot(curves.times, curves.gaze_distance, color="tab:green", linewidth=0.8, label="goal to gaze")
+    axes.plot(curves.times, curves.head_distance, color="tab:purple", linewidth=1.0, label="goal to H")
+    axes.plot(curves.times, curves.wrist_distance, color="tab:orange", linewidth=1.0, label="goal to wrist")
+    axes.axhline(0.25, color="0.7", linewidth=0.5)
+    axes.set_ylim(0.0, 2.0)
+    _finish(axes, scene, "m")
+
+
+def _draw_speeds(axes: Axes, scene: Scene, curves: Curves) -> None:
+    axes.plot(curves.times, curves.wrist_speed, color="tab:orange", linewidth=1.0, label="wrist m/s")
+    axes.plot(curves.times, curves.pelvis_speed, color="0.2", linewidth=1.0, label="pelvis m/s")
+    axes.plot(curves.times, curves.pelvis_height, color="tab:brown", linewidth=1.0, label="pelvis height m")
+    axes.plot(curves.times, curves.head_rate / 100.0, color="tab:purple", linewidth=0.7, label="H 100 deg/s")
+    axes.set_ylim(0.0, 3.0)
+    _finish(axes, scene, "")
+
+
+def _finish(axes: Axes, scene: Scene, unit: str) -> None:
+    """Mark prime time and reach start, and label the axes."""
+    event = scene.event
+    marks = ((event.prime_time, "--"), (event.reach_start, ":"))
+    for time, style in marks:
+        if time is not None:
+            axes.axvline(time - event.event_time, color="0.5", linewidth=0.7, linestyle=style)
+    axes.set_ylabel(unit, fontsize=6)
+    axes.tick_params(labelsize=6)
+    axes.legend(fontsize=5, loc="upper left", framealpha=0.6)

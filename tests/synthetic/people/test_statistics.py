@@ -1,0 +1,40 @@
+"""Do their sequences resemble the datasets? Targets: methods/synthetic-recordings.md section 9."""
+
+from __future__ import annotations
+
+import pytest
+
+from prbench.synthetic.people import PRESETS
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.statistics import TARGETS, clips_of, sequence_statistics, truth_scores
+
+TRIAL_PRIME_SUCCESS = {"hd-epic": 0.75, "mogaze": 0.80, "hot3d": 0.82, "adt": 0.59, "gimo": 0.69}
+"""`equation` on the trial's own motion, section 9."""
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_means_lie_within_a_third_of_the_targets_spread(crowds: dict[str, list[Performance]], preset: str) -> None:
+    deviations = sequence_statistics(clips_of(crowds[preset])).deviations(TARGETS[preset])
+    assert {name: value for name, value in deviations.items() if abs(value) > 1 / 3} == {}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_heads_prime_about_as_often_as_in_the_trial(crowds: dict[str, list[Performance]], preset: str) -> None:
+    scores = truth_scores(clips_of(crowds[preset]))
+    assert scores.prime_equation == pytest.approx(TRIAL_PRIME_SUCCESS[preset], abs=0.1)
+    assert scores.prime_onset < scores.prime_equation
+
+
+def test_adt_hands_hold_boxes_by_the_fingertips_and_the_others_wrap_them(
+    crowds: dict[str, list[Performance]],
+) -> None:
+    reach = {preset: truth_scores(clips_of(crowds[preset])) for preset in PRESETS}
+    assert reach["adt"].reach_final == 0.0
+    assert reach["gimo"].reach_final == 1.0
+    assert all(reach[preset].reach_any > 0.6 for preset in ("hd-epic", "mogaze", "hot3d"))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_few_goals_are_given_up(crowds: dict[str, list[Performance]], preset: str) -> None:
+    events = sum(len(performance.events) for performance in crowds[preset])
+    assert events > 0.75 * 8 * len(crowds[preset])
