@@ -23,9 +23,10 @@ ENTRY_POINT_GROUP = "prbench.adapters"
 class Adapter(Protocol):
     """A motion generator.
 
-    Two optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
-    never cut) and ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
-    result to the table's grid).
+    Three optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
+    never cut), ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
+    result to the table's grid) and ``motionless`` (true for a method whose motions stand still; its Foot Skating is
+    printed as a dash).
     """
 
     name: str
@@ -47,7 +48,11 @@ class Trainable(Adapter, Protocol):
     """A method that learns from a table before it generates."""
 
     def fit(self, train: SequenceTable, *, validation: SequenceTable | None, run: TrainingRun) -> None:
-        """Learn from the ``train`` split of ``train``; never look at its other splits."""
+        """Learn from the ``train`` split of ``train``; never look at its other splits.
+
+        Leave what was learnt in ``run.folder``, and take it from there if it already holds a finished fit: every
+        process of a run calls this once. A run fits a method by itself if it was given no weights.
+        """
         ...
 
 

@@ -13,7 +13,7 @@ from prbench.contract import ConditionBatch, Motions
 from prbench.evaluation.methods import MethodSpec
 from prbench.evaluation.motions import generate_checked
 from prbench.runs.cost import BatchCost
-from prbench.runs.predictions import write_part
+from prbench.runs.predictions import PredictionRows, write_part
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ def run_batch(task: BatchTask) -> int:
     samples, cost = _controlled(task) if task.given is not None else _generated(task)
     cost.write(task.cost)  # first, so that a part on disk is never without its measurement
     seeds = [batch.noise_seed for batch in task.conditions]
-    write_part(task.part, task.sequence_ids, seeds, samples, protocol_version=task.protocol_version)
+    rows = [PredictionRows.from_padded(motions.joints, motions.n_frames) for motions in samples]
+    write_part(task.part, task.sequence_ids, seeds, rows, protocol_version=task.protocol_version)
     return task.index
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -210,4 +211,5 @@ def _default_folder(record: RunRecord) -> Path:
     """``runs/<method>-<condition>-<datasets>-<digest>``; the same request finds its folder again."""
     control = f"-{record.control}" if record.control else ""
     datasets = "+".join(table.dataset for table in record.tables)
-    return Path("runs") / f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
+    name = f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
+    return Path("runs") / re.sub(r"[^\w.+-]", "_", name)

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from prbench.errors import RunError, StorageError
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
+from prbench.storage import inside
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,8 @@ class RunFolder:
             wanted.require_same(RunRecord.read(path), path)
             for left in path.rglob(".*.partial*"):  # by a process that was killed while it wrote
                 left.unlink(missing_ok=True)
+        elif path.exists() and not path.is_dir():
+            raise StorageError(f"{path}: is a file. Choose an empty or new folder for --out.")
         elif path.is_dir() and any(path.iterdir()):
             raise StorageError(
                 f"{path}: is not empty and holds no {record.FILE_NAME}, so it is no run folder."
@@ -110,11 +113,12 @@ class RunFolder:
 
         Raises:
             RunError: if the run did not include it.
+            InputFileError: if its name leads out of the run folder.
         """
         known = [table.dataset for table in self.record.tables]
         if name not in known:
             raise RunError(f"{self.path}: the run is of {', '.join(known)}, not of {name}.")
-        return DatasetFolder(self.path if len(known) == 1 else self.path / name)
+        return DatasetFolder(self.path if len(known) == 1 else inside(self.path, name))
 
     def discard_if_empty(self) -> None:
         """Remove the folder if not a single batch was finished, so that a failed first step leaves nothing behind."""

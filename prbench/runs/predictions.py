@@ -12,22 +12,39 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from prbench.contract import Motions
 from prbench.errors import PredictionsError
 from prbench.runs.schema import PREDICTIONS
 from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
 
-_CACHED_ROW_GROUPS = 128
+_CACHED_BYTES = 256 * 1024**2
 _POSE_SIZE = N_JOINTS * 3
 _JOINTS_FORM = f"a list of frames, each {_POSE_SIZE} numbers (22 joints, x y z)"
+
+
+@dataclass(frozen=True)
+class PredictionRows:
+    """Motions of some sequences after one another."""
+
+    values: Float[np.ndarray, "total 22 3"]
+    """Canonical frames, metres."""
+    offsets: Int[np.ndarray, " offsets"]
+    """Where each motion begins, then the number of all frames."""
+
+    @classmethod
+    def from_padded(
+        cls, joints: Float[np.ndarray, "batch frames 22 3"], n_frames: Int[np.ndarray, " batch"]
+    ) -> PredictionRows:
+        """Leave out what stands behind the last frame of each row."""
+        valid = np.arange(joints.shape[1]) < n_frames[:, None]
+        return cls(joints[valid], np.concatenate(([0], np.cumsum(n_frames))))
 
 
 def write_part(
     path: Path,
     sequence_ids: Sequence[str],
     seeds: Sequence[Sequence[int]],
-    samples: Sequence[Motions],
+    samples: Sequence[PredictionRows],
     *,
     protocol_version: int,
 ) -> None:
@@ -47,9 +64,9 @@ def write_part(
     write_table(path, batches, PREDICTIONS, protocol_version=protocol_version)
 
 
-def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions: Motions) -> pa.RecordBatch:
-    values = pa.array(motions.ragged().astype(np.float32).reshape(-1))
-    offsets = pa.array(np.concatenate(([0], np.cumsum(motions.n_frames))).astype(np.int32))
+def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions: PredictionRows) -> pa.RecordBatch:
+    values = pa.array(motions.values.astype(np.float32).reshape(-1))
+    offsets = pa.array(motions.offsets.astype(np.int32))
     joints = pa.ListArray.from_arrays(offsets, pa.FixedSizeListArray.from_arrays(values, _POSE_SIZE))
     columns = [
         pa.array(ids, pa.string()),
@@ -58,14 +75,6 @@ def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions
         joints.cast(PREDICTIONS.field("joints").type),
     ]
     return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS)
-
-
-@dataclass(frozen=True)
-class PredictionRows:
-    """Motions of some sequences after one another."""
-
-    values: Float[np.ndarray, "total 22 3"]
-    offsets: Int[np.ndarray, " offsets"]
 
 
 @dataclass(frozen=True)
@@ -102,6 +111,8 @@ class Predictions:
             columns = [id_column, "sample"] if "sample" in file.schema_arrow.names else [id_column]
             for group in range(file.num_row_groups):
                 rows = file.read_row_group(group, columns=columns)
+                if any(rows[name].null_count for name in columns):
+                    raise PredictionsError(f"{part}: expected a value in every row of {' and '.join(columns)}.")
                 names = rows[id_column].to_pylist()
                 drawn = rows["sample"].to_pylist() if "sample" in columns else [0] * len(names)
                 place |= {key: (number, group, row) for row, key in enumerate(zip(names, drawn))}
@@ -134,7 +145,7 @@ class Predictions:
         if key not in self._cache:
             column = _open(self.paths[file]).read_row_group(group, columns=["joints"])["joints"].combine_chunks()
             self._cache[key] = _as_rows(column, self.paths[file])
-            if len(self._cache) > _CACHED_ROW_GROUPS:
+            while len(self._cache) > 1 and sum(rows.values.nbytes for rows in self._cache.values()) > _CACHED_BYTES:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]
@@ -179,8 +190,10 @@ def _check_columns(path: Path, schema: pa.Schema, id_column: str) -> None:
     for name in (id_column, "joints"):
         if name not in schema.names:
             raise PredictionsError(f"{path}: expected a column '{name}', found {', '.join(schema.names)}.")
-    if not pa.types.is_string(schema.field(id_column).type):
+    if not _is_text(schema.field(id_column).type):
         raise PredictionsError(f"{path}, column '{id_column}': expected text, found {schema.field(id_column).type}.")
+    if "sample" in schema.names and not pa.types.is_integer(schema.field("sample").type):
+        raise PredictionsError(f"{path}, column 'sample': expected whole numbers, found {schema.field('sample').type}.")
     kind = schema.field("joints").type
     frame = kind.value_type if pa.types.is_list(kind) or pa.types.is_large_list(kind) else None
     if frame is None or not pa.types.is_nested(frame):
@@ -191,3 +204,9 @@ def _check_columns(path: Path, schema: pa.Schema, id_column: str) -> None:
         frame = frame.value_type
     if not pa.types.is_floating(frame):
         raise PredictionsError(f"{path}, column 'joints': expected numbers with decimals, found {kind}.")
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    if pa.types.is_dictionary(kind):
+        return _is_text(kind.value_type)
+    return pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)

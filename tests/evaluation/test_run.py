@@ -11,7 +11,7 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.engine import ProcessPool
-from prbench.errors import AdapterError, RunError, StorageError, TableError, UsageError
+from prbench.errors import AdapterError, InputFileError, RunError, StorageError, TableError, UsageError
 from prbench.evaluation import planning
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
@@ -306,6 +306,19 @@ def test_a_folder_with_other_things_in_it_is_not_touched(table, tmp_path):
     with pytest.raises(StorageError, match=r"is not empty and holds no run.json"):
         run_method(request(table, tmp_path / "out"))
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(table, tmp_path):
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(StorageError, match=r"out: is a file"):
+        run_method(request(table, tmp_path / "out"))
+
+
+def test_a_dataset_name_never_leads_out_of_the_run_folder(table, tmp_path):
+    fake_dataset(tmp_path / "evil", 30, dataset="../../evil")
+    with pytest.raises(InputFileError, match=r"a path that leads out of it"):
+        run_method(request(table, tmp_path / "a/b/out", data=(table.folder, tmp_path / "evil")))
+    assert not (tmp_path / "a/evil").exists()
 
 
 def test_a_damaged_run_json_is_refused(table, tmp_path):

@@ -180,12 +180,21 @@ def test_other_numbers_of_joints_are_refused(table, recorded, tmp_path):
         ({"sequence_id": [1], "joints": [[[0.0] * 66]]}, "column 'sequence_id': expected text, found int64"),
         ({"sequence_id": ["a"], "joints": [[0.0] * 66]}, "column 'joints': expected a list of frames"),
         ({"sequence_id": ["a"], "joints": [[["x"] * 66]]}, "column 'joints': expected numbers"),
+        ({"sequence_id": ["a"], "sample": [0.5], "joints": [[[0.0] * 66]]}, "column 'sample': expected whole numbers"),
+        ({"sequence_id": ["a", None], "joints": [[[0.0] * 66]] * 2}, "expected a value in every row of sequence_id"),
     ],
 )
 def test_files_of_another_form_are_refused(table, tmp_path, columns, message):
     pq.write_table(pa.table(columns), tmp_path / "p.parquet")
     with pytest.raises(PredictionsError, match=message):
         score(table, tmp_path / "p.parquet")
+
+
+@pytest.mark.parametrize("kind", [pa.large_string(), pa.string_view(), pa.dictionary(pa.int32(), pa.string())])
+def test_text_as_other_libraries_write_it_is_read(table, recorded, tmp_path, kind):
+    rows = pq.read_table(write(tmp_path / "p.parquet", recorded))
+    pq.write_table(rows.set_column(0, "sequence_id", rows["sequence_id"].cast(kind)), tmp_path / "q.parquet")
+    assert mean(score(table, tmp_path / "q.parquet"), "mpjpe") == 0.0
 
 
 def test_missing_and_damaged_files_are_named(table, tmp_path):

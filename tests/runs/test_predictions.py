@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.contract import Motions
+from prbench.errors import PredictionsError
 from prbench.runs import predictions as module
 from prbench.runs.folder import DatasetFolder
-from prbench.runs.predictions import Predictions, write_part
+from prbench.runs.predictions import PredictionRows, Predictions, write_part
 from prbench.runs.schema import PREDICTIONS
 
 
-def motions(*lengths: int, start: float = 0.0) -> Motions:
+def motions(*lengths: int, start: float = 0.0) -> PredictionRows:
     joints = np.full((len(lengths), max(lengths), 22, 3), np.nan, dtype=np.float32)
     for row, n in enumerate(lengths):
         joints[row, :n] = start + row + np.arange(n)[:, None, None] / 100
-    return Motions(joints, np.array(lengths))
+    return PredictionRows.from_padded(joints, np.array(lengths))
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def test_motions_come_back_in_the_order_asked_for(folder):
 
 def test_a_small_cache_changes_nothing(folder, monkeypatch):
     whole = Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values
-    monkeypatch.setattr(module, "_CACHED_ROW_GROUPS", 1)
+    monkeypatch.setattr(module, "_CACHED_BYTES", 1)
     assert np.array_equal(Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values, whole)
 
 
@@ -53,13 +54,28 @@ def test_files_have_the_columns_of_the_design_and_the_encoding_of_the_table(fold
     assert "BYTE_STREAM_SPLIT" in joints.encodings
 
 
-def test_equal_motions_give_equal_bytes_whatever_their_padding_holds(folder):
+def test_equal_motions_give_equal_bytes(folder):
     before = folder.part(0).read_bytes()
-    samples = [motions(3, 5), motions(3, 5, start=10)]
-    for sample in samples:
-        sample.joints[0, 3:] = 7.0
-    write_part(folder.part(0), ["b", "a"], [(1, 2), (3, 4)], samples, protocol_version=1)
+    write_part(
+        folder.part(0), ["b", "a"], [(1, 2), (3, 4)], [motions(3, 5), motions(3, 5, start=10)], protocol_version=1
+    )
     assert folder.part(0).read_bytes() == before
+
+
+def test_padding_is_left_out():
+    joints = np.arange(2 * 4 * 66.0).reshape(2, 4, 22, 3)
+    rows = PredictionRows.from_padded(joints, np.array([4, 2]))
+    assert list(rows.offsets) == [0, 4, 6]
+    assert np.array_equal(rows.values, np.concatenate([joints[0], joints[1, :2]]))
+
+
+def test_a_row_without_a_motion_is_refused(tmp_path):
+    pq.write_table(pa.table({"sequence_id": ["a", "b"], "joints": [[[0.0] * 66], None]}), tmp_path / "p.parquet")
+    with pytest.raises(PredictionsError, match=r"expected a list of frames, .* in every row, found a null"):
+        Predictions.open(tmp_path / "p.parquet").motions(["a"], 0)
+    pq.write_table(pa.table({"sequence_id": ["a", "b"], "joints": [[[0.0] * 66], []]}), tmp_path / "p.parquet")
+    with pytest.raises(PredictionsError, match=r"b: expected a motion, found no frames"):
+        Predictions.open(tmp_path / "p.parquet").motions(["b"], 0)
 
 
 def test_a_part_counts_only_with_exactly_its_sequences_and_samples(folder):
