@@ -28,7 +28,7 @@ from prbench.synthetic.people.world import Room, Surface
 _WITHIN_REACH = 0.92
 _STEP_NEARER_ABOVE = 0.905
 _STEP = 0.06
-_DEEP_BEND, _LOW_GOAL = np.deg2rad(57.0), 0.76  # people step nearer rather than bend like this for a high goal
+_DEEP_BEND, _LOW_GOAL = np.deg2rad(57.0), 0.60  # people step nearer rather than bend like this for a high goal
 _NEAREST = 0.34  # metres; nearer, the wrist would pass through the shoulder
 _WALL_CLEARANCE = 0.15
 
@@ -112,7 +112,8 @@ class Reachability:
                 found = Stand(here, segment, yaw, grasp, posture)
                 if posture.lean <= _DEEP_BEND or goal.centre[1] < _LOW_GOAL:
                     return found
-                bent_low = bent_low or found
+                if bent_low is None or posture.lean < bent_low.posture.lean:
+                    bent_low = found
         return bent_low
 
     def _hold(

@@ -20,6 +20,7 @@ from prbench.synthetic.performance import ObjectMotion, TrueEvent
 NEAR_MISS = 0.05
 _MOVED = 0.001
 _LASTING = 0.050
+_SETTLING = 0.100
 _PREROLL = 2.0
 _MINIMUM_MOVEMENT = 0.20
 _GAZE_PERIOD = 1.0 / 30.0
@@ -44,7 +45,7 @@ class Sight:
     """First instant of a look of at least 50 ms."""
     first: float | None
     kind: str | None
-    """``hit`` if that look meets the box at all: a saccade that arrives passes its border first."""
+    """``hit`` if the look's first tenth of a second is mostly on the box: an arriving saccade crosses its border."""
     marginal: bool
     """So close to a border that noise decides."""
 
@@ -138,12 +139,13 @@ def first_sight(scene: Scene, low: np.ndarray, high: np.ndarray, event_time: flo
     step = float(scene.times[1] - scene.times[0])
     lasting = [i for i in range(len(begins)) if (ends[i] - begins[i]) * step >= _LASTING]
     start = None if not lasting else int(begins[lasting[0]])
+    settling = int(np.ceil(_SETTLING / step)) + 1
     earliest = None if not len(begins) else int(begins[0])
     marginal = _is_marginal(distance, hit, times, begins, ends, start, step, event_time)
     return Sight(
         None if start is None else float(times[start]),
         None if earliest is None else float(times[earliest]),
-        None if start is None else ("hit" if hit[start : ends[lasting[0]]].any() else "near_miss"),
+        None if start is None else ("hit" if hit[start : start + settling].mean() >= 0.5 else "near_miss"),
         marginal,
     )
 
