@@ -124,7 +124,7 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
         action=action,
         event_time=rest.time,
         place=Place((low[0] + high[0]) / 2, low[0], high[0]),
-        hand=hand,
+        hand=None if rejected is not None and rejected.outcome == "other_wearer" else hand,
         displacement=holding.displacement,
         rejected=rejected,
     )

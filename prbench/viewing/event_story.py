@@ -1,0 +1,163 @@
+"""One event as a picture: its timeline, and, where it became a sequence, figures, gaze and distances."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.skeleton import WRISTS, Joint, head_forward
+from prbench.storage import atomic_path
+from prbench.viewing.stick_figure import draw_figure
+from prbench.viewing.story import EventStory, StoryMotion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FIGURES = 9
+_SPACING = 1.25  # metres between figures in the picture
+_GAZE, _PRIME, _EVENT = "tab:orange", "tab:purple", "black"
+_OUTCOME_COLOURS = {"sequence": "tab:green"}
+_OTHER_OUTCOME = "tab:gray"
+_BOX_EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7))
+_WIDTH = 13.0  # inches
+
+
+def draw_event_story(story: EventStory, path: Path) -> None:
+    """Write the picture of one event as PNG.
+
+    Raises:
+        StorageError: if it cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    heights = [2.0, 1.9] if story.motion is None else [2.0, 1.9, 3.4, 2.8]
+    figure = Figure(figsize=(_WIDTH, sum(heights) + 0.4), layout="constrained")
+    axes = figure.subplots(len(heights), 1, height_ratios=heights)
+    figure.suptitle(f"{story.title}: {story.event.outcome}\n{story.event.event_id}", fontsize=10)
+    _write_stages(axes[0], story)
+    _draw_timeline(axes[1], story)
+    if story.motion is not None:
+        _draw_figures(axes[2], story, story.motion)
+        _draw_distances(axes[3], story, story.motion)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        FigureCanvasAgg(figure).print_png(file)
+
+
+def _write_stages(axes: Axes, story: EventStory) -> None:
+    """What each stage said, line by line."""
+    axes.set_axis_off()
+    colours = {"passed": "tab:green", "stopped here": "tab:red", "not reached": "0.6"}
+    for number, stage in enumerate(story.stages):
+        height = 1.0 - (number + 0.5) / len(story.stages)
+        colour = colours[stage.verdict]
+        place = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
+        axes.text(0.0, height, stage.name, weight="bold", color=colour, **place)
+        axes.text(0.07, height, stage.verdict, color=colour, **place)
+        axes.text(0.16, height, stage.text, **place)
+
+
+def _draw_timeline(axes: Axes, story: EventStory) -> None:
+    """Window, sequence, prime and event, with the neighbouring events; seconds from the event."""
+    event = story.event
+    axes.axvspan(-story.priming_window, 0, color="0.93", label=f"a look counts ({story.priming_window:g} s)")
+    if event.prime_time is not None:
+        prime = event.prime_time - event.event_time
+        axes.axvspan(
+            prime - story.lead, 0, ymin=0.05, ymax=0.25, color="tab:green", alpha=0.25, label="from lead to event"
+        )
+        axes.axvline(prime, color=_PRIME, label=f"prime ({(event.prime_kind or '').replace('_', ' ')})")
+    axes.axvline(0, color=_EVENT, linewidth=1.5, label=f"{event.action}")
+    first, last = -story.priming_window - story.lead - 1, 5.0
+    shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
+    for number, other in enumerate(shown):
+        time, height = other.event_time - event.event_time, (0.37, 0.52, 0.67)[number % 3]
+        colour = _OUTCOME_COLOURS.get(other.outcome, _OTHER_OUTCOME)
+        axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
+        name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
+        side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
+        label = f"{other.action} {name}: {other.outcome}"
+        axes.annotate(label, (time, height), fontsize=7, va="center", color=colour, textcoords="offset points", **side)
+    axes.set(xlim=(first, last), ylim=(0, 1), yticks=[], xlabel="seconds from the event")
+    axes.legend(loc="upper left", fontsize=7, ncols=4, frameon=False)
+
+
+def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
+    """Stick figures over time, seen from the side, each with its gaze ray and the goal."""
+    frames = np.unique(np.linspace(0, len(motion.times) - 1, _FIGURES).round().astype(int))
+    sideways = _picture_axis(motion)
+    for number, frame in enumerate(frames):
+        at, joints = number * _SPACING, motion.joints[frame]
+        pelvis = joints[Joint.PELVIS]
+        draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
+
+        def place(points: np.ndarray, pelvis: np.ndarray = pelvis, at: float = at) -> np.ndarray:
+            return np.stack([(points - pelvis) @ sideways + at, points[..., 1]], axis=-1)
+
+        near = abs(float((motion.goal - pelvis) @ sideways)) < 0.75 * _SPACING
+        if near:
+            corners = place(motion.box_corners)
+            for one, other in _BOX_EDGES:
+                axes.plot(*corners[[one, other]].T, color="tab:cyan", linewidth=0.8)
+        else:
+            x, y = place(motion.goal[None])[0]
+            side = float(np.sign(x - at)) * 0.3 * _SPACING
+            arrow = {"arrowstyle": "->", "color": "tab:cyan"}
+            axes.annotate("", (at + 1.4 * side, y), (at + side, y), arrowprops=arrow)
+        if motion.gaze_valid[frame]:
+            length = min(float(np.linalg.norm(motion.goal - motion.gaze_origin[frame])), 0.9)
+            ray = motion.gaze_origin[frame] + np.array([[0.0], [length]]) * motion.gaze_direction[frame]
+            axes.plot(*place(ray).T, color=_GAZE, linewidth=0.9, linestyle="--")
+        distance = np.linalg.norm((motion.goal - pelvis)[[0, 2]])
+        since = motion.times[frame] - story.event.event_time
+        axes.text(at, -0.12, f"{since:+.1f} s\ngoal {distance:.1f} m", ha="center", va="top", fontsize=7)
+    axes.set_aspect("equal")
+    axes.set(xlim=(-0.8, (len(frames) - 1) * _SPACING + 0.9), ylim=(-0.42, 2.05))
+    axes.set_axis_off()
+    axes.set_title(
+        "right limbs red, left blue; green: head forward; orange: gaze; cyan: box of the goal, or where it lies",
+        fontsize=8,
+    )
+
+
+def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
+    """Distance of the goal from the gaze ray, the head ray and the wrists."""
+    times = motion.times - story.event.event_time
+    forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
+    gaze = _ray_distance(motion.gaze_origin, motion.gaze_direction, motion.goal)
+    axes.plot(times, np.where(motion.gaze_valid, gaze, np.nan), color=_GAZE, label="gaze ray")
+    axes.plot(
+        times, _ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal), color="tab:green", label="head ray"
+    )
+    for wrist, colour, name in zip(WRISTS, ("tab:blue", "tab:red"), ("left wrist", "right wrist"), strict=True):
+        distance = np.linalg.norm(motion.joints[:, wrist] - motion.goal, axis=1)
+        axes.plot(times, distance, color=colour, label=name)
+    pelvis = motion.joints[:, Joint.PELVIS]
+    axes.plot(times, np.linalg.norm(pelvis - motion.goal, axis=1), color="0.5", linewidth=0.8, label="pelvis")
+    if story.event.prime_time is not None:
+        axes.axvline(story.event.prime_time - story.event.event_time, color=_PRIME, label="prime")
+    axes.axvline(0, color=_EVENT, linewidth=1.5)
+    axes.set(
+        xlim=(times[0], times[-1] + 0.05), ylim=(0, None), xlabel="seconds from the event", ylabel="m from the goal"
+    )
+    axes.legend(fontsize=7, ncols=3, frameon=False)
+    axes.grid(alpha=0.3)
+
+
+def _picture_axis(motion: StoryMotion) -> Float[np.ndarray, "3"]:
+    """Horizontal axis of the picture: towards the goal at the end, so that the reach is seen from the side."""
+    towards = (motion.goal - motion.joints[-1, Joint.PELVIS]) * [1.0, 0.0, 1.0]
+    length = float(np.linalg.norm(towards))
+    return towards / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+
+
+def _ray_distance(
+    origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"], point: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, " n"]:
+    """Distance of a point from rays, metres; behind the origin, from the origin."""
+    offset = point - origin
+    along = np.maximum((offset * direction).sum(axis=1, keepdims=True), 0.0)
+    return np.linalg.norm(offset - along * direction, axis=1)

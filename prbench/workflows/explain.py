@@ -1,0 +1,226 @@
+"""``prbench explain``: find one event in a built dataset and tell its story."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from prbench.errors import TableError, UsageError
+from prbench.manifests import BenchmarkProtocol, load_protocol
+from prbench.sequences import DatasetInfo, EventRecord, SequenceChunk, SequenceTable
+from prbench.skeleton import invert_rigid, transform_points
+from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
+
+STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
+"""In the order in which curation asks."""
+_AROUND = 2  # events before and after that are shown
+_SHOWN = 8  # candidates that an error message lists
+
+
+def explain_event(folder: Path, event: str) -> EventStory:
+    """Tell the story of one event.
+
+    Args:
+        folder: A built dataset.
+        event: Its id, its sequence's id, or any part of ``event_id`` or ``recording/object name/action/time`` that
+            fits one event only.
+
+    Raises:
+        TableError: if the folder holds no dataset.
+        UsageError: if no event fits (with the nearest known ids), or more than one does.
+    """
+    table = SequenceTable(folder, DatasetInfo.read(folder))
+    events = table.events()
+    row = find_event(events, event)
+    record = _record(events, row)
+    recordings = table.recordings()
+    index = pc.index(recordings["recording_id"], record.recording_id).as_py()
+    chunk = _sequence(table, record.sequence_id)
+    protocol = load_protocol()
+    return EventStory(
+        event=record,
+        dataset=table.info.dataset,
+        split=recordings["split"][index].as_py() if index >= 0 else "unknown",
+        stages=_stages(record, chunk, protocol, table.info.options),
+        neighbours=_neighbours(events, row),
+        priming_window=protocol.curation.priming_window,
+        lead=protocol.curation.lead,
+        motion=None if chunk is None else _motion(chunk),
+    )
+
+
+def find_event(events: pa.Table, wanted: str) -> int:
+    """The row of the one event that fits.
+
+    Raises:
+        UsageError: if none or several fit.
+    """
+    ids = events["event_id"].to_pylist()
+    sequences = events["sequence_id"].to_pylist()
+    exact = [row for row, names in enumerate(zip(ids, sequences, strict=True)) if wanted in names]
+    if exact:
+        return exact[0]
+    names = [_readable(events, row) for row in range(len(ids))]
+    fitting = [row for row in range(len(ids)) if wanted in ids[row] or wanted in names[row]]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        shown = "\n".join(f"  {ids[row]}  ({names[row]})" for row in fitting[:_SHOWN])
+        more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
+        raise UsageError(f"'{wanted}' fits {len(fitting)} events; give a longer part of one:\n{shown}{more}")
+    near = difflib.get_close_matches(wanted, [*ids, *names], n=3, cutoff=0.3)
+    hint = "\n".join(f"  {name}" for name in near)
+    counted = f"no event '{wanted}' among the {len(ids)} of this dataset; events.parquet lists them."
+    raise UsageError(f"{counted} Near it:\n{hint}" if near else counted)
+
+
+def _readable(events: pa.Table, row: int) -> str:
+    """``recording/object name/action/time``: what a person would type."""
+    recording, name, action, event_id = (
+        events[column][row].as_py() for column in ("recording_id", "object_name", "action", "event_id")
+    )
+    return f"{recording}/{name}/{action}/{event_id.rsplit('/', 1)[-1]}"
+
+
+def _record(events: pa.Table, row: int) -> EventRecord:
+    values = events.slice(row, 1).to_pylist()[0]
+    vectors = {
+        name: None if values[name] is None else np.array(values[name]) for name in ("location", "box_min", "box_max")
+    }
+    return EventRecord(**(values | vectors))
+
+
+def _neighbours(events: pa.Table, row: int) -> tuple[EventRecord, ...]:
+    """The events just before and after in the recording, and all others of the same object; by time."""
+    times = events["event_time"].to_numpy()
+    recordings, objects = (np.array(events[name].to_pylist()) for name in ("recording_id", "object_id"))
+    here = np.flatnonzero(recordings == recordings[row])
+    here = here[np.argsort(times[here], kind="stable")]
+    same = objects == objects[row]
+    place = int(np.flatnonzero(here == row)[0])
+    chosen = [
+        int(other)
+        for position, other in enumerate(here)
+        if other != row and (abs(position - place) <= _AROUND or same[other])
+    ]
+    return tuple(_record(events, other) for other in chosen)
+
+
+def _sequence(table: SequenceTable, sequence_id: str | None) -> SequenceChunk | None:
+    if sequence_id is None:
+        return None
+    for chunk in table.chunks(ids=frozenset({sequence_id})):
+        return chunk
+    raise TableError(f"{table.folder}: the events name a sequence {sequence_id} that the sequences do not hold.")
+
+
+def _stages(
+    event: EventRecord, chunk: SequenceChunk | None, protocol: BenchmarkProtocol, options: dict[str, str]
+) -> tuple[StoryStage, ...]:
+    decided = STAGES.index(event.stage)
+    texts = {
+        "in_hand": _in_hand(event, options),
+        "location": _location(event),
+        "priming": _priming(event, protocol),
+        "clipping": _clipping(event, chunk, protocol),
+        "body": _body(event, protocol),
+        "filters": _filters(event, options),
+    }
+    stages = []
+    for number, name in enumerate(STAGES):
+        verdict: Verdict = "passed" if number < decided else "not reached"
+        if number == decided:
+            verdict = "passed" if event.outcome == "sequence" else "stopped here"
+        stages.append(StoryStage(name.replace("_", " "), verdict, texts[name] if number <= decided else ""))
+    return tuple(stages)
+
+
+def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
+    if event.outcome == "other_wearer":
+        nearest = "not seen" if event.value is None else f"{_cm(event.value)} away"
+        return f"somebody else's hand was nearer: {_cm(event.threshold)} away, the wearer's {nearest}"
+    if event.outcome == "excluded_category":
+        return "a door, drawer or the like: turned or slid in its place, not picked up"
+    hand = f"nearest at the event: the {event.hand} hand" if event.hand else "no hand was measured at the event"
+    return f"{hand} (rule: {options.get('in_hand_rule', 'default')})"
+
+
+def _location(event: EventRecord) -> str:
+    if event.outcome == "no_location":
+        return "the object never came to rest, or the dataset gives no place"
+    if event.location is None or event.box_min is None or event.box_max is None:
+        return ""
+    place = "rested" if event.action == "pick" else "will rest"
+    sides = " × ".join(f"{side * 100:.0f}" for side in event.box_max - event.box_min)
+    where = f"{place} at ({', '.join(f'{axis:.2f}' for axis in event.location)}) m, box {sides} cm (x, y, z)"
+    if event.outcome == "tracking_lost":
+        return f"{where}; not tracked for {event.value:.2f} s around the event, and no hand tells when in it"
+    return where
+
+
+def _priming(event: EventRecord, protocol: BenchmarkProtocol) -> str:
+    constants = protocol.curation
+    if event.prime_time is not None:
+        gap = event.event_time - event.prime_time
+        kind = (event.prime_kind or "").replace("_", " ")
+        window = f"window {constants.priming_window:g} s"
+        return f"first look at {event.prime_time:.3f} s ({kind}), {gap:.2f} s before ({window})"
+    if event.value is None:
+        return f"no valid gaze in the {constants.priming_window:g} s before"
+    return (
+        f"gaze came no nearer to the box than {_cm(event.value)} in the {constants.priming_window:g} s before"
+        f" (near miss: at most {_cm(constants.near_miss_distance)})"
+    )
+
+
+def _clipping(event: EventRecord, chunk: SequenceChunk | None, protocol: BenchmarkProtocol) -> str:
+    interval = f"from {protocol.curation.lead:g} s before the prime"
+    if event.stage == "clipping" and event.value is not None and event.threshold is not None:
+        missing = event.threshold - event.value
+        return f"the recording lacks {missing:.2f} s of the {event.threshold:.2f} s {interval} to the event"
+    if chunk is None:
+        return f"the recording covers it {interval}"
+    n, start = int(chunk.n_frames[0]), float(chunk.numbers("start_time")[0])
+    return f"{n} frames at {protocol.fps:g} Hz from {start:.3f} s"
+
+
+def _body(event: EventRecord, protocol: BenchmarkProtocol) -> str:
+    longest = protocol.curation.largest_interpolated_gap
+    if event.stage != "body":
+        return f"no gap of more than {longest:g} s in the body"
+    if event.outcome == "no_body":
+        return "no body pose"
+    return f"a gap of {event.value:.2f} s in the body (at most {longest:g} s is interpolated)"
+
+
+def _filters(event: EventRecord, options: dict[str, str]) -> str:
+    if event.value is None or event.threshold is None:
+        return ""
+    measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")
+    return f"{measure}: {event.value:.3f} m (at least {event.threshold:.2f} m)"
+
+
+def _motion(chunk: SequenceChunk) -> StoryMotion:
+    world_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
+    low, high = chunk.vectors("goal_box_world_min")[0], chunk.vectors("goal_box_world_max")[0]
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    fps, start = float(chunk.numbers("fps")[0]), float(chunk.numbers("start_time")[0])
+    return StoryMotion(
+        times=start + np.arange(int(chunk.n_frames[0])) / fps,
+        joints=chunk.joints.astype(np.float64),
+        head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
+        goal=chunk.vectors("goal_location")[0],
+        box_corners=transform_points(invert_rigid(world_from_canonical), corners),
+        gaze_origin=chunk.frames("gaze_origin").astype(np.float64),
+        gaze_direction=chunk.frames("gaze_direction").astype(np.float64),
+        gaze_valid=np.asarray(chunk.frames("gaze_valid"), dtype=bool),
+    )
+
+
+def _cm(metres: float | None) -> str:
+    return "unknown" if metres is None else f"{metres * 100:.1f} cm"
