@@ -14,6 +14,7 @@ import numpy as np
 
 from prbench.skeleton import TOES, Joint
 from prbench.storage import atomic_path
+from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.viewing.curves import Curves, curves_of
 from prbench.viewing.stick_figure import draw_figure, flattened
@@ -64,7 +65,7 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
         scenes: What to show, row by row.
         path: PNG to write; replaced when it exists.
         columns: Scenes side by side.
-        dpi: Resolution; a scene is 8 by 5.6 inches.
+        dpi: Resolution; a scene is 8 by 6.2 inches.
 
     Raises:
         ValueError: if there is nothing to show.
@@ -77,7 +78,7 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
 
     columns = min(columns, len(scenes))
     rows = -(-len(scenes) // columns)
-    figure = Figure(figsize=(8.0 * columns, 5.6 * rows), dpi=dpi)
+    figure = Figure(figsize=(8.0 * columns, 6.2 * rows), dpi=dpi)
     FigureCanvasAgg(figure)
     cells = np.asarray(figure.subfigures(rows, columns, squeeze=False)).ravel()
     for cell, scene in zip(cells, scenes, strict=False):
@@ -88,7 +89,7 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
 
 def draw_scene(cell: SubFigure, scene: Scene) -> None:
     """Fill one cell of the sheet."""
-    axes = cell.add_gridspec(3, 3, height_ratios=[1.0, 1.0, 1.15], left=0.06, right=0.985, top=0.94, bottom=0.075)
+    axes = cell.add_gridspec(3, 3, height_ratios=[1.3, 1.3, 1.1], left=0.06, right=0.985, top=0.94, bottom=0.075)
     cell.suptitle(scene.title, fontsize=9, y=0.985)
     towards = _towards_goal(scene)
     across = np.array([towards[2], 0.0, -towards[0]])
@@ -198,3 +199,38 @@ def _finish(axes: Axes, scene: Scene, unit: str) -> None:
     axes.set_ylabel(unit, fontsize=6)
     axes.tick_params(labelsize=6)
     axes.legend(fontsize=5, loc="upper left", framealpha=0.6)
+
+
+_SHEET: tuple[tuple[str, int, int], ...] = (
+    ("adt", 0, 1),
+    ("adt", 1, 3),
+    ("adt", 2, 2),
+    ("hd-epic", 1, 1),
+    ("hd-epic", 2, 2),
+    ("mogaze", 0, 1),
+    ("mogaze", 1, 2),
+    ("hot3d", 2, 1),
+    ("hot3d", 3, 2),
+    ("gimo", 0, 1),
+    ("gimo", 1, 2),
+    ("gimo", 2, 1),
+)
+"""Preset, recording, and which of its sequences: twelve that show walking, standing, sitting, high and low goals."""
+
+
+def render_contact_sheet(path: Path | str, *, seed: int = 7) -> None:
+    """Act out and draw the twelve sequences of ``docs/gallery.png``.
+
+    Args:
+        path: PNG to write.
+        seed: Of the performances.
+
+    Raises:
+        StorageError: if the file cannot be written.
+    """
+    scenes = []
+    for preset, index, number in _SHEET:
+        performance = perform(preset, seed=seed, index=index, n_events=6, provocations={})
+        sequences = sequences_of([performance])
+        scenes.append(sequences[min(number, len(sequences) - 1)])
+    render_gallery(scenes, path)
