@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
+SCENES_OF_ONE_PRESET = 12
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -28,7 +29,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         example="prbench synthesize adt --recordings 4 --seed 1 --out synthetic/adt",
         execute=_synthesize,
     )
-    parser.add_argument("layout", nargs="?", help="native layout to write, for example adt")
+    parser.add_argument("layout", nargs="?", help="native layout to write (adt); for --gallery alone any preset")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the recordings")
     parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")
     parser.add_argument("--seed", type=int, default=0, help="of everything (default 0)")
@@ -38,7 +39,9 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--no-verify", action="store_true", help="do not compare what curation finds in the files with the truth"
     )
-    parser.add_argument("--gallery", type=Path, metavar="FILE", help="draw a contact sheet of sequences as PNG")
+    parser.add_argument(
+        "--gallery", type=Path, metavar="FILE", help="draw sequences of LAYOUT, or of all presets without one, as PNG"
+    )
     add_workers(parser)
 
 
@@ -47,7 +50,7 @@ def _synthesize(arguments: argparse.Namespace) -> int:
 
     if arguments.gallery is None and arguments.layout is None:
         raise UsageError("name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE.")
-    if arguments.layout is not None:
+    if arguments.layout is not None and (arguments.out is not None or arguments.gallery is None):
         _write_tree(arguments)
     if arguments.gallery is not None:
         _draw_gallery(arguments)
@@ -135,10 +138,13 @@ def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
 
 
 def _draw_gallery(arguments: argparse.Namespace) -> None:
-    from prbench.synthetic.people import PRESETS, perform
-    from prbench.viewing.gallery import render_gallery
+    """Twelve sequences of all presets, or of the one that was named."""
+    from prbench.synthetic.people import perform
+    from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
 
-    presets = (arguments.layout,) if arguments.layout else tuple(PRESETS)
-    performances = [perform(preset, seed=arguments.seed, index=0) for preset in presets]
-    render_gallery(performances, arguments.gallery)
+    if arguments.layout is None:
+        render_contact_sheet(arguments.gallery, seed=arguments.seed)
+    else:
+        performances = [perform(arguments.layout, seed=arguments.seed, index=index, n_events=6) for index in range(4)]
+        render_gallery(sequences_of(performances)[:SCENES_OF_ONE_PRESET], arguments.gallery)
     print(f"gallery: {arguments.gallery}")

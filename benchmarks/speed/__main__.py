@@ -1,0 +1,16 @@
+"""All timings in one run: ``python -m benchmarks.speed`` from the repository's root."""
+
+from __future__ import annotations
+
+from benchmarks.speed import bench_curation, bench_metrics, bench_reading
+
+
+def main() -> None:
+    """Reading, curation, metrics."""
+    bench_reading.main()
+    bench_curation.main()
+    bench_metrics.main()
+
+
+if __name__ == "__main__":
+    main()
