@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -57,7 +58,7 @@ class ProcessPool:
         """
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(
-            self.workers, mp_context=context, initializer=_limit_threads, initargs=(self.threads_per_worker,)
+            self.workers, mp_context=context, initializer=_start_worker, initargs=(self.threads_per_worker,)
         ) as pool:
             waiting = iter(items)
             running: list[Future[Result]] = [
@@ -83,7 +84,16 @@ def engine_for(workers: int) -> Engine:
     return InProcess() if workers <= 1 else ProcessPool(workers)
 
 
-def _limit_threads(threads: int) -> None:
+def _start_worker(threads: int) -> None:
     # Numerical libraries read these when they load, which in a spawned worker is after this.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(threads)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent was killed and cannot tell it to: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

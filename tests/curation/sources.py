@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prbench.curation import build_from_sources
+from prbench.engine import engine_for
 from prbench.errors import InputFileError
 from prbench.recording import Recording
 from prbench.storage import text_digest
@@ -60,4 +61,4 @@ def folder_bytes(folder: Path) -> dict[str, bytes]:
 
 
 if __name__ == "__main__":  # run by the resume test, to be killed
-    build_from_sources(some_sources(8, seconds=0.05), Path(sys.argv[1]))
+    build_from_sources(some_sources(8, seconds=0.05), Path(sys.argv[1]), engine=engine_for(int(sys.argv[2])))

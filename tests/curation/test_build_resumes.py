@@ -17,9 +17,10 @@ from tests.curation.sources import SceneSource, folder_bytes, some_sources
 ROOT = Path(__file__).parents[2]
 
 
-def start(out: Path) -> subprocess.Popen:
+def start(out: Path, workers: int = 1) -> subprocess.Popen:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    return subprocess.Popen([sys.executable, "-m", "tests.curation.sources", str(out)], cwd=ROOT, env=environment)
+    command = [sys.executable, "-m", "tests.curation.sources", str(out), str(workers)]
+    return subprocess.Popen(command, cwd=ROOT, env=environment)
 
 
 def finished_parts(out: Path) -> int:
@@ -51,6 +52,18 @@ def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path: Path) ->
     build_from_sources(some_sources(8), tmp_path / "undisturbed")
     assert folder_bytes(out) == folder_bytes(tmp_path / "undisturbed")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["adt", "undisturbed"]
+
+
+def test_killed_with_workers_it_leaves_none_of_them_at_work(tmp_path: Path) -> None:
+    out = tmp_path / "adt"
+    kill_after(start(out, workers=2), out, parts=2, delay=0.0)
+    time.sleep(0.5)
+    left = finished_parts(out)
+    time.sleep(0.5)
+    assert 2 <= finished_parts(out) == left < 8
+    assert start(out, workers=2).wait() == 0
+    build_from_sources(some_sources(8), tmp_path / "undisturbed")
+    assert folder_bytes(out) == folder_bytes(tmp_path / "undisturbed")
 
 
 class Interrupted(Exception):
