@@ -131,6 +131,7 @@ def test_noise_depends_on_seed_sequence_and_sample_but_not_on_the_batch(source):
     assert batch_of(source, Condition.NONE, rows=(3,)).noise_seed[0] == first.noise_seed[1]
     again = source.redrawn(first, np.array([0, 3, 2]), seed=7, sample=1)
     assert set(again.noise_seed).isdisjoint(first.noise_seed)
+    assert batch_of(source, Condition.NONE, sample=1).noise_seed == again.noise_seed
     assert again.opaque_id == first.opaque_id
 
 

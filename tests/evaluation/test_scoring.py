@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from prbench.evaluation import planning
+from prbench.evaluation.conditions import derangement
+from prbench.evaluation.planning import select
 from prbench.evaluation.run import run_method
 from prbench.manifests import load_protocol
 from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets
@@ -49,10 +51,8 @@ def test_scores_equal_those_of_each_sequence_by_hand(table, tmp_path, monkeypatc
         assert values == by_hand(name, predictions.motions([name], 0).values, gaze=method == "ground-truth")
 
 
-def test_recorded_motion_is_scored_against_the_goals_that_were_dealt(table, tmp_path):
-    from prbench.evaluation.conditions import derangement
-    from prbench.evaluation.planning import select
-
+def test_recorded_motion_is_scored_against_the_goals_that_were_dealt(table, tmp_path, monkeypatch):
+    monkeypatch.setattr(planning, "WINDOW", 6)
     run_method(request(table, tmp_path / "out", "ground-truth", control="shuffled-goal", seed=2))
     selection = select(table, split="test", limit=None)
     order = derangement(selection, seed=2)
