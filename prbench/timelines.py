@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from prbench.errors import StreamsDoNotOverlap
 
+_ROUNDING = 1e-6  # seconds
+
 
 def nearest_index(times: Float[np.ndarray, " n"], query: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
     """Index of the sample nearest to each query time; of two equally near ones the earlier.
@@ -32,7 +34,7 @@ def covered(
     query: Float[np.ndarray, " m"],
     *,
     max_gap: float,
-    tolerance: float = 1e-6,
+    tolerance: float = _ROUNDING,
 ) -> Bool[np.ndarray, " m"]:
     """Whether each query time can be interpolated from *valid* neighbours that are at most ``max_gap`` apart.
 
@@ -43,7 +45,7 @@ def covered(
         valid: Samples that may be used.
         query: Seconds.
         max_gap: Largest distance between the two neighbours, seconds.
-        tolerance: Slack for equality of times, seconds.
+        tolerance: Slack for the equality of a query and a sample, seconds.
     """
     usable = times[valid]
     if len(usable) == 0:
@@ -52,7 +54,7 @@ def covered(
     right = np.searchsorted(usable, query)
     between = (right > 0) & (right < len(usable))
     step = usable[np.clip(right, 0, len(usable) - 1)] - usable[np.clip(right - 1, 0, len(usable) - 1)]
-    return on_sample | (between & (step <= max_gap + tolerance))
+    return on_sample | (between & (step <= max_gap + _ROUNDING))
 
 
 def interpolate(

@@ -39,6 +39,7 @@ GAZE_FILES = (
 )
 """Preferred first: a personalized file exists only where the recording held a calibration phase."""
 CALIBRATION_FILE = "online_calibration.jsonl"
+SUMMARY_FILE = "summary.json"
 
 LONGEST_POSE_STEP = 0.05
 """Seconds; a longer step is a gap that is never bridged (choice)."""

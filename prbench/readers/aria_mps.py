@@ -43,9 +43,9 @@ def read_trajectory(path: Path) -> AriaTrajectory:
     numbers = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
     table = read_columns(path, {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(numbers, float)})
     rotation = column_vectors(table, mps.ROTATION_COLUMNS)
-    require_poses(path, column_vectors(table, mps.POSITION_COLUMNS), rotation)
     require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     graphs, kept = _one_world(table)
+    require_poses(path, column_vectors(table, mps.POSITION_COLUMNS), rotation, used=kept)
     if not kept.any():
         raise InputFileError(
             path,

@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from prbench.errors import InputFileError
+from prbench.readers.last_line import require_whole_last_line
 
 Column = type[int] | type[float] | type[str]
 Decoded = TypeVar("Decoded")
@@ -33,13 +34,14 @@ def read_columns(path: Path, columns: Mapping[str, Column]) -> pa.Table:
     Raises:
         InputFileError: if the file or a column is missing, a line is cut, or a value is no number.
     """
-    missing = [name for name in columns if name not in read_header(path)]
+    header = read_header(path)
+    missing = [name for name in columns if name not in header]
     if missing:
         raise InputFileError(
             path,
             "header",
             expected=f"a column '{missing[0]}'",
-            found=f"the columns {', '.join(read_header(path))}",
+            found=f"the columns {', '.join(header)}",
             remedy="This is another file, or another version of the format.",
         )
     types = {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
@@ -47,6 +49,7 @@ def read_columns(path: Path, columns: Mapping[str, Column]) -> pa.Table:
         table = _parse(path, types, use_threads=True)
     except pa.ArrowInvalid:
         table = _parse_naming_row(path, types)
+    require_whole_last_line(path, columns, header)
     for name, kind in columns.items():
         if kind is int and table[name].null_count:
             row = int(np.flatnonzero(table[name].is_null().to_numpy(zero_copy_only=False))[0])
@@ -86,13 +89,26 @@ def require_increasing(
         )
 
 
-def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> None:
+def require_poses(
+    path: Path,
+    position: Float[np.ndarray, "n 3"],
+    rotation: Float[np.ndarray, "n 4"],
+    *,
+    used: Bool[np.ndarray, " n"] | None = None,
+) -> None:
     """Refuse poses that are no numbers or no rotations.
+
+    Args:
+        path: The file, for the message.
+        position: One row a line.
+        rotation: Quaternions in any order.
+        used: Rows that matter; all by default.
 
     Raises:
         InputFileError: naming the first bad line.
     """
-    bad = ~np.isfinite(np.einsum("nk->n", position) + np.einsum("nk->n", rotation))
+    matters = np.ones(len(position), dtype=bool) if used is None else used
+    bad = matters & ~np.isfinite(np.einsum("nk->n", position) + np.einsum("nk->n", rotation))
     if bad.any():
         raise InputFileError(
             path,
@@ -102,7 +118,7 @@ def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Floa
             remedy="Remove the row, or download the file again.",
         )
     length = np.sqrt(np.einsum("nk,nk->n", rotation, rotation))
-    bad = np.abs(length - 1) > _QUATERNION_TOLERANCE
+    bad = matters & (np.abs(length - 1) > _QUATERNION_TOLERANCE)
     if bad.any():
         row = int(np.argmax(bad))
         raise InputFileError(
@@ -114,14 +130,22 @@ def require_poses(path: Path, position: Float[np.ndarray, "n 3"], rotation: Floa
         )
 
 
-def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded]) -> Decoded:
+def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded], *, nan_is_null: bool = False) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
+
+    Args:
+        path: The file.
+        decoder: Knows the class.
+        nan_is_null: Take a bare ``NaN``, which is no JSON but is written by some programs, for ``null``.
 
     Raises:
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
     """
     try:
-        return decoder.decode(path.read_bytes().removeprefix(b"\xef\xbb\xbf"))
+        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+        if nan_is_null and b"NaN" in content:
+            content = re.sub(rb"(?<=[\[,:\s])-?NaN\b", b"null", content)
+        return decoder.decode(content)
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except msgspec.ValidationError as error:
@@ -157,7 +181,6 @@ def read_header(path: Path) -> list[str]:
 
 
 def _parse(path: Path, types: Mapping[str, pa.DataType], *, use_threads: bool) -> pa.Table:
-    _require_final_line_break(path)
     return pyarrow.csv.read_csv(
         path,
         read_options=pyarrow.csv.ReadOptions(use_threads=use_threads),
@@ -179,19 +202,3 @@ def _parse_naming_row(path: Path, types: Mapping[str, pa.DataType]) -> pa.Table:
             found=f"'{found[:160]}'",
             remedy=_COPY_AGAIN,
         ) from error
-
-
-def _require_final_line_break(path: Path) -> None:
-    with open(path, "rb") as file:
-        file.seek(0, 2)
-        file.seek(max(file.tell() - 80, 0))
-        tail = file.read()
-    if not tail.endswith((b"\n", b"\r")):
-        last = tail.splitlines()[-1].decode(errors="replace") if tail else "nothing"
-        raise InputFileError(
-            path,
-            "last line",
-            expected="a line break at its end",
-            found=f"'…{last[-40:]}'",
-            remedy=f"{_COPY_AGAIN} If it is complete, add a line break.",
-        )

@@ -6,7 +6,7 @@ Readers call this with what the files hold, synthetic recordings with what their
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
@@ -60,8 +60,8 @@ def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset
         readings.gaze.pitch,
         same_instant=adt.SAME_INSTANT,
     )
-    wearer = next((person for person in readings.skeletons if person.serial == readings.serial), None)
-    body, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest)
+    wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
+    body, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest, span)
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
     rooms = {track.object_id for track in tracks if encloses_room(track, gaze)}
@@ -79,7 +79,7 @@ def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset
         body=body,
         hands=hands,
         objects=tuple(track for track in tracks if track.object_id not in rooms),
-        other_people=tuple(OtherPerson(person.name, body_and_hands(person, manifest)[1]) for person in others),
+        other_people=tuple(OtherPerson(person.name, body_and_hands(person, manifest, span)[1]) for person in others),
         split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
@@ -88,12 +88,17 @@ def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset
     )
 
 
-def body_and_hands(person: adt.AdtSkeleton, manifest: Manifest) -> tuple[BodyStream, tuple[HandStream, ...]]:
-    """The 22 joints, and wrists and middle-finger bases, with implausible frames masked and filled."""
+def body_and_hands(
+    person: adt.AdtSkeleton, manifest: Manifest, span: tuple[float, float]
+) -> tuple[BodyStream, tuple[HandStream, ...]]:
+    """The 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
+
+    So are frames outside ``span``, the time in which the glasses were tracked: there is no ground truth.
+    """
     times = person.time_ns / 1e9
     native = person.joints
     joints = adt.body_joints(native, manifest.body.joint_mapping)
-    valid = plausible_body_frames(times, joints)
+    valid = plausible_body_frames(times, joints) & _within(times, span)
     hands = []
     for contact, pair in _CONTACTS:
         for side, index in zip(_SIDES, pair, strict=True):
@@ -149,6 +154,10 @@ def _device_poses(readings: adt.AdtReadings) -> PoseStream:
     return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
 
 
+def _within(times: Float[np.ndarray, " n"], span: tuple[float, float]) -> Bool[np.ndarray, " n"]:
+    return (times >= span[0] - adt.SAME_INSTANT) & (times <= span[1] + adt.SAME_INSTANT)
+
+
 def _measured(points: np.ndarray) -> Bool[np.ndarray, " n"]:
     return np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
 
@@ -186,17 +195,23 @@ def _remarks(
     remarks = []
     if readings.glasses_size is None:
         remarks.append(f"size of the glasses unknown, {_ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
-    outside = (gaze.times < span[0] - adt.SAME_INSTANT) | (gaze.times > span[1] + adt.SAME_INSTANT)
+    outside = ~_within(gaze.times, span)
     if outside.any():
         remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
-    lost = int((readings.glasses.quality <= 0).sum())
+    lost = int((~(readings.glasses.quality > 0)).sum())
     if lost:
         remarks.append(f"{lost} of {len(readings.glasses.quality)} poses of the glasses have quality 0 and are invalid")
     if wearer is None:
         remarks.append("no skeleton belongs to the wearer's glasses: no body, no hands")
     elif body is not None:
-        if not body.valid.all():
-            remarks.append(f"{int((~body.valid).sum())} of {len(body.valid)} body frames are implausible and invalid")
+        tracked = _within(body.times, span)
+        implausible = int((~body.valid & tracked).sum())
+        if implausible:
+            remarks.append(f"{implausible} of {len(body.valid)} body frames are implausible and invalid")
+        if not tracked.all():
+            remarks.append(
+                f"{int((~tracked).sum())} of {len(tracked)} body frames lie outside the tracked time and are invalid"
+            )
         gaps = int((np.diff(body.times) > adt.LONGEST_BODY_STEP).sum())
         if gaps:
             remarks.append(f"{gaps} gaps of more than {adt.LONGEST_BODY_STEP * 1e3:.0f} ms in the body")

@@ -8,7 +8,7 @@ import msgspec
 
 from prbench.errors import InputFileError
 from prbench.formats import adt
-from prbench.formats.aria_mps import CALIBRATION_FILE
+from prbench.formats.aria_mps import CALIBRATION_FILE, SUMMARY_FILE
 from prbench.readers.aria_mps import find_gaze_file
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file
@@ -17,6 +17,7 @@ from prbench.storage import inside
 
 METADATA, INSTANCES, OBJECTS, BOXES = "metadata", "instances", "objects", "boxes"
 TRAJECTORY, GAZE, ASSOCIATION, CALIBRATION = "trajectory", "gaze", "association", "calibration"
+GAZE_STATUS, SLAM_STATUS = "gaze status", "slam status"
 SKELETON_PREFIX = "skeleton:"
 """Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
 
@@ -29,6 +30,8 @@ _FILES = {
     ASSOCIATION: (adt.ASSOCIATION_FILE, adt.ASSOCIATION_FILE_BEFORE_1_1),
     CALIBRATION: (f"{adt.MPS_FOLDER}/slam/{CALIBRATION_FILE}", f"{adt.MPS_FOLDER}/trajectory/{CALIBRATION_FILE}"),
 }
+_STATUS_OF = {GAZE: GAZE_STATUS, CALIBRATION: SLAM_STATUS}
+"""Streams that the Machine Perception Services made, and the role of their status beside them."""
 
 
 class Subtour(msgspec.Struct):
@@ -41,11 +44,11 @@ class Subtour(msgspec.Struct):
 class Metadata(msgspec.Struct):
     """``metadata.json`` of either layout."""
 
-    gt_time_domain: str = ""
+    gt_time_domain: str | None = None
     """Checked when the recording is read."""
-    serial: str = ""
-    """Of the glasses; empty in v1.x, where every subtour has its own."""
-    concurrent_sequence: str = ""
+    serial: str | None = None
+    """Of the glasses; absent in v1.x, where every subtour has its own."""
+    concurrent_sequence: str | None = None
     dataset_version: str = adt.FIRST_VERSION
     subtours: dict[str, Subtour] | tuple[Subtour, ...] | None = None
 
@@ -55,6 +58,11 @@ class Metadata(msgspec.Struct):
             return ()
         entries = self.subtours.values() if isinstance(self.subtours, dict) else self.subtours
         return tuple(sorted(entries, key=lambda entry: entry.subtour_name))
+
+    def concurrent(self) -> str:
+        """Name of the sequence that the other wearer recorded at the same time; empty where there is none."""
+        name = self.concurrent_sequence or ""
+        return "" if name.upper() == adt.NOBODY else name
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
@@ -69,8 +77,8 @@ def find_recordings(root: Path) -> tuple[RecordingFiles, ...]:
     """List the recordings of an ADT folder: the dataset's, a v1.x sequence, or a single recording.
 
     Raises:
-        InputFileError: if ``root`` holds none, saying what was looked for and what was found; or if a metadata file is
-            no JSON.
+        InputFileError: if ``root`` holds none, saying what was looked for and what was found; or if a subtour would lie
+            outside of its sequence. Damaged metadata is reported when its recording is read, not here.
     """
     root = root.expanduser().resolve()
     if not root.is_dir():
@@ -102,12 +110,22 @@ def _recordings_in(folder: Path, *, synthetic: bool) -> list[RecordingFiles]:
     if metadata_path is None:
         return []
     dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
-    subtours = decode_json(metadata_path, METADATA_DECODER).subtour_list()
-    places = [(subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name)) for tour in subtours]
+    places = [
+        (subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name))
+        for tour in _subtours(metadata_path)
+    ]
     return [
         RecordingFiles(dataset, recording_id, place, (input_file(METADATA, metadata_path), *_input_files(place)))
         for recording_id, place in places or [(folder.name, folder)]
     ]
+
+
+def _subtours(metadata_path: Path) -> tuple[Subtour, ...]:
+    """Subtours of a sequence; none where its metadata is damaged, so that one bad folder does not hide the others."""
+    try:
+        return decode_json(metadata_path, METADATA_DECODER).subtour_list()
+    except InputFileError:
+        return ()
 
 
 def _input_files(folder: Path) -> list[InputFile]:
@@ -116,7 +134,11 @@ def _input_files(folder: Path) -> list[InputFile]:
         path = next((folder / name for name in names if (folder / name).is_file()), None)
         if path is None and role == GAZE:
             path = find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze")
-        if path is not None:
-            files.append(input_file(role, path))
+        if path is None:
+            continue
+        files.append(input_file(role, path))
+        status = path.with_name(SUMMARY_FILE)
+        if role in _STATUS_OF and path.parent != folder and status.is_file():
+            files.append(input_file(_STATUS_OF[role], status))
     skeletons = sorted(folder.glob("Skeleton_*.json"))
     return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]

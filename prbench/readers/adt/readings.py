@@ -9,7 +9,8 @@ from prbench.formats import adt
 from prbench.readers.adt import layouts
 from prbench.readers.adt.objects import read_objects
 from prbench.readers.adt.skeletons import read_skeletons
-from prbench.readers.aria_mps import read_first_calibration, read_gaze_angles, read_trajectory
+from prbench.readers.aria_mps import OnlineCalibration, read_first_calibration, read_gaze_angles, read_trajectory
+from prbench.readers.aria_status import read_warnings
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
 
@@ -26,8 +27,7 @@ def read_readings(found: RecordingFiles) -> adt.AdtReadings:
         found.require(layouts.BOXES, adt.BOXES_FILE),
         found.require(layouts.OBJECTS, adt.OBJECTS_FILE),
     )
-    calibration_path = found.path(layouts.CALIBRATION)
-    calibration = None if calibration_path is None else read_first_calibration(calibration_path)
+    calibration, calibration_remarks = _read_calibration(found)
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=serial,
@@ -38,15 +38,35 @@ def read_readings(found: RecordingFiles) -> adt.AdtReadings:
         gaze=read_gaze_angles(found.require(layouts.GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
-        messages=remarks,
+        messages=(*remarks, *calibration_remarks, *_gaze_warnings(found)),
     )
+
+
+def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
+    """The optional calibration, and remarks; one whose own services call it an error is left aside."""
+    path, status = found.path(layouts.CALIBRATION), found.path(layouts.SLAM_STATUS)
+    if path is None:
+        return None, ()
+    try:
+        remarks = () if status is None else read_warnings(status)
+    except InputFileError as error:
+        return None, (f"the online calibration is not used: {error}",)
+    return read_first_calibration(path), remarks
+
+
+def _gaze_warnings(found: RecordingFiles) -> tuple[str, ...]:
+    """Refuses gaze of the services that they call an error; gaze of the release itself has no such status."""
+    status = found.path(layouts.GAZE_STATUS)
+    return () if status is None else read_warnings(status)
 
 
 def _read_identity(found: RecordingFiles) -> tuple[str, str]:
     """Serial of the glasses, and the id of the concurrent recording (empty if there is none)."""
     path = found.require(layouts.METADATA, adt.METADATA_FILE)
     metadata = decode_json(path, layouts.METADATA_DECODER)
-    if metadata.gt_time_domain != adt.TIME_DOMAIN:
+    tours = metadata.subtour_list()
+    unnamed_before_2 = bool(tours) and metadata.gt_time_domain is None
+    if metadata.gt_time_domain != adt.TIME_DOMAIN and not unnamed_before_2:
         raise InputFileError(
             path,
             "gt_time_domain",
@@ -54,9 +74,8 @@ def _read_identity(found: RecordingFiles) -> tuple[str, str]:
             found=f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing",
             remedy="Times on another clock would not meet gaze and poses; use a release on the device clock.",
         )
-    tours = metadata.subtour_list()
     if not tours:
-        return metadata.serial, metadata.concurrent_sequence
+        return metadata.serial or "", metadata.concurrent()
     own = next(tour for tour in tours if layouts.subtour_id(path.parent.name, tour.subtour_name) == found.recording_id)
     others = [tour for tour in tours if tour is not own]
     concurrent = min((layouts.subtour_id(path.parent.name, tour.subtour_name) for tour in others), default="")

@@ -70,7 +70,7 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
 
 def _read_skeleton(found: RecordingFiles, person: Association) -> adt.AdtSkeleton:
     path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
-    frames = decode_json(path, _SKELETON).frames
+    frames = decode_json(path, _SKELETON, nan_is_null=True).frames
     if not frames:
         raise InputFileError(
             path,

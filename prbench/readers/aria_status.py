@@ -1,0 +1,49 @@
+"""``summary.json`` of the Aria Machine Perception Services: what its operators say of a stream (section 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from prbench.errors import InputFileError
+from prbench.storage import read_json
+
+
+def read_warnings(path: Path) -> tuple[str, ...]:
+    """What the operators of a stream warn of; their names vary between versions, and none is required.
+
+    Returns:
+        One remark for each operator with the status WARNING.
+
+    Raises:
+        InputFileError: if the file is damaged, or an operator reports an ERROR: the stream is then not to be used.
+    """
+    warnings = []
+    for operator, report in _reports(read_json(path)):
+        if report["status"] == "ERROR":
+            raise InputFileError(
+                path,
+                operator,
+                expected="no operator with the status ERROR",
+                found=f"ERROR{_reason(report)}",
+                remedy="The services could not compute this stream; leave the recording out, or request it again.",
+            )
+        if report["status"] == "WARNING":
+            warnings.append(f"{path.parent.name}: {operator} warns{_reason(report)}")
+    return tuple(warnings)
+
+
+def _reports(summary: object) -> Iterator[tuple[str, dict]]:
+    """Every entry that has a status, with the name of its operator; some operators hold a list of them."""
+    if not isinstance(summary, dict):
+        return
+    for operator, value in summary.items():
+        for report in value if isinstance(value, list) else [value]:
+            if isinstance(report, dict) and "status" in report:
+                yield str(operator), report
+
+
+def _reason(report: dict) -> str:
+    details = [report.get("message"), *report.get("errors", []), *report.get("warnings", [])]
+    said = "; ".join(str(detail) for detail in details if detail)
+    return f" ({said[:160]})" if said else ""
