@@ -53,6 +53,12 @@ def test_no_batch_crosses_a_window(monkeypatch):
     assert all(len({row // 10 for row in rows}) == 1 for rows in plan)
 
 
+def test_sequences_of_equal_length_keep_the_order_of_the_table():
+    n_frames = np.tile([60, 50], 400)
+    first_window = np.concatenate([rows for rows in plan_batches(n_frames, 7) if rows.max() < planning.WINDOW])
+    assert list(first_window) == [*range(1, 800, 2), *range(0, 800, 2)]
+
+
 def test_the_plan_digest_sees_order_and_borders():
     ids = ("a", "b", "c", "d")
     one = plan_digest(ids, [np.array([0, 1]), np.array([2, 3])])
