@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prbench.curation.events import Decision
 from prbench.manifests import BenchmarkProtocol
@@ -110,7 +110,17 @@ def _body_gap(body: BodyStream, grid: SequenceGrid, max_gap: float) -> Decision 
 
 
 def _joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22 3"]:
-    return interpolate(body.times[body.valid], body.joints[body.valid], times)
+    near = _around(body.times, body.valid, times)
+    return interpolate(body.times[near], body.joints[near], times)
+
+
+def _around(
+    times: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"], query: Float[np.ndarray, " m"]
+) -> Int[np.ndarray, " k"]:
+    """Indices of the valid samples between which the query times lie, with one more on either side; at least one."""
+    usable = np.flatnonzero(valid)
+    first, stop = np.searchsorted(times[usable], [query[0], query[-1]])
+    return usable[min(max(first - 1, 0), len(usable) - 1) : stop + 1]
 
 
 def _neighbour(
@@ -131,8 +141,9 @@ def _head_at(
     inside = head.valid & (head.times >= times[0] - _SLACK) & (head.times <= times[-1] + _SLACK)
     if not inside.any():
         return None, None
-    usable = head.times[head.valid]
-    return interpolate(usable, head.position[head.valid], times), slerp(usable, head.rotation[head.valid], times)
+    near = _around(head.times, head.valid, times)
+    usable = head.times[near]
+    return interpolate(usable, head.position[near], times), slerp(usable, head.rotation[near], times)
 
 
 def _gaze_at(
@@ -146,9 +157,9 @@ def _gaze_at(
     valid = covered(gaze.times, gaze.valid, times, max_gap=max(max_gap, 1.5 * period))
     if not gaze.valid.any():
         return np.zeros((len(times), 3)), np.tile([0.0, 0.0, 1.0], (len(times), 1)), valid
-    usable = gaze.times[gaze.valid]
-    origin = interpolate(usable, gaze.origin[gaze.valid], times)
-    direction = interpolate(usable, gaze.direction[gaze.valid], times)
+    near = _around(gaze.times, gaze.valid, times)
+    origin = interpolate(gaze.times[near], gaze.origin[near], times)
+    direction = interpolate(gaze.times[near], gaze.direction[near], times)
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     opposite = length[:, 0] < 1e-6  # two opposite neighbours have no mean
     direction = np.where(opposite[:, None], [0.0, 0.0, 1.0], direction / np.where(length > 0, length, 1.0))

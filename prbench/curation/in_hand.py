@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.gaps import placed_in_gap
@@ -103,16 +103,19 @@ def nearest_hand(
 
 
 def _moves(track: ObjectTrack, rule: InHandRule) -> bool:
-    """Whether the object can have moved far enough at all: a bound that costs nothing."""
-    position = track.position[track.valid]
-    return len(position) > 1 and float(np.linalg.norm(np.ptp(position, axis=0))) + _turning_reach(track) >= (
-        rule.smallest_displacement
-    )
+    """Whether the centre of the box can have moved far enough at all: an upper bound that costs next to nothing."""
+    if np.count_nonzero(track.valid) < 2:
+        return False
+    lever = float(np.linalg.norm((track.box_min + track.box_max) / 2))
+    # Two orientations whose quaternions are d apart differ by an angle of at most pi d.
+    farthest = _diameter(track.position, track.valid) + np.pi * _diameter(track.rotation, track.valid) * lever
+    return farthest >= rule.smallest_displacement
 
 
-def _turning_reach(track: ObjectTrack) -> float:
-    """How far the centre of the box can move by turning about the object's origin."""
-    return 2 * float(np.linalg.norm((track.box_min + track.box_max) / 2))
+def _diameter(rows: Float[np.ndarray, "n k"], valid: Bool[np.ndarray, " n"]) -> float:
+    """Upper bound of the distance between any two valid rows: twice the half diagonal of a cube around the first."""
+    rows = rows if valid.all() else rows[valid]
+    return 2 * float(np.sqrt(rows.shape[1]) * np.abs(rows - rows[0]).max())
 
 
 def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHandRule) -> list[Holding]:
