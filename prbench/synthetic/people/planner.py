@@ -14,23 +14,22 @@ import numpy as np
 from prbench.synthetic.people.base import BasePose, Segment
 from prbench.synthetic.people.geometry import UP, turn
 from prbench.synthetic.people.grasp import kept_away
+from prbench.synthetic.people.movements import Movement, Pair, make_reach, tag_of
 from prbench.synthetic.people.person import Person
 from prbench.synthetic.people.places import Goal, Held, Reachability, Stand
-from prbench.synthetic.people.plan import OPENING, Action, Plan, Reach, Twist
+from prbench.synthetic.people.plan import OPENING, Action, Plan, Reach
 from prbench.synthetic.people.presets import ObjectKind, Preset
 from prbench.synthetic.people.provocations import (
     DOOR,
     DOOR_HANDLE,
     EXTRA,
     HANDLE_HALF,
-    OF_EVENT,
-    OF_PAIR,
     TRAY,
     TRAY_HANDLE,
     TRAY_LOAD,
     draw_tag,
 )
-from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot, world_half_extents
+from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot
 
 _TRIES = 14
 _TRIES_A_SURFACE = 5  # before another is drawn: else hard ones, very high or very low, would become rare
@@ -38,7 +37,6 @@ _RESTING_GAP = 0.13  # metres between the centres of two objects at rest
 _LARGE_GAP = 0.24  # around trays and doors
 _PUT_FROM_PICK = 0.22
 _HIGHEST_GOAL = 0.96  # of the stature
-_DWELL = {"pick": 0.18, "put": 0.18, "hover": np.inf, "pass_by": 0.02, "touch": 0.5, "nudge": 0.35, "hinge": 1.25}
 _HANDING_OVER_AFTER = 1.0  # seconds after the pick
 _HANDING_OVER_TAKES = 1.5
 _HOVER_ABOVE = 0.03
@@ -93,19 +91,6 @@ def plan_recording(
         planner.add_event(state)
     items = (*state.items, *room.bystanders)
     return Plan(preset, person, room, is_seated, start, items, tuple(state.segments), tuple(state.reaches))
-
-
-def _tag_of(state: _State, action: Action) -> str:
-    """The tag that a movement itself carries."""
-    if action == "hover":
-        return "too_near"
-    if action in EXTRA:
-        return action
-    if state.tag in OF_PAIR:
-        return state.tag
-    if state.tag in ("too_near", "early"):
-        return state.tag if action == "pick" else "plain"
-    return state.tag if state.tag in OF_EVENT and action == state.tagged_event else "plain"
 
 
 class _Planner:
@@ -163,7 +148,7 @@ class _Planner:
         if state.tag == "too_near":
             motor_start = self._hover(state, goal, stand, hand, index, motor_start)
             stand = replace(stand, segment=None)
-        reach = self._reach(state, "pick", goal, stand, hand, index, motor_start, state.tag == "too_near")
+        reach = self._reach(state, "pick", goal, stand, hand, index, motor_start)
         self._commit(state, reach, stand)
         state.holding = reach if self.preset.puts else None
 
@@ -179,7 +164,7 @@ class _Planner:
         if found is None:
             return
         goal, stand, motor_start = found
-        reach = self._reach(state, "put", goal, stand, hand, pick.item, motor_start, False)
+        reach = self._reach(state, "put", goal, stand, hand, pick.item, motor_start)
         twist = replace(reach.twist, handed_over=handing, second_hand=pick.twist.second_hand)
         self._commit(state, replace(reach, twist=twist), stand)
         state.holding, state.tag = None, "plain"
@@ -192,7 +177,7 @@ class _Planner:
             return
         goal, stand, hand, motor_start = found
         state.items.append(Item(kind, goal.half_extents, goal.centre, goal.yaw, hinged=tag == "hinge"))
-        reach = self._reach(state, cast(Action, tag), goal, stand, hand, len(state.items) - 1, motor_start, False)
+        reach = self._reach(state, cast(Action, tag), goal, stand, hand, len(state.items) - 1, motor_start)
         if tag == "pass_by":
             clearance = float(self.provoker.uniform(*_PASSING))
             grasp = kept_away(reach.grasp, self.person.body.hand, goal.centre, goal.half_extents, goal.yaw, clearance)
@@ -202,7 +187,7 @@ class _Planner:
     def _hover(self, state: _State, goal: Goal, stand: Stand, hand: int, item: int, motor_start: float) -> float:
         """Bring the hand near a goal without looking, long before the pick; returns when the pick may start."""
         raised = replace(stand.grasp, wrist=stand.grasp.wrist + _HOVER_ABOVE * UP)
-        hover = self._reach(state, "hover", goal, replace(stand, grasp=raised), hand, item, motor_start, False)
+        hover = self._reach(state, "hover", goal, replace(stand, grasp=raised), hand, item, motor_start)
         self._commit(state, hover, stand)
         state.spots.pop()
         return hover.event + float(self.provoker.uniform(3.4, 4.2))
@@ -306,53 +291,10 @@ class _Planner:
         hand: int,
         item: int,
         motor_start: float,
-        from_hover: bool,
     ) -> Reach:
-        arrival = motor_start if stand.segment is None else stand.segment.arrival
-        reach_start = max(motor_start, arrival - float(self.rng.uniform(0.15, 0.45)))
-        length = (0.62 + 0.35 * self.rng.random()) * self.person.habits.reach_time + self.rng.uniform(0.03, 0.12)
-        event = reach_start + float(length) * (0.7 if from_hover else 1.0)
-        tag = _tag_of(state, action)
-        return Reach(
-            number=len(state.reaches),
-            action=action,
-            tag=tag,
-            item=item,
-            hand=hand,
-            surface=goal.surface,
-            centre=goal.centre,
-            yaw=stand.yaw,
-            half_world=world_half_extents(goal.half_extents, stand.yaw),
-            base=stand.base,
-            grasp=stand.grasp,
-            posture=stand.posture,
-            motor_start=motor_start,
-            reach_start=reach_start,
-            contact=event - 0.04,
-            event=event,
-            dwell=_DWELL[action],
-            carries=action == "pick" and self.preset.puts,
-            twist=self._twist(action, tag, goal, stand, event),
-        )
-
-    def _twist(self, action: Action, tag: str, goal: Goal, stand: Stand, event: float) -> Twist:
-        draw = self.provoker.uniform
-        if tag == "nudge" and action == "nudge":
-            away = goal.centre - stand.grasp.wrist
-            away[1] = 0.0
-            return Twist(slide=float(draw(0.008, 0.018)) * away / np.linalg.norm(away))
-        if action == "hinge":
-            return Twist(opening=float(draw(0.55, 0.8)))
-        if tag == "two_handed":
-            return Twist(second_hand=float(draw(0.10, 0.16)))
-        if tag == "too_near" and action == "pick":
-            return Twist(gap=float(draw(0.42, 0.55)))
-        if tag == "early":
-            return Twist(gap=min(event - float(draw(0.6, 1.7)), 9.7))
-        if tag == "lost":
-            before, after = float(draw(0.1, 0.5)), float(draw(0.2, 0.5))
-            return Twist(lost=(event - before, event + after))
-        return Twist()
+        pair = Pair(state.tag, state.tagged_event)
+        movement = Movement(len(state.reaches), action, tag_of(pair, action), item, hand, motor_start)
+        return make_reach(self.preset, self.person, movement, goal, stand, self.rng, self.provoker)
 
     def _commit(self, state: _State, reach: Reach, stand: Stand) -> None:
         state.reaches.append(reach)
