@@ -45,19 +45,19 @@ def test_the_older_layout_may_not_name_its_clock_but_must_not_name_another(tmp_p
         _recording(tmp_path)
 
 
-@pytest.mark.parametrize("as_list", [False, True])
-def test_two_wearers_of_one_sequence_share_a_split_and_see_each_other(tmp_path, as_list) -> None:
+def two_wearers(folder: Path, *, version: str) -> None:
+    """The still life with a second person one metre aside, in the older layout."""
     first = still_life()
     (person,) = first.skeletons
-    second_person = replace(
-        person, name="Skeleton_C", skeleton_id=78, serial="S2", joints=np.add(person.joints, (1.0, 0, 0))
-    )
-    people = (person, second_person)
-    tours = {
-        "M1": replace(first, skeletons=people),
-        "M2": replace(first, serial="S2", skeletons=people),
-    }
-    layout.write_v1(tours, tmp_path / "party", version="1.0")
+    aside = np.add(person.joints, (1.0, 0, 0))
+    people = (person, replace(person, name="Skeleton_C", skeleton_id=78, serial="S2", joints=aside))
+    tours = {"M1": replace(first, skeletons=people), "M2": replace(first, serial="S2", skeletons=people)}
+    layout.write_v1(tours, folder, version=version)
+
+
+@pytest.mark.parametrize("as_list", [False, True])
+def test_two_wearers_of_one_sequence_share_a_split_and_see_each_other(tmp_path, as_list) -> None:
+    two_wearers(tmp_path / "party", version="1.0")
     assert (tmp_path / "party" / "gt-metadata.json").is_file()
     assert (tmp_path / "party" / "M1" / "SkeletonMetaData.json").is_file()
     if as_list:
