@@ -37,7 +37,7 @@ class RunRequest:
     batch_size: int = DEFAULT_BATCH_SIZE
     device: str = "cpu"
     threads: int = 1
-    """Per worker; rounding may depend on it."""
+    """Torch's threads in each worker, on which its rounding may depend; NumPy's follow ``OMP_NUM_THREADS``."""
     control: str | None = None
     """``shuffled-goal`` or None."""
     out: Path | None = None
