@@ -109,12 +109,18 @@ class TextTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Constants of the six metrics; metres and seconds."""
+    """Constants of the six metrics; metres and seconds.
+
+    ``threshold_tolerance`` is how close to a threshold a distance lies *on* it: the table stores positions as float32.
+    ``foot_tolerance`` is the same for the heights and speeds of Foot Skating.
+    """
 
     prime_window: float
     prime_duration: float
     prime_distance: float
     deceleration_tolerance: float
+    threshold_tolerance: float
+    foot_tolerance: float
     head_smoothing: float
     reach_distance: float
     location_error_distance: float

@@ -37,6 +37,8 @@ def test_a_changed_number_changes_the_digest():
     protocol = load_protocol()
     changed = msgspec.structs.replace(protocol, fps=30.0)
     assert digest_of(changed) != protocol.digest
+    stricter = msgspec.structs.replace(protocol.metrics, threshold_tolerance=0.0)
+    assert digest_of(msgspec.structs.replace(protocol, metrics=stricter)) != protocol.digest
     assert digest_of(msgspec.structs.replace(protocol)) == protocol.digest
 
 

@@ -11,10 +11,6 @@ from jaxtyping import Float, Int
 
 from prbench.skeleton import N_JOINTS
 
-ROUNDING = 1e-6
-"""Metres. Positions are stored as float32, which resolves no more than this a few metres from the origin; a value that
-lies on a threshold up to this much counts as on it."""
-
 
 @dataclass(frozen=True, eq=False)
 class MotionBatch:

@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.manifests import MetricConstants
-from prbench.metrics.batch import ROUNDING, MotionBatch
+from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
 from prbench.skeleton import BONES
+
+_NO_LENGTH = 1e-6  # metres; what float32 resolves a few metres from the origin
 
 
 def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
@@ -30,7 +32,7 @@ def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bo
     initial = np.sqrt(squared[:, motion.first])
     longest = np.sqrt(np.maximum.reduceat(squared, motion.first, axis=1))
     shortest = np.sqrt(np.minimum.reduceat(squared, motion.first, axis=1))
-    missing = initial < ROUNDING
+    missing = initial < _NO_LENGTH
     deviation = np.maximum(longest - initial, initial - shortest)
     change = np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial))
     return change.max(axis=0), np.asarray(missing.any(axis=0))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.manifests import MetricConstants
-from prbench.metrics.batch import ROUNDING, MotionBatch, moving_sum, odd_window
+from prbench.metrics.batch import MotionBatch, moving_sum, odd_window
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
 from prbench.skeleton import TOES
@@ -75,7 +75,7 @@ def _averaged(speed: np.ndarray, motion: MotionBatch, fps: np.ndarray, constants
 
 
 def _contact(motion: MotionBatch, constants: MetricConstants) -> np.ndarray:
-    low = motion.columns[list(TOES), 1] < constants.foot_height - ROUNDING
+    low = motion.columns[list(TOES), 1] < constants.foot_height - constants.foot_tolerance
     contact = np.zeros_like(low)
     contact[:, :-1] = low[:, :-1] & low[:, 1:]
     contact[:, motion.last] = False
@@ -83,7 +83,7 @@ def _contact(motion: MotionBatch, constants: MetricConstants) -> np.ndarray:
 
 
 def _sliding(steps: ToeSteps, constants: MetricConstants) -> np.ndarray:
-    limit = constants.foot_speed + ROUNDING
+    limit = constants.foot_speed + constants.foot_tolerance
     return steps.contact & (steps.speed > limit) & (steps.averaged_speed > limit)
 
 

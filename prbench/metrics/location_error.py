@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.manifests import MetricConstants
-from prbench.metrics.batch import ROUNDING, MotionBatch
+from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
 from prbench.skeleton import Joint
@@ -27,7 +27,7 @@ def location_error(
     predicted_end = predicted.values[predicted.last, Joint.PELVIS].astype(np.float64)
     recorded_end = recorded.values[recorded.last, Joint.PELVIS].astype(np.float64)
     distance = np.linalg.norm((predicted_end - recorded_end)[:, axes], axis=-1)
-    return (distance >= constants.location_error_distance - ROUNDING).astype(np.float64)
+    return (distance >= constants.location_error_distance - constants.threshold_tolerance).astype(np.float64)
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.manifests import MetricConstants
-from prbench.metrics.batch import ROUNDING, MotionBatch, ranges
+from prbench.metrics.batch import MotionBatch, ranges
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, ScoringTargets
@@ -42,7 +42,7 @@ def primed(
     track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant
 ) -> Float[np.ndarray, " n"]:
     """Apply the conditions of :func:`prime_success` to the track of any ray."""
-    on_target = track.usable & (track.distance <= constants.prime_distance + ROUNDING)
+    on_target = track.usable & (track.distance <= constants.prime_distance + constants.threshold_tolerance)
     sequence = np.repeat(np.arange(len(candidates.count)), candidates.count)
     frame = ranges(candidates.first, candidates.count)
     row, hold = track.row_of_frame_0[sequence] + frame, candidates.hold[sequence]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.manifests import MetricConstants
-from prbench.metrics.batch import ROUNDING, MotionBatch
+from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, final_reaching_wrist
 from prbench.skeleton import WRISTS
@@ -61,7 +61,7 @@ def _squared_wrist_distance(motion: MotionBatch, goal: np.ndarray) -> np.ndarray
 
 
 def _within_reach(squared: np.ndarray, constants: MetricConstants) -> np.ndarray:
-    return (np.sqrt(squared) <= constants.reach_distance + ROUNDING).astype(np.float64)
+    return (np.sqrt(squared) <= constants.reach_distance + constants.threshold_tolerance).astype(np.float64)
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:

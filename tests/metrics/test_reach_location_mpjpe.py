@@ -38,6 +38,17 @@ def test_exactly_ten_centimetres_is_a_success(distance: float, expected: float, 
         assert reach_success(batch(motion.astype(dtype)), GOAL + shift, CONSTANTS, final=True) == expected
 
 
+@pytest.mark.parametrize(("beyond", "on"), [(0.9e-6, 1), (1.2e-6, 0)])
+def test_a_distance_on_a_threshold_is_on_it_up_to_the_tolerance_of_the_protocol(beyond: float, on: float) -> None:
+    motion = batch(wrists_at([0.5, 0.10 + beyond], [0.5, 0.5]))
+    assert reach_success(motion, GOAL, CONSTANTS) == on
+    strict = msgspec.structs.replace(CONSTANTS, threshold_tolerance=0.0)
+    assert reach_success(motion, GOAL, strict) == 0
+    nearer = standing(2) + np.array([0.5 - beyond, 0.0, 0.0])
+    assert location_error(batch(nearer), batch(standing(2)), CONSTANTS) == on
+    assert location_error(batch(nearer), batch(standing(2)), strict) == 0
+
+
 def test_either_wrist_succeeds() -> None:
     motions = batch(
         wrists_at([0.5, 0.05], [0.5, 0.5]), wrists_at([0.5, 0.5], [0.5, 0.05]), wrists_at([0.5] * 2, [0.5] * 2)
