@@ -136,8 +136,11 @@ def test_a_damaged_part_is_made_again(table, tmp_path, install, damage):
     part = tmp_path / "out/predictions/part-00001.parquet"
     other = tmp_path / "out/predictions/part-00002.parquet"
     part.write_bytes(part.read_bytes()[:-20] if damage == "truncated" else other.read_bytes())
+    untouched = [path for path in part.parent.iterdir() if path != part]
+    times = [path.stat().st_mtime_ns for path in untouched]
     assert run_method(request(table, tmp_path / "out", "made")).batches_made == 1
     assert reproducible_bytes(tmp_path / "out") == before
+    assert [path.stat().st_mtime_ns for path in untouched] == times
 
 
 @pytest.mark.parametrize(
