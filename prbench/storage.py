@@ -7,6 +7,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -33,7 +34,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         with _storage_errors(path):
             yield temporary
             temporary.chmod(0o666 & ~_umask())  # mkstemp makes files that only their owner can read
-            with open(temporary, "rb") as written:
+            with open(temporary, "r+b") as written:  # Windows syncs only what may be written
                 os.fsync(written.fileno())
             temporary.replace(path)
     finally:
@@ -61,6 +62,23 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(replaced, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Clear away what a process that was killed left beside ``path``; call it before writing there again.
+
+    Half-written files and folders are deleted. A folder that was just about to be replaced gets its name back.
+    """
+    stem = path.stem if path.suffix else path.name
+    mine = re.compile(rf"\.({re.escape(path.name)}|{re.escape(stem)})-[a-z0-9_]{{8}}\.(partial|replaced)(\..*)?")
+    for left in path.parent.glob(".*-*.*") if path.parent.is_dir() else ():
+        match = mine.fullmatch(left.name)
+        if match and match[2] == "replaced" and not path.exists():
+            left.replace(path)
+        elif match and left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        elif match:
+            left.unlink(missing_ok=True)
 
 
 def _umask() -> int:

@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import errno
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from prbench.errors import InputFileError, StorageError
-from prbench.storage import atomic_folder, atomic_path, file_digest, inside, read_json, text_digest, write_json
+from prbench.storage import (
+    atomic_folder,
+    atomic_path,
+    file_digest,
+    inside,
+    read_json,
+    remove_leftovers,
+    text_digest,
+    write_json,
+)
 
 
 def write_half(path):
@@ -55,6 +67,43 @@ def test_a_folder_takes_the_place_of_the_old_one_only_when_complete(tmp_path):
         (temporary / "three").write_text("3")
     assert [entry.name for entry in folder.iterdir()] == ["three"]
     assert [entry.name for entry in tmp_path.iterdir()] == ["d"]
+
+
+def _killed(target, name: str, *, moment: str) -> None:
+    """Write in a process of its own that dies at a moment, as ``kill -9`` would have it."""
+    script = (
+        "import os, pathlib\n"
+        "from prbench import storage\n"
+        f"target = pathlib.Path({str(target)!r})\n"
+        f"with storage.{name}(target) as temporary:\n"
+        "    (temporary / 'new' if temporary.is_dir() else temporary).write_text('new')\n"
+        "    if " + repr(moment) + " == 'between':\n"
+        "        (target).replace(temporary.with_suffix('.replaced'))\n"
+        "    os._exit(9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+
+
+def test_leftovers_of_a_killed_writer_are_cleared_and_only_those(tmp_path):
+    neighbour = tmp_path / ".d-wrist-abcdefgh.partial"  # somebody writes a folder d-wrist right now
+    neighbour.mkdir()
+    _killed(tmp_path / "d", "atomic_folder", moment="while writing")
+    _killed(tmp_path / "scores.parquet", "atomic_path", moment="while writing")
+    assert len(list(tmp_path.iterdir())) == 3
+    remove_leftovers(tmp_path / "d")
+    remove_leftovers(tmp_path / "scores.parquet")
+    assert list(tmp_path.iterdir()) == [neighbour]
+
+
+def test_a_folder_that_was_about_to_be_replaced_gets_its_name_back(tmp_path):
+    folder = tmp_path / "tables.v1"
+    folder.mkdir()
+    (folder / "old").write_text("old")
+    _killed(folder, "atomic_folder", moment="between")
+    assert not folder.exists()
+    remove_leftovers(folder)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["tables.v1"]
+    assert [entry.name for entry in folder.iterdir()] == ["old"]
 
 
 def test_equal_values_give_equal_json_bytes(tmp_path):

@@ -16,7 +16,7 @@ import pyarrow as pa
 import prbench
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.storage import atomic_folder, write_json
+from prbench.storage import atomic_folder, remove_leftovers, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import adt as adt_layout
 from prbench.synthetic.people import perform
@@ -105,6 +105,7 @@ def synthesize_tree(
     """
     require_sensors(preset)
     amount = _amount(size)
+    remove_leftovers(out)
     _require_free(out)
     count = planned_recordings(size, recordings)
     with atomic_folder(out) as root:

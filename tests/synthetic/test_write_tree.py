@@ -163,3 +163,10 @@ def test_truth_of_another_version_is_refused(tree, tmp_path) -> None:
         read_truth(tmp_path, "events")
     with pytest.raises(InputFileError, match="truth record"):
         read_truth(tmp_path, "joints")
+
+
+def test_what_a_killed_run_left_beside_the_tree_is_cleared_away(tmp_path) -> None:
+    left = tmp_path / ".tree-abcd_123.partial"
+    (left / "half a recording").mkdir(parents=True)
+    synthesize_tree("adt", tmp_path / "tree", recordings=1, seed=4, n_events=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["tree"]
