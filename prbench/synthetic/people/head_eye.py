@@ -16,6 +16,7 @@ from prbench.synthetic.people.presets import Preset
 _HEAD_YAW = np.deg2rad(100.0)
 _HEAD_UP, _HEAD_DOWN = np.deg2rad(-34.0), np.deg2rad(66.0)
 _FASTEST_HEAD = np.deg2rad(270.0)
+_FASTEST_PURSUIT = np.deg2rad(120.0)
 _EYE_YAW = np.deg2rad(45.0)
 _EYE_UP, _EYE_DOWN = np.deg2rad(-32.0), np.deg2rad(40.0)
 _LONGEST_SACCADE = 0.3
@@ -98,13 +99,16 @@ def _plan_commands(
     channel = np.zeros((times.size, 2))
     turn_rate = np.abs(np.gradient(heading, times))
     commands: list[_Command] = []
+    frame_time = float(times[1] - times[0])
     for look in looks:
         start = look.start + habits.head_lag
         first, frozen = np.searchsorted(times, [start, look.end])
         if first >= times.size:
             break
         frozen = max(int(frozen), int(first) + 1)
-        relative = _relative_direction(look.point, eye[first:frozen], heading[first:frozen], channel[first, 0])
+        relative = _relative_direction(
+            look.point, eye[first:frozen], heading[first:frozen], channel[first, 0], frame_time
+        )
         present = channel[first]
         away = np.hypot(*(relative[0] - present))
         length = look.end - look.start
@@ -122,11 +126,18 @@ def _plan_commands(
     return commands, channel
 
 
-def _relative_direction(point: np.ndarray, eye: np.ndarray, heading: np.ndarray, present: float) -> np.ndarray:
-    """Direction of a point against the heading; wrapped once, at the first frame, then continuous."""
+def _relative_direction(
+    point: np.ndarray, eye: np.ndarray, heading: np.ndarray, present: float, frame_time: float
+) -> np.ndarray:
+    """Direction of a point against the heading; wrapped once, at the first frame, then continuous.
+
+    The bearing of a point right below the eyes swings around with every step; the head does not.
+    """
     yaw, pitch = yaw_and_pitch(point - eye)
     relative = np.unwrap(yaw) - heading
     relative += wrap(relative[0] - 0.3 * present) + 0.3 * present - relative[0]
+    step = _FASTEST_PURSUIT * frame_time
+    relative[1:] = relative[0] + np.cumsum(np.clip(np.diff(relative), -step, step))
     return np.stack([np.clip(relative, -_HEAD_YAW, _HEAD_YAW), np.clip(pitch, _HEAD_UP, _HEAD_DOWN)], axis=-1)
 
 

@@ -133,7 +133,7 @@ def _acted(
         plan = plan_recording(
             preset, person, here, n_events, rng, is_seated=is_seated, shares=shares, provoker=provoker
         )
-        times = np.arange(int(np.ceil(_duration(plan) * rate)) + 1) / rate
+        times = np.arange(round(_duration(plan) * rate) + 1) / rate
         purposes = (source.generator("recording", index, f"{purpose}{attempt}") for purpose in ("sway", "gaze", "head"))
         return plan, synthesise(plan, times, Generators(*purposes)), times
 
@@ -163,7 +163,8 @@ def _duration(plan: Plan) -> float:
         reach.event + 1.2 + (0.0 if reach.carries else reach.dwell) for reach in plan.reaches if isfinite(reach.dwell)
     ]
     ends += [step.landing for step in plan_steps(plan.person, plan.segments)]
-    return max(ends, default=OPENING) + _CLOSING
+    tenths = np.ceil(10.0 * (max(ends, default=OPENING) + _CLOSING))  # streams of 10, 30 and 120 Hz end together
+    return float(tenths) / 10.0
 
 
 def _object_ids(source: Source, index: int, count: int) -> list[str]:
