@@ -165,6 +165,7 @@ def _sequence(
         gaze_direction=turned.apply(piece.gaze_direction),
         gaze_valid=piece.gaze_valid,
         world_from_canonical=world_from_canonical,
+        extra={} if event.tracking_gap is None else {"placed_in_tracking_gap_of_s": f"{event.tracking_gap:.3f}"},
     )
 
 

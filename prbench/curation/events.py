@@ -49,6 +49,8 @@ class PickPutEvent:
     hand: Side | None
     displacement: float | None
     """How far the object moved away from its rest, metres; None where nobody measured it."""
+    tracking_gap: float | None = None
+    """Length of the gap in the object's track that the event falls into, seconds; None outside such gaps."""
     rejected: Decision | None = None
     """Why the event is none of this recording's, where that is known already."""
 
@@ -115,7 +117,7 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
     elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:
         rejected = Decision("excluded_category", "in_hand")
     elif not rest.placed:
-        rejected = Decision("tracking_lost", "location", abs(rest.gap[1] - rest.gap[0]), LONGEST_SURE_GAP)
+        rejected = Decision("tracking_lost", "location", rest.gap_length, LONGEST_SURE_GAP)
     low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
     return PickPutEvent(
         event_id=event_id(recording, holding.track.object_id, action, rest.time),
@@ -126,6 +128,7 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
         place=Place((low[0] + high[0]) / 2, low[0], high[0]),
         hand=None if rejected is not None and rejected.outcome == "other_wearer" else hand,
         displacement=holding.displacement,
+        tracking_gap=rest.gap_length if rest.gap_length > LONGEST_SURE_GAP else None,
         rejected=rejected,
     )
 

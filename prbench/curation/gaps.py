@@ -32,10 +32,11 @@ def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance:
         distance: Metres.
     """
     rest_time, away_time = departure.gap
-    length = abs(away_time - rest_time)
-    if length <= LONGEST_SURE_GAP:
+    if departure.gap_length <= LONGEST_SURE_GAP:
         return departure
-    times = np.linspace(away_time, rest_time, int(np.ceil(length * _RATE)) + 1)  # from the far side to the rest
+    times = np.linspace(
+        away_time, rest_time, int(np.ceil(departure.gap_length * _RATE)) + 1
+    )  # from the far side to the rest
     measured = [hand for hand in hands if covered(hand.times, hand.valid, times, max_gap=_LONGEST_HAND_GAP).all()]
     paths = [interpolate(hand.times[hand.valid], hand.points[hand.valid].mean(axis=1), times) for hand in measured]
     if paths:

@@ -39,6 +39,11 @@ class Departure:
     placed: bool = True
     """False where the object was not tracked in the gap, and nothing tells when in it the movement began."""
 
+    @property
+    def gap_length(self) -> float:
+        """Seconds between the two samples."""
+        return abs(self.gap[1] - self.gap[0])
+
     def reversed(self) -> Departure:
         """The same with time running backwards."""
         return replace(self, time=-self.time, gap=(-self.gap[0], -self.gap[1]))

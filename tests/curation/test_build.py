@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,6 +110,16 @@ def test_recordings_are_chosen_by_glob_and_limit() -> None:
 def test_two_recordings_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match="different names"):
         build_from_sources([SceneSource("a"), SceneSource("a")], tmp_path / "adt")
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, value: object) -> None:
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr("prbench.curation.parts.write_json", full)
+    with pytest.raises(StorageError, match="no space left"):
+        build_from_sources(some_sources(2), tmp_path / "adt")
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_an_unknown_rule_is_answered_with_the_known_ones(tmp_path: Path) -> None:

@@ -154,6 +154,8 @@ def test_an_event_in_a_tracking_gap_is_placed_by_the_hand(event: str) -> None:
     whole = events(scene())[index]
     found = events(scene(objects=(track(SLOW[tracked], cup_centre(SLOW)[tracked]),)))[index]
     assert found.rejected is None
+    assert found.tracking_gap == pytest.approx(1.2, abs=0.07)
+    assert whole.tracking_gap is None
     assert found.event_time == pytest.approx(whole.event_time, abs=0.1)
 
 
