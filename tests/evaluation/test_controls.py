@@ -119,6 +119,14 @@ def test_clockwork_faces_the_goal_at_two_seconds_and_not_before(fps):
     assert ray_distance(joints[behind, round(1.4 * fps)], goals[behind]).min() > 0.25
 
 
+def test_a_head_beside_the_pelvis_still_faces_the_goal():
+    goals = goals_around()
+    goals = goals[np.hypot(goals[:, 0], goals[:, 2]) > 0.5]
+    leaning = STANDING + np.outer(STANDING[:, 1], [0.12, 0.0, 0.05])
+    joints = clockwork(goals, start=leaning).joints
+    assert ray_distance(joints[:, 40], goals).max() < 0.03
+
+
 def test_clockwork_slows_down_as_it_arrives():
     joints = clockwork(np.array([[2.0, 1.2, 0.5]])).joints[0]
     forward, _ = head_forward(joints, TILT)
