@@ -71,11 +71,13 @@ class SequenceTable:
         """
         wanted = list(SEQUENCES.names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
         read = [*wanted, "split"] if split is not None and "split" not in wanted else wanted
+        of_split, known = pa.array([split], type=pa.string()), pa.array(sorted(ids or ()), type=pa.string())
         for path in self.part_paths("sequences"):
             for batch in _open_parquet(path).iter_batches(batch_size=rows, columns=read):
-                keep = _mask(batch, split, ids)
-                if not all(keep):
-                    batch = batch.filter(pa.array(keep, type=pa.bool_()))
+                if split is not None:
+                    batch = _kept(batch, "split", of_split)
+                if ids is not None:
+                    batch = _kept(batch, "sequence_id", known)
                 if batch.num_rows:
                     yield SequenceChunk(batch.select(wanted))
 
@@ -84,7 +86,7 @@ class SequenceTable:
         names = [field.name for field in SEQUENCES if not _is_bulky(field.type)]
         table = pa.concat_tables(pq.read_table(path, columns=names) for path in self.part_paths("sequences"))
         if split is not None:
-            table = table.filter(pc.equal(table["split"], split))
+            table = table.filter(pc.field("split") == split)
         return table.combine_chunks()
 
     def events(self) -> pa.Table:
@@ -164,13 +166,10 @@ def _open_parquet(path: Path) -> pq.ParquetFile:
         raise TableError(f"{path}: not a readable Parquet file ({error}). Build the dataset again.") from error
 
 
-def _mask(batch: pa.RecordBatch, split: str | None, ids: frozenset[str] | None) -> list[bool]:
-    keep = [True] * batch.num_rows
-    if split is not None:
-        keep = [value == split for value in batch.column("split").to_pylist()]
-    if ids is not None:
-        keep = [kept and name in ids for kept, name in zip(keep, batch.column("sequence_id").to_pylist())]
-    return keep
+def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatch:
+    """The rows whose ``column`` is one of ``values``; without a copy where these are all."""
+    wanted = pc.call_function("is_in", [batch.column(column)], pc.SetLookupOptions(values))
+    return batch if wanted.true_count == len(wanted) else batch.filter(wanted)
 
 
 def _is_bulky(kind: pa.DataType) -> bool:
