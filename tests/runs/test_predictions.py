@@ -86,3 +86,8 @@ def test_a_part_counts_only_with_exactly_its_sequences_and_samples(folder):
     assert not folder.has_part(2, ["b", "a"], 2)
     folder.part(0).write_bytes(b"PAR1 and nothing more")
     assert not folder.has_part(0, ["b", "a"], 2)
+
+
+def test_what_another_process_is_just_writing_is_not_read(folder):
+    (folder.predictions / ".part-00002-x.partial.parquet").write_bytes(b"half")
+    assert len(Predictions.open(folder.predictions).paths) == 2
