@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -123,7 +124,7 @@ class BasePath:
     speed: Float[np.ndarray, " n"]
     """Metres per second."""
 
-    @property
+    @cached_property
     def points(self) -> Float[np.ndarray, "n 3"]:
         """Under the pelvis, on the floor."""
         return np.stack([self.x, np.zeros_like(self.x), self.z], axis=-1)

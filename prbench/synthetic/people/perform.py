@@ -211,4 +211,4 @@ def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion
 
 def _fixation(look: Look, recording_id: str) -> Fixation:
     event = None if look.reach is None else f"{recording_id}/{look.reach:03d}"
-    return Fixation(look.start, look.end, look.point, "goal" if look.is_goal else "fill", event)
+    return Fixation(float(look.start), float(look.end), look.point, "goal" if look.is_goal else "fill", event)

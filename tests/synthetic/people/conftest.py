@@ -17,7 +17,7 @@ def crowds() -> dict[str, list[Performance]]:
 
 
 def _act(preset: str, index: int) -> Performance:
-    return perform(preset, seed=3, index=index, n_events=8, rate=60.0, provocations={})
+    return perform(preset, seed=3, index=index, n_events=6, rate=60.0, provocations={})
 
 
 @pytest.fixture(scope="session")

@@ -122,8 +122,13 @@ def test_what_stands_on_a_tray_moves_with_it_and_has_no_event() -> None:
         item for item in performance.objects if len(item.position) > 1 and item.object_id not in named and item.movable
     ]
     assert loads
-    gap = np.array([np.linalg.norm(load.position - tray.position, axis=1) for load in loads])
-    assert np.ptp(gap, axis=1).min() < 1e-9
+    frames_of_tray = matrix_of(tray.rotation)
+    for load in loads:
+        in_tray = np.einsum("nji,nj->ni", frames_of_tray, load.position - tray.position)
+        if np.linalg.norm(in_tray[0]) < 0.2:  # the load of this tray, not of the second one
+            assert np.ptp(in_tray, axis=0).max() < 1e-9
+            return
+    pytest.fail("nothing stands on the tray")
 
 
 def test_tracking_is_lost_around_the_event() -> None:
@@ -149,7 +154,7 @@ def test_a_bystander_moves_an_object_that_the_wearer_never_touches() -> None:
 
 def test_a_tenth_of_the_movements_is_provoked_by_default() -> None:
     events = [
-        event for index in range(10) for event in perform("adt", seed=2, index=index, n_events=10, rate=15.0).events
+        event for index in range(7) for event in perform("adt", seed=2, index=index, n_events=10, rate=15.0).events
     ]
     tags = set(possible_tags(PRESETS["adt"]))
     assert 0.04 < sum(event.tag in tags for event in events) / len(events) < 0.25

@@ -8,8 +8,14 @@ from prbench.synthetic.people import PRESETS
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import TARGETS, clips_of, sequence_statistics, truth_scores
 
-TRIAL_PRIME_SUCCESS = {"hd-epic": 0.75, "mogaze": 0.80, "hot3d": 0.82, "adt": 0.59, "gimo": 0.69}
-"""`equation` on the trial's own motion, section 9."""
+TRIAL = {
+    "hd-epic": (0.75, 0.61),
+    "mogaze": (0.80, 0.64),
+    "hot3d": (0.82, 0.62),
+    "adt": (0.59, 0.49),
+    "gimo": (0.69, 0.59),
+}
+"""Prime Success of the trial's own motion, `equation` and `onset`, section 9."""
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -21,8 +27,7 @@ def test_means_lie_within_a_third_of_the_targets_spread(crowds: dict[str, list[P
 @pytest.mark.parametrize("preset", PRESETS)
 def test_heads_prime_about_as_often_as_in_the_trial(crowds: dict[str, list[Performance]], preset: str) -> None:
     scores = truth_scores(clips_of(crowds[preset]))
-    assert scores.prime_equation == pytest.approx(TRIAL_PRIME_SUCCESS[preset], abs=0.1)
-    assert scores.prime_onset < scores.prime_equation
+    assert (scores.prime_equation, scores.prime_onset) == pytest.approx(TRIAL[preset], abs=0.15)
 
 
 def test_adt_hands_hold_boxes_by_the_fingertips_and_the_others_wrap_them(
@@ -37,4 +42,4 @@ def test_adt_hands_hold_boxes_by_the_fingertips_and_the_others_wrap_them(
 @pytest.mark.parametrize("preset", PRESETS)
 def test_few_goals_are_given_up(crowds: dict[str, list[Performance]], preset: str) -> None:
     events = sum(len(performance.events) for performance in crowds[preset])
-    assert events > 0.75 * 8 * len(crowds[preset])
+    assert events > 0.75 * 6 * len(crowds[preset])
