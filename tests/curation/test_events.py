@@ -96,9 +96,9 @@ def test_an_object_that_moves_with_nobody_near_is_no_event() -> None:
     assert events(scene(objects=(track(SLOW, elsewhere),))) == []
 
 
-@pytest.mark.parametrize(("distance", "found"), [(0.015, 0), (0.06, 2)])
+@pytest.mark.parametrize(("distance", "found"), [(0.018, 0), (0.06, 2)])
 def test_a_nudge_is_no_event_and_a_slide_is_a_pick_and_a_put(distance: float, found: int) -> None:
-    moved = track(SLOW, slide(distance, 0.5), noise=0.0003)
+    moved = track(SLOW, slide(distance, 0.35), noise=0.0003)
     touching = visit(np.repeat(PLACE_A[None], len(SLOW), axis=0))
     assert len(events(scene(objects=(moved,), hands=(touching,)))) == found
 
@@ -182,10 +182,41 @@ def test_contact_distance_of_a_turned_box_by_hand() -> None:
     turned = np.array([np.cos(np.pi / 8), 0.0, np.sin(np.pi / 8), 0.0])  # 45 degrees about Y
     point = hand("left", np.array([0.48, 0.52]), np.tile([0.3, 0.0, 0.0], (2, 1)))
     cup = track(np.array([0.0]), np.zeros((1, 3)))
-    square = dataclasses.replace(cup, box_min=np.full(3, -0.1), box_max=np.full(3, 0.1))
-    found = contact_distance(point, square, RULE, np.array([0.5]), np.zeros((1, 3)), turned[None])
-    local = 0.3 / np.sqrt(2) - 0.1
-    assert found[0] == pytest.approx(np.hypot(local, local))
+    plank = dataclasses.replace(cup, box_min=np.full(3, -0.1), box_max=np.array([0.1, 0.1, 0.15]))
+    found = contact_distance(point, plank, RULE, np.array([0.5]), np.zeros((1, 3)), turned[None])
+    # World +X is (1, 0, 1) / sqrt(2) in the frame of a box that is turned by 45 degrees about Y: x to -z, z to +x.
+    local = 0.3 / np.sqrt(2)
+    assert found[0] == pytest.approx(np.hypot(local - 0.1, local - 0.15))
+
+
+def test_the_place_is_the_centre_of_the_box_wherever_the_objects_origin_lies() -> None:
+    plain, (cup, table) = events(scene()), scene().objects
+    turn = Rotation.from_euler("y", 90, degrees=True)
+    corner = np.array([0.5, 0.2, 0.0])  # from the origin to the centre, in the object's frame
+    moved = dataclasses.replace(
+        cup,
+        position=cup.position - turn.apply(corner),
+        rotation=np.tile(turn.as_quat(scalar_first=True), (len(cup.times), 1)),
+        box_min=corner - HALF,
+        box_max=corner + HALF,
+    )
+    for one, other in zip(plain, events(scene(objects=(moved, table))), strict=True):
+        np.testing.assert_allclose(other.place.location, one.place.location, atol=1e-9)
+        assert other.event_time == pytest.approx(one.event_time, abs=1e-6)
+
+
+def test_a_lid_that_is_turned_about_its_far_origin_moves() -> None:
+    """Its origin stays where it is; the centre of its box goes up by 40 cm."""
+    angle = np.deg2rad(60) * minimum_jerk((SLOW - PICK) / 2.0)
+    turn = Rotation.from_rotvec(angle[:, None] * [-1.0, 0.0, 0.0])
+    lid = dataclasses.replace(
+        track(SLOW, np.tile(PLACE_A, (len(SLOW), 1))),
+        rotation=turn.as_quat(scalar_first=True),
+        box_min=np.array([-0.04, -0.01, 0.4]),
+        box_max=np.array([0.04, 0.01, 0.5]),
+    )
+    centre = PLACE_A + turn.apply([0.0, 0.0, 0.45])
+    assert [event.action for event in events(scene(objects=(lid,), hands=(visit(centre),)))] == ["pick", "put"]
 
 
 def test_moving_and_turning_the_world_changes_neither_times_nor_hands() -> None:
