@@ -25,7 +25,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     Raises:
         StorageError: if the folder cannot be written or the disk is full.
     """
-    with _storage_errors(path):
+    with _storage_errors(path, every_kind=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=f".partial{path.suffix}", dir=path.parent)
         os.close(handle)
@@ -48,7 +48,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     Raises:
         StorageError: if the folder cannot be written or the disk is full.
     """
-    with _storage_errors(path):
+    with _storage_errors(path, every_kind=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=".partial", dir=path.parent))
     try:
@@ -87,17 +87,25 @@ def _umask() -> int:
     return mask
 
 
+_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST}
+
+
 @contextlib.contextmanager
-def _storage_errors(path: Path) -> Iterator[None]:
+def _storage_errors(path: Path, *, every_kind: bool = False) -> Iterator[None]:
+    """Turn what went wrong with writing into a StorageError.
+
+    Inside a user's block only errors that writing alone can cause are turned; with ``every_kind`` all of them are.
+    """
     try:
         yield
     except OSError as error:
-        if error.errno == errno.ENOSPC:
+        if error.errno in _FULL:
             raise StorageError(
                 f"{path}: no space left on the device. Nothing half-written was kept;"
                 " free some space and run the same command again."
             ) from error
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST):
+        if every_kind or error.errno in _FORBIDDEN:
             raise StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.") from error
         raise
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+from pathlib import Path
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +54,12 @@ def test_a_full_disk_is_one_clear_error(tmp_path):
 def test_an_unwritable_place_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="Choose another folder"), atomic_path(tmp_path / "file" / "x.json"):
+        pass
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a place where no folder can be made")
+def test_a_place_where_nothing_can_be_made_is_one_clear_error():
+    with pytest.raises(StorageError, match="Choose another folder"), atomic_path(Path("/proc/nope/x.json")):
         pass
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-import platformdirs
-
 from prbench.engine import Engine
+from prbench.evaluation.cache import cache_folder
 from prbench.manifests import digest_of, load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SCHEMA_VERSION
@@ -18,11 +16,6 @@ from prbench.workflows.synthetic_table import Progress, build_synthetic_table
 PRESET = "adt"
 RECORDINGS = 40
 SEED = 0
-
-
-def cache_folder() -> Path:
-    """Where prbench keeps what it can make again: ``PRBENCH_CACHE``, else the user's cache folder."""
-    return Path(os.environ.get("PRBENCH_CACHE") or platformdirs.user_cache_dir("prbench", appauthor=False))
 
 
 def default_table_folder() -> Path:
