@@ -27,5 +27,8 @@ def samples() -> Path:
 @pytest.fixture(scope="session")
 def reference_values(samples: Path) -> dict[str, dict]:
     """Expected values of the native formats, by id."""
-    items = json.loads((samples.parent / "formats" / "reference-values.json").read_text())["items"]
+    path = samples.parent / "formats" / "reference-values.json"
+    if not path.is_file():
+        pytest.skip(f"the values to compare with are not there: {path}")
+    items = json.loads(path.read_text(encoding="utf-8"))["items"]
     return {item["id"]: item for item in items}

@@ -1,0 +1,59 @@
+"""Every command that the README or a help page shows exists, with those flags."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from prbench.cli.main import _parser
+
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for child in action.choices.values():
+                yield from _parsers(child)
+
+
+def _shown_commands() -> list[str]:
+    blocks = re.findall(r"```bash\n(.*?)```", README, re.DOTALL)
+    shown = [line.split("&&")[-1] for block in blocks for line in block.splitlines()]
+    shown += re.findall(r"`(prbench [^`]+)`", README)
+    shown += [line for parser in _parsers(_parser()) for line in (parser.epilog or "").splitlines()]
+    commands = (re.split(r" {2,}|#", line.strip())[0].strip() for line in shown)
+    return sorted({command for command in commands if command.startswith("prbench ")})
+
+
+def test_commands_are_found() -> None:
+    assert len(_shown_commands()) > 12
+
+
+@pytest.mark.parametrize("command", _shown_commands())
+def test_a_shown_command_parses(command, monkeypatch) -> None:
+    words = shlex.split(command)[1:]
+    if words == ["synthesize", "--gallery"]:
+        words.append("FILE")  # named in running text
+    assert hasattr(_parser().parse_args(words), "execute")
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+def test_help_survives_a_console_that_lacks_characters(encoding) -> None:
+    for words in ([], ["run"], ["score"], ["build-dataset"]):
+        done = subprocess.run(
+            [sys.executable, "-c", "from prbench.cli import main; raise SystemExit(main())", *words, "--help"],
+            capture_output=True,
+            env={**os.environ, "PYTHONIOENCODING": encoding},
+        )
+        assert done.returncode == 0, done.stderr
+        assert b"usage: prbench" in done.stdout
