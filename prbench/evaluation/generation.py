@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
+from threadpoolctl import threadpool_limits
 
 from prbench.contract import ConditionBatch, Motions
 from prbench.evaluation.methods import MethodSpec
@@ -58,13 +59,14 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
     _reset_device_peak()
     samples, halvings, peak = [], 0, 0
     started = _synchronised_time()
-    for batch in task.conditions:
-        motions, halved = generate_checked(
-            method.adapter, batch, seed=task.seed, method=task.method.name, sequence_ids=task.sequence_ids
-        )
-        samples.append(motions)
-        halvings += halved
-        peak = max(peak, psutil.Process().memory_info().rss)
+    with threadpool_limits(task.method.threads):  # the same here and in a worker, whatever it started with
+        for batch in task.conditions:
+            motions, halved = generate_checked(
+                method.adapter, batch, seed=task.seed, method=task.method.name, sequence_ids=task.sequence_ids
+            )
+            samples.append(motions)
+            halvings += halved
+            peak = max(peak, psutil.Process().memory_info().rss)
     seconds = _synchronised_time() - started
     method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
@@ -100,7 +102,7 @@ def _cost(
 
 
 def _set_threads(threads: int) -> None:
-    """Fix torch's threads, on which its rounding depends; NumPy's are limited when a worker starts."""
+    """Fix torch's threads, on which its rounding depends; it manages them itself."""
     torch = sys.modules.get("torch")
     if torch is not None and torch.get_num_threads() != threads:
         torch.set_num_threads(threads)
