@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, Progress, build_from_sources, funnel_rows
+from prbench.curation.provenance import funnel_counts
 from prbench.curation.sources import chosen_ids
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
@@ -81,6 +82,18 @@ def test_the_funnel_loses_nothing(tmp_path: Path) -> None:
     assert info.options["minimum_movement"] == "pelvis_displacement"
 
 
+def test_every_outcome_leaves_the_funnel_at_its_stage() -> None:
+    dropped = ("other_wearer", "excluded_category", "no_location", "tracking_lost", "not_primed", "too_short",
+               "no_body", "minimum_movement")  # fmt: skip
+    outcomes = {name: 2**power for power, name in enumerate(dropped)} | {"sequence": 1000}
+    counts = funnel_counts({"read": 3, "failed": 2, "skipped": 1}, outcomes)
+    assert counts.recordings_found == 6
+    assert counts.events == 1255
+    assert (counts.located, counts.primed, counts.long_enough, counts.moved_enough, counts.sequences) == (
+        1240, 1224, 1128, 1000, 1000,
+    )  # fmt: skip
+
+
 def test_a_folder_that_is_no_dataset_is_refused_before_any_work(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(StorageError, match="no dataset that may be replaced"):
@@ -103,6 +116,7 @@ def test_synthetic_recordings_are_never_called_by_the_datasets_name(tmp_path: Pa
 def test_recordings_are_chosen_by_glob_and_limit() -> None:
     names = ["b_2", "a_1", "a_2", "a_3"]
     assert chosen_ids(names, BuildOptions(recordings="a_*", limit=2), where="here") == ["a_1", "a_2"]
+    assert chosen_ids(["a", "a-b"], BuildOptions(limit=1), where="here") == ["a-b"], "the order of sequence ids"
     with pytest.raises(InputFileError, match="matches 'c\\*', found 4 others"):
         chosen_ids(names, BuildOptions(recordings="c*"), where="here")
 

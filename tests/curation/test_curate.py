@@ -8,6 +8,7 @@ import hashlib
 import msgspec
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from prbench.curation import CurationOptions, curate_recording
 from prbench.curation.curate import CuratedRecording
@@ -73,21 +74,37 @@ def test_everything_canonical_leads_back_to_the_world() -> None:
     assert row.gaze_direction[frame] @ to_goal / np.linalg.norm(to_goal) == pytest.approx(1.0)
 
 
-def test_moving_the_world_leaves_canonical_motion_alone() -> None:
+def test_moving_and_turning_the_world_leaves_everything_canonical_alone() -> None:
     plain = scene()
+    turn, shift = Rotation.from_euler("y", 70, degrees=True), np.array([10.0, 0.0, -4.0])
+
+    def moved(points: np.ndarray) -> np.ndarray:
+        return turn.apply(points.reshape(-1, 3)).reshape(points.shape) + shift
+
+    def turned(quaternions: np.ndarray) -> np.ndarray:
+        return (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat(scalar_first=True)
+
     assert plain.body is not None
-    shift = np.array([10.0, 0.0, -4.0])
-    moved = dataclasses.replace(
+    elsewhere = dataclasses.replace(
         plain,
-        body=dataclasses.replace(plain.body, joints=plain.body.joints + shift),
-        gaze=dataclasses.replace(plain.gaze, origin=plain.gaze.origin + shift),
-        hands=tuple(dataclasses.replace(item, points=item.points + shift) for item in plain.hands),
-        objects=tuple(dataclasses.replace(item, position=item.position + shift) for item in plain.objects),
+        body=dataclasses.replace(plain.body, joints=moved(plain.body.joints)),
+        gaze=dataclasses.replace(
+            plain.gaze, origin=moved(plain.gaze.origin), direction=turn.apply(plain.gaze.direction)
+        ),
+        head=dataclasses.replace(plain.head, position=moved(plain.head.position), rotation=turned(plain.head.rotation)),
+        hands=tuple(dataclasses.replace(item, points=moved(item.points)) for item in plain.hands),
+        objects=tuple(
+            dataclasses.replace(item, position=moved(item.position), rotation=turned(item.rotation))
+            for item in plain.objects
+        ),
     )
-    for one, other in zip(curate(plain).sequences, curate(moved).sequences, strict=True):
-        np.testing.assert_allclose(other.joints, one.joints, atol=1e-6)
-        np.testing.assert_allclose(other.goal_location, one.goal_location, atol=1e-6)
-        np.testing.assert_allclose(other.gaze_origin, one.gaze_origin, atol=1e-6)
+    for one, other in zip(curate(plain).sequences, curate(elsewhere).sequences, strict=True):
+        assert one.head_rotation is not None
+        assert other.head_rotation is not None
+        for name in ("joints", "goal_location", "gaze_origin", "gaze_direction", "head_position"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(np.abs((one.head_rotation * other.head_rotation).sum(axis=1)), 1.0)
+        assert other.prime_time == one.prime_time
 
 
 def test_frames_around_the_clip_are_recorded_where_the_recording_has_them() -> None:

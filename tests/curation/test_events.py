@@ -103,6 +103,14 @@ def test_a_nudge_is_no_event_and_a_slide_is_a_pick_and_a_put(distance: float, fo
     assert len(events(scene(objects=(moved,), hands=(touching,)))) == found
 
 
+def test_an_object_that_is_rubbed_to_and_fro_is_no_event() -> None:
+    rubbing = 0.009 * np.sin(2 * np.pi * 2.0 * (SLOW - PICK)) * ((SLOW > PICK) & (SLOW < PICK + 3))
+    rubbed = PLACE_A + rubbing[:, None] * [1.0, 0, 0]
+    assert events(scene(objects=(track(SLOW, rubbed),), hands=(visit(rubbed),))) == []
+    wider = PLACE_A + 3 * rubbing[:, None] * [1.0, 0, 0]
+    assert len(events(scene(objects=(track(SLOW, wider),), hands=(visit(wider),)))) == 2
+
+
 def test_an_object_held_still_in_the_air_stays_one_holding() -> None:
     first, second = (minimum_jerk((SLOW - start) / 1.0)[:, None] for start in (PICK, PICK + 3.0))
     up = PLACE_A + first * [0, 0.25, 0] + second * (PLACE_B - PLACE_A - [0, 0.25, 0])
