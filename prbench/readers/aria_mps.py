@@ -30,6 +30,18 @@ class AriaTrajectory:
     """Unit vector against gravity, in the world."""
     graph_uids: tuple[str, ...]
     """World frames in the file, the one kept first; poses of the others are left out."""
+    left_out: int
+    """Rows without pose or of another world."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user should know about the rows that were left out."""
+        if not self.left_out:
+            return ()
+        others = len(self.graph_uids) - 1
+        return (
+            f"{self.left_out} poses of the glasses without a world or in one of {others} other worlds are left out",
+        )
 
 
 def read_trajectory(path: Path) -> AriaTrajectory:
@@ -62,6 +74,7 @@ def read_trajectory(path: Path) -> AriaTrajectory:
         quality=table[mps.QUALITY_COLUMN].to_numpy()[kept],
         up=-gravity / np.linalg.norm(gravity),
         graph_uids=graphs,
+        left_out=int((~kept).sum()),
     )
 
 
@@ -159,8 +172,11 @@ def read_first_calibration(path: Path) -> OnlineCalibration:
     try:
         with open(path, "rb") as file:
             row = msgspec.json.decode(file.readline(), type=_CalibrationRow)
-    except (FileNotFoundError, msgspec.DecodeError) as error:
+    except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(path, "line 1", expected="a calibration record", found=str(error)) from error
+    for camera in row.cameras:
+        quaternion = np.array([(camera.pose.quaternion[0], *camera.pose.quaternion[1])])
+        require_poses(path, np.array([camera.pose.translation]), quaternion)
     poses = {camera.label: _transform(camera.pose) for camera in row.cameras}
     missing = {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys()
     if missing:

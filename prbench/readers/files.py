@@ -156,7 +156,7 @@ def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded], *, nan_is_nu
             found=str(error),
             remedy="Is this the right file?",
         ) from error
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(path, "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
 
 

@@ -79,5 +79,5 @@ class DatasetInfo(msgspec.Struct, frozen=True, kw_only=True):
                 f" {'no such file in it' if folder.is_dir() else 'no such folder'}."
                 " Make one with `prbench build-dataset`."
             ) from error
-        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
             raise TableError(f"{path}: not a valid {FILE_NAME}: {error}. Build the dataset again.") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Iterator
 from collections.abc import Sequence as SequenceOf
@@ -73,18 +74,19 @@ class SequenceTable:
         read = [*wanted, "split"] if split is not None and "split" not in wanted else wanted
         of_split, known = pa.array([split], type=pa.string()), pa.array(sorted(ids or ()), type=pa.string())
         for path in self.part_paths("sequences"):
-            for batch in _open_parquet(path).iter_batches(batch_size=rows, columns=read):
-                if split is not None:
-                    batch = _kept(batch, "split", of_split)
-                if ids is not None:
-                    batch = _kept(batch, "sequence_id", known)
-                if batch.num_rows:
-                    yield SequenceChunk(batch.select(wanted))
+            with _naming(path):
+                for batch in _open_parquet(path).iter_batches(batch_size=rows, columns=read):
+                    if split is not None:
+                        batch = _kept(batch, "split", of_split)
+                    if ids is not None:
+                        batch = _kept(batch, "sequence_id", known)
+                    if batch.num_rows:
+                        yield SequenceChunk(batch.select(wanted))
 
     def scalars(self, *, split: str | None = None) -> pa.Table:
         """All columns that hold one short value a row (no per-frame values, no poses)."""
         names = [field.name for field in SEQUENCES if not _is_bulky(field.type)]
-        table = pa.concat_tables(pq.read_table(path, columns=names) for path in self.part_paths("sequences"))
+        table = pa.concat_tables(_read_parquet(path, names) for path in self.part_paths("sequences"))
         if split is not None:
             table = table.filter(pc.field("split") == split)
         return table.combine_chunks()
@@ -132,7 +134,8 @@ class SequenceTable:
         for path in self.part_paths(name):
             file = _open_parquet(path)
             check_schema(file.schema_arrow, schema, source=str(path))
-            tables.append(file.read())
+            with _naming(path):
+                tables.append(file.read())
         return pa.concat_tables(tables)
 
 
@@ -157,13 +160,26 @@ def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
     return [name for name in sequence_ids if name in chosen]
 
 
-def _open_parquet(path: Path) -> pq.ParquetFile:
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
     try:
-        return pq.ParquetFile(path)
+        yield
     except FileNotFoundError as error:
         raise TableError(f"{path}: expected a Parquet file, found none.") from error
     except (pa.ArrowInvalid, OSError) as error:
-        raise TableError(f"{path}: not a readable Parquet file ({error}). Build the dataset again.") from error
+        first = str(error).splitlines()[0] if str(error) else "damaged"
+        raise TableError(f"{path}: not a readable Parquet file ({first}). Build the dataset again.") from error
+
+
+def _open_parquet(path: Path) -> pq.ParquetFile:
+    with _naming(path):
+        return pq.ParquetFile(path)
+
+
+def _read_parquet(path: Path, columns: list[str]) -> pa.Table:
+    with _naming(path):
+        return pq.read_table(path, columns=columns)
 
 
 def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatch:

@@ -92,6 +92,13 @@ def test_one_damaged_metadata_file_hides_no_other_recording(folder) -> None:
         read_recording(damaged)
 
 
+def test_metadata_that_is_no_text_is_damaged_too(folder) -> None:
+    path = folder / "metadata.json"
+    path.write_bytes(path.read_bytes().replace(b"DEVICE", b"DEVI\xffE"))
+    with pytest.raises(InputFileError, match=r"metadata\.json: expected valid JSON"):
+        _recording(folder)
+
+
 def test_rows_without_a_world_need_no_pose_and_the_longest_world_is_kept(folder) -> None:
     path = folder / "aria_trajectory.csv"
     header, *rows = path.read_text().splitlines()
@@ -105,6 +112,7 @@ def test_rows_without_a_world_need_no_pose_and_the_longest_world_is_kept(folder)
     assert len(trajectory.time_us) == len(rows) - 6
     assert len(trajectory.graph_uids) == 2
     assert np.isfinite(trajectory.position).all()
+    assert any("6 poses of the glasses without a world" in message for message in _recording(folder).messages)
 
 
 def test_a_body_outside_the_tracked_time_is_without_ground_truth(readings, tmp_path) -> None:

@@ -114,6 +114,21 @@ def test_a_missing_column_is_named(tmp_path):
         SequenceTable.open(table.folder)
 
 
+@pytest.mark.parametrize("name", ["sequences", "events", "recordings"])
+def test_damage_anywhere_in_a_table_is_an_error_that_names_the_file(tmp_path, name):
+    fake_dataset(tmp_path / "d")
+    path = tmp_path / "d" / f"{name}.parquet"
+    content = path.read_bytes()
+    damaged = bytes(byte ^ 0xFF for byte in content[4 : len(content) // 3])  # the footer stays whole
+    path.write_bytes(content[:4] + damaged + content[len(content) // 3 :])
+    with pytest.raises(TableError, match=name):
+        _read_everything(SequenceTable.open(tmp_path / "d"))
+
+
+def _read_everything(table):
+    return table.scalars(), table.content, table.events(), table.recordings()
+
+
 def test_an_empty_table_is_refused(tmp_path):
     with pytest.raises(TableError, match="the sequence table is empty"):
         fake_dataset(tmp_path / "d", 0)

@@ -9,7 +9,13 @@ from prbench.formats import adt
 from prbench.readers.adt import layouts
 from prbench.readers.adt.objects import read_objects
 from prbench.readers.adt.skeletons import read_skeletons
-from prbench.readers.aria_mps import OnlineCalibration, read_first_calibration, read_gaze_angles, read_trajectory
+from prbench.readers.aria_mps import (
+    AriaTrajectory,
+    OnlineCalibration,
+    read_first_calibration,
+    read_gaze_angles,
+    read_trajectory,
+)
 from prbench.readers.aria_status import read_warnings
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
@@ -28,17 +34,18 @@ def read_readings(found: RecordingFiles) -> adt.AdtReadings:
         found.require(layouts.OBJECTS, adt.OBJECTS_FILE),
     )
     calibration, calibration_remarks = _read_calibration(found)
+    trajectory = _read_trajectory(found)
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=serial,
         concurrent=concurrent,
         glasses_size=None if calibration is None else calibration.size,
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
-        glasses=_read_glasses(found),
+        glasses=adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality),
         gaze=read_gaze_angles(found.require(layouts.GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
-        messages=(*remarks, *calibration_remarks, *_gaze_warnings(found)),
+        messages=(*remarks, *trajectory.remarks, *calibration_remarks, *_gaze_warnings(found)),
     )
 
 
@@ -82,7 +89,7 @@ def _read_identity(found: RecordingFiles) -> tuple[str, str]:
     return own.device_serial, concurrent
 
 
-def _read_glasses(found: RecordingFiles) -> adt.GlassesPoses:
+def _read_trajectory(found: RecordingFiles) -> AriaTrajectory:
     path = found.require(layouts.TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
     if np.linalg.norm(trajectory.up - np.array(adt.UP)) > 1e-3:
@@ -93,4 +100,4 @@ def _read_glasses(found: RecordingFiles) -> adt.GlassesPoses:
             found=f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}",
             remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
         )
-    return adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
+    return trajectory
