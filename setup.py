@@ -18,7 +18,7 @@ packages = [
     for package, folder in FOLDERS.items()
     for name in (package, *(f"{package}.{sub}" for sub in find_packages(folder, exclude=NOT_SHIPPED)))
 ]
-version = re.search(r"^## (\d+\.\d+\.\d+)", Path(__file__).with_name("CHANGELOG.md").read_text(), re.MULTILINE)
+version = re.search(r"^## (\d+\.\d+\.\d+)", Path(__file__).with_name("CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
 
 setup(
     version=version.group(1),

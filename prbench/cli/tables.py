@@ -13,7 +13,7 @@ def print_table(
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for index, name in enumerate(header):
         table.add_column(name, justify="right" if index in numbers else "left", overflow="fold")
     for row in rows:
@@ -21,4 +21,5 @@ def print_table(
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:  # in a file or pipe nothing is folded to the width of a terminal that is not there
         console = Console(highlight=False, markup=False, width=max(200, console.width))
+    console.print(title, style="italic", soft_wrap=True)  # a table folds its own title to its width
     console.print(table)
