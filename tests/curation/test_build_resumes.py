@@ -102,6 +102,16 @@ def test_a_changed_input_is_curated_again(tmp_path: Path) -> None:
     assert folder_bytes(tmp_path / "adt") == folder_bytes(tmp_path / "afresh")
 
 
+def test_half_written_folders_of_this_dataset_are_removed_and_of_others_kept(tmp_path: Path) -> None:
+    kept = [tmp_path / ".adt-2-abcdefgh.partial", tmp_path / ".adtx-abcdefgh.partial", tmp_path / "adt-2"]
+    removed = tmp_path / ".adt-abcd_123.partial"
+    for folder in (*kept, removed):
+        folder.mkdir()
+    build_from_sources(some_sources(1), tmp_path / "adt")
+    assert not removed.exists()
+    assert all(folder.exists() for folder in kept)
+
+
 def test_a_failed_recording_is_tried_again(tmp_path: Path) -> None:
     broken = [SceneSource("a", problem="file"), SceneSource("b")]
     interrupted_build(tmp_path / "adt", broken, 1)
