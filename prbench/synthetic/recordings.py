@@ -6,22 +6,10 @@ resolution, and one function turns readings into streams, whoever read them.
 
 from __future__ import annotations
 
-from prbench.errors import UsageError
-from prbench.formats.adt import AdtReadings
-from prbench.manifests import load_manifest
 from prbench.recording import Recording
-from prbench.recording.from_adt import recording_from_adt
+from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.adt import sense
 from prbench.synthetic.sensors.errors import Switches
-
-PRESETS_WITH_SENSORS = ("adt",)
-"""Presets that have sensors and native files; of the others there is motion only."""
-
-
-def recording_from_readings(readings: AdtReadings) -> Recording:
-    """The streams of one synthetic ADT recording."""
-    return recording_from_adt(readings, load_manifest("adt"), dataset="synthetic-adt")
 
 
 def synthetic_recording(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Recording:
@@ -35,16 +23,5 @@ def synthetic_recording(performance: Performance, *, noise: float = 1.0, switche
     Raises:
         UsageError: for a preset without sensors.
     """
-    require_sensors(performance.preset)
-    return recording_from_readings(sense(performance, noise=noise, switches=switches))
-
-
-def require_sensors(preset: str) -> None:
-    """Refuse a preset of which there is motion only.
-
-    Raises:
-        UsageError: naming the presets that have sensors.
-    """
-    if preset not in PRESETS_WITH_SENSORS:
-        known = ", ".join(PRESETS_WITH_SENSORS)
-        raise UsageError(f"preset '{preset}' has motion but no sensors and no native files; use one of: {known}.")
+    layout = layout_for(performance.preset)
+    return layout.recording(layout.sense(performance, noise=noise, switches=switches))

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.storage import atomic_path
+from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.adt import clock_start_us, gaze_bias, native_object_id
 from prbench.synthetic.sensors.errors import Switches
 
 TRUTH_FOLDER = "truth"
@@ -35,7 +35,9 @@ def recordings_table(
     performances: Sequence[Performance], *, noise: float = 1.0, switches: Switches | None = None
 ) -> pa.Table:
     """One row a recording: who, where, which clock and which constant errors."""
-    biases = [np.rad2deg(gaze_bias(p, noise=noise, switches=switches or Switches())) for p in performances]
+    on = switches or Switches()
+    biases = [np.rad2deg(layout_for(p.preset).gaze_bias(p, noise=noise, switches=on)) for p in performances]
+    starts = [layout_for(p.preset).clock_start(p) for p in performances]
     return _table(
         {
             "recording_id": [p.recording_id for p in performances],
@@ -48,7 +50,7 @@ def recordings_table(
             "stature_m": [p.person.stature for p in performances],
             "neck_tilt_deg": [p.person.neck_tilt_deg for p in performances],
             "style": [dict(sorted(p.person.parameters.items())) for p in performances],
-            "clock_offset_s": [dict.fromkeys(_STREAMS, clock_start_us(p) / 1e6) for p in performances],
+            "clock_offset_s": [dict.fromkeys(_STREAMS, start) for start in starts],
             "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0) for p in performances],
             "gaze_bias_yaw_deg": [float(yaw) for yaw, _ in biases],
             "gaze_bias_pitch_deg": [float(pitch) for _, pitch in biases],
@@ -61,14 +63,14 @@ def recordings_table(
 
 def events_table(performance: Performance) -> pa.Table:
     """One row a pick, put or provocation of one recording."""
-    events = performance.events
+    events, layout = performance.events, layout_for(performance.preset)
     return _table(
         {
             "recording_id": pa.array([performance.recording_id] * len(events), pa.string()),
             "event_id": pa.array([event.event_id for event in events], pa.string()),
             "kind": pa.array([event.action for event in events], pa.string()),
             "tag": pa.array([event.tag for event in events], pa.string()),
-            "object_id": pa.array([str(native_object_id(event.object_id)) for event in events], pa.string()),
+            "object_id": pa.array([layout.object_id(event.object_id) for event in events], pa.string()),
             "object_name": pa.array([event.object_name for event in events], pa.string()),
             "hand": pa.array([event.hand for event in events], pa.string()),
             "contact_s": pa.array([event.contact_time for event in events], pa.float64()),
@@ -130,7 +132,7 @@ def joints_table(performance: Performance, *, rate: float) -> pa.Table:
 
 def objects_table(performance: Performance) -> pa.Table:
     """Poses of every object's box centre: rows while it moves, and its first and last."""
-    tables = []
+    tables, layout = [], layout_for(performance.preset)
     for motion in performance.objects:
         kept = _moving_rows(motion.position, motion.rotation)
         times = performance.times[: len(motion.position)][kept]
@@ -138,7 +140,7 @@ def objects_table(performance: Performance) -> pa.Table:
             _table(
                 {
                     "recording_id": _repeated(performance.recording_id, len(times)),
-                    "object_id": _repeated(str(native_object_id(motion.object_id)), len(times)),
+                    "object_id": _repeated(layout.object_id(motion.object_id), len(times)),
                     "t": times,
                     "position": _rows(motion.position[kept]),
                     "quaternion": _rows(motion.rotation[kept]),

@@ -18,10 +18,8 @@ from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.storage import atomic_folder, remove_leftovers, write_json
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.layouts import adt as adt_layout
+from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.people import perform
-from prbench.synthetic.recordings import require_sensors
-from prbench.synthetic.sensors.adt import sense
 from prbench.synthetic.truth_files import (
     events_table,
     fixations_table,
@@ -103,7 +101,7 @@ def synthesize_tree(
         UsageError: for a preset without native files, the size ``large``, or a folder that holds something else.
         StorageError: if the disk is full or the folder cannot be written.
     """
-    require_sensors(preset)
+    layout_for(preset)
     amount = _amount(size)
     remove_leftovers(out)
     _require_free(out)
@@ -178,7 +176,8 @@ def _write_recording(job: _Job) -> _Done:
         provocations=None if job.provocations is None else dict(job.provocations),
     )
     name = performance.recording_id
-    adt_layout.write(sense(performance, noise=job.noise), job.root / name)
+    layout = layout_for(job.preset)
+    layout.write(layout.sense(performance, noise=job.noise), job.root)
     write_truth(joints_table(performance, rate=job.truth_rate), job.root, "joints", part=name)
     write_truth(objects_table(performance), job.root, "objects", part=name)
     summary = WrittenRecording(

@@ -15,10 +15,11 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.population import Source, cast
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.recordings import require_sensors, synthetic_recording
+from prbench.synthetic.recordings import synthetic_recording
 
 Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""
@@ -130,7 +131,7 @@ def build_synthetic_table(
         UsageError: for a preset without sensors, or no recordings.
         StorageError: if ``out`` cannot be written or holds something else.
     """
-    require_sensors(preset)
+    layout_for(preset)
     if recordings < 1:
         raise UsageError(f"a synthetic table needs at least one recording, not {recordings}.")
     shares = None if provocations is None else tuple(sorted(provocations.items()))

@@ -17,8 +17,8 @@ from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX, reader_for
 from prbench.readers.found import RecordingFiles
 from prbench.sequences import EventRecord, SequenceTable
+from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import TrueEvent
-from prbench.synthetic.sensors.adt import clock_start_us, native_object_id
 from prbench.synthetic.truth_files import read_truth
 from prbench.workflows.matching import Match, Verification, match_events, verification
 from prbench.workflows.synthetic_table import Staging, World
@@ -74,9 +74,10 @@ class StagedComparison:
         performance = self.staging.perform(index)
         recording = self.staging.sense(performance)
         curated = curate_recording(recording, load_manifest(self.staging.preset), load_protocol(), self.options)
-        offset = clock_start_us(performance) / 1e6 - float(performance.times[0])
+        layout = layout_for(self.staging.preset)
+        offset = layout.clock_start(performance) - float(performance.times[0])
         true = [
-            on_clock(dataclasses.replace(event, object_id=str(native_object_id(event.object_id))), offset)
+            on_clock(dataclasses.replace(event, object_id=layout.object_id(event.object_id)), offset)
             for event in performance.events
         ]
         return match_events(true, curated.events)

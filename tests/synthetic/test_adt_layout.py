@@ -12,7 +12,7 @@ import pytest
 from prbench.formats import adt
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.synthetic.layouts import adt as layout
-from prbench.synthetic.recordings import recording_from_readings
+from prbench.synthetic.layouts.adt import LAYOUT
 from prbench.synthetic.sensors.adt import sense
 from tests.comparing import differences
 
@@ -46,7 +46,7 @@ def test_files_and_memory_give_the_same_recording_bit_for_bit(readings, tmp_path
     layout.write(readings, tmp_path / readings.recording_id)
     (found,) = find_recordings(tmp_path)
     from_files = read_recording(found)
-    from_memory = replace(recording_from_readings(readings), dataset="adt")
+    from_memory = replace(LAYOUT.recording(readings), dataset="adt")
     assert list(differences(from_files, from_memory)) == []
 
 

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from prbench.formats import adt
 from prbench.skeleton import Joint, bone_lengths
-from prbench.synthetic.recordings import recording_from_readings, synthetic_recording
+from prbench.synthetic.layouts.adt import LAYOUT
+from prbench.synthetic.recordings import synthetic_recording
 from prbench.synthetic.sensors.adt import clock_start_us, gaze_bias, native_object_id, sense
 from prbench.synthetic.sensors.errors import Switches
 
@@ -155,7 +156,7 @@ def test_bad_frames_are_found_and_filled(performance) -> None:
     readings = sense(performance, noise=100.0, switches=replace(Switches.ideal(), body_losses=True))
     truth = sense(performance, noise=0.0).skeletons[0].joints
     bad = ~np.isclose(readings.skeletons[0].joints, truth, atol=1e-6).all(axis=(1, 2))
-    body = recording_from_readings(readings).body
+    body = LAYOUT.recording(readings).body
     assert body is not None
     assert 0 < bad.sum() < 0.05 * len(bad)
     at_origin = (readings.skeletons[0].joints == 0).all(axis=(1, 2))

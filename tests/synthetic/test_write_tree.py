@@ -11,8 +11,9 @@ import pytest
 
 from prbench.errors import InputFileError, UsageError
 from prbench.readers import read_synthetic_tree, reader_for
+from prbench.synthetic.layouts.adt import LAYOUT
 from prbench.synthetic.people import perform
-from prbench.synthetic.recordings import recording_from_readings, synthetic_recording
+from prbench.synthetic.recordings import synthetic_recording
 from prbench.synthetic.sensors.adt import sense
 from prbench.synthetic.truth_files import objects_table, read_truth
 from prbench.synthetic.write_tree import WrittenTree, synthesize_tree
@@ -62,7 +63,7 @@ def test_files_of_the_tree_and_the_recording_exit_agree_bit_for_bit(tree) -> Non
     for index, found in enumerate(reader.find(tree.root)):
         performance = perform("adt", seed=4, index=index, n_events=2)
         assert list(differences(reader.read(found), synthetic_recording(performance))) == []
-        assert recording_from_readings(sense(performance)).dataset == "synthetic-adt"
+        assert LAYOUT.recording(sense(performance)).dataset == "synthetic-adt"
 
 
 def test_truth_events_are_on_the_recording_s_clock_after_adding_its_offset(tree) -> None:

@@ -1,1 +1,69 @@
-"""Native files of each dataset, written from synthetic readings; one layout a file."""
+"""Layouts: what each dataset's sensors make of a performance, as a ``Recording`` in memory and as native files.
+
+A new layout is a new module with a ``LAYOUT`` and one line in :data:`LAYOUT_MODULES`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from prbench.errors import UsageError
+from prbench.recording import Recording
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors.errors import Switches
+
+LAYOUT_MODULES: dict[str, str] = {"adt": "prbench.synthetic.layouts.adt"}
+"""Module of each preset's layout; of presets that are not listed there is motion only."""
+
+
+@runtime_checkable
+class Layout(Protocol):
+    """The sensors and the native files of one dataset."""
+
+    def sense(self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Any:
+        """What the sensors say: the native content, before any text is made of it.
+
+        Args:
+            performance: The truth.
+            noise: Multiplies every error; 0 for ideal sensors.
+            switches: Which errors are on; all if None.
+        """
+        ...
+
+    def recording(self, readings: Any) -> Recording:
+        """The streams that a reader would find in the files of :meth:`write`, bit for bit."""
+        ...
+
+    def write(self, readings: Any, root: Path) -> None:
+        """Write the native files of one recording below the dataset's folder.
+
+        Raises:
+            StorageError: if the disk is full or the folder cannot be written.
+        """
+        ...
+
+    def clock_start(self, performance: Performance) -> float:
+        """Native time of the performance's first instant, seconds."""
+        ...
+
+    def object_id(self, object_id: str) -> str:
+        """The id under which the native files know an object of the performance."""
+        ...
+
+    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+        """The recording's constant gaze error, yaw and pitch, radians."""
+        ...
+
+
+def layout_for(preset: str) -> Layout:
+    """The layout of a preset.
+
+    Raises:
+        UsageError: for a preset of which there is motion only, naming those that have a layout.
+    """
+    if preset not in LAYOUT_MODULES:
+        known = ", ".join(LAYOUT_MODULES)
+        raise UsageError(f"preset '{preset}' has motion but no sensors and no native files; use one of: {known}.")
+    return importlib.import_module(LAYOUT_MODULES[preset]).LAYOUT

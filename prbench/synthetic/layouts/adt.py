@@ -12,7 +12,13 @@ import pyarrow.csv
 
 from prbench.formats import adt
 from prbench.formats import aria_mps as mps
+from prbench.manifests import load_manifest
+from prbench.recording import Recording
+from prbench.recording.from_adt import recording_from_adt
 from prbench.storage import atomic_folder, atomic_path, write_json
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors import adt as sensors
+from prbench.synthetic.sensors.errors import Switches
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
 _GRAVITY = (0.0, -9.81, 0.0)
@@ -21,6 +27,39 @@ _UNUSED_VELOCITIES = tuple(
 )
 _CREATED = "01/01/2000-00:00:00"
 _QUATERNION_SCALAR_LAST = (1, 2, 3, 0)
+
+
+class AdtLayout:
+    """See :class:`prbench.synthetic.layouts.Layout`."""
+
+    def sense(
+        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
+    ) -> adt.AdtReadings:
+        """Glasses, gaze, objects and suits."""
+        return sensors.sense(performance, noise=noise, switches=switches)
+
+    def recording(self, readings: adt.AdtReadings) -> Recording:
+        """The streams of one synthetic recording."""
+        return recording_from_adt(readings, load_manifest("adt"), dataset="synthetic-adt")
+
+    def write(self, readings: adt.AdtReadings, root: Path) -> None:
+        """One folder a recording, layout v2.0."""
+        write(readings, root / readings.recording_id)
+
+    def clock_start(self, performance: Performance) -> float:
+        """Device time of the first instant, seconds."""
+        return sensors.clock_start_us(performance) / 1e6
+
+    def object_id(self, object_id: str) -> str:
+        """Sixteen digits."""
+        return str(sensors.native_object_id(object_id))
+
+    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+        """Yaw and pitch, radians."""
+        return sensors.gaze_bias(performance, noise=noise, switches=switches)
+
+
+LAYOUT = AdtLayout()
 
 
 def write(readings: adt.AdtReadings, folder: Path) -> None:
