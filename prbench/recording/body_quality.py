@@ -10,6 +10,7 @@ from prbench.timelines import nearest_index
 
 _BONE_TOLERANCE = 0.20  # share of the recording's median bone length
 _FASTEST_JOINT = 10.0  # m/s
+_LONGEST_EXCURSION = 0.1  # seconds; what may be interpolated
 
 
 def plausible_body_frames(
@@ -18,8 +19,8 @@ def plausible_body_frames(
     """Frames that are finite, not all at the origin, keep their bone lengths, and do not jump.
 
     A frame is implausible when it holds a NaN, when all joints are (0, 0, 0), when a bone differs from the recording's
-    median length by more than 20 %, or when a joint moves faster than 10 m/s *both* from the last plausible-looking
-    neighbour and towards the next one, so that the good frames around a single jump stay valid.
+    median length by more than 20 %, or when it belongs to an excursion: at most 0.1 s between two steps in which
+    a joint moves faster than 10 m/s (or between one and an end of the recording). The good frames around it stay valid.
 
     Args:
         times: Strictly increasing, seconds.
@@ -36,13 +37,19 @@ def plausible_body_frames(
     if len(index) < 3:
         return shaped
     step = np.linalg.norm(np.diff(joints[index], axis=0), axis=-1).max(axis=1) / np.diff(times[index])
-    fast = step > _FASTEST_JOINT
-    isolated = np.concatenate(([fast[0]], fast[:-1] & fast[1:], [fast[-1]]))
-    # At either end only one neighbour exists; blame the end frame only if its neighbour is calm on its other side.
-    isolated[0] &= not fast[1]
-    isolated[-1] &= not fast[-2]
-    shaped[index[isolated]] = False
+    shaped[index[_excursions(times[index], step > _FASTEST_JOINT)]] = False
     return shaped
+
+
+def _excursions(times: Float[np.ndarray, " n"], fast: Bool[np.ndarray, " steps"]) -> Bool[np.ndarray, " n"]:
+    """Frames of every short run between fast steps; the longest run is never one."""
+    run = np.concatenate(([0], np.cumsum(fast)))
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+    last = np.append(first[1:], len(run)) - 1
+    duration = times[last] - times[first]
+    short = duration <= _LONGEST_EXCURSION
+    short[np.argmax(duration)] = False
+    return short[run]
 
 
 def hold_neighbours(
