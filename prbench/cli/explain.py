@@ -26,10 +26,11 @@ def _explain(arguments: argparse.Namespace) -> int:
     from prbench.workflows.explain import explain_event
 
     story = explain_event(arguments.data, arguments.event)
-    print(story.text())
     if arguments.draw is not None:
         from prbench.viewing.event_story import draw_event_story
 
         draw_event_story(story, arguments.draw)
+    print(story.text())
+    if arguments.draw is not None:
         print(f"drawing: {arguments.draw}")
     return 0
