@@ -26,7 +26,7 @@ TRAY_HANDLE = np.array([0.0, 0.0, -0.075])
 """Where the tray is held, in its own frame; what it carries stands on the other side."""
 TRAY_LOAD = np.array([0.0, 0.0, 0.05])
 DOOR = ObjectKind("CabinetDoor", "door", (0.16, 0.20, 0.010))
-DOOR_HANDLE = np.array([-0.13, 0.0, -0.02])
+DOOR_HANDLE = np.array([-0.13, 0.0, 0.005])
 """The hinge is at x = + half extent; the front looks along -z of the door's frame."""
 HANDLE_HALF = np.array([0.025, 0.02, 0.025])
 
