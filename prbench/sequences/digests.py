@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pyarrow as pa
 
-from prbench.sequences.schema import SCHEMA_VERSION, SEQUENCES
+from prbench.sequences.schema import KEY_VALUES, SCHEMA_VERSION, SEQUENCES
 
 _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
 
@@ -51,7 +51,7 @@ class _ColumnDigest:
     def update(self, column: pa.Array) -> None:
         self._presence.update(np.asarray(column.is_valid(), dtype=np.uint8).tobytes())
         kind = column.type
-        if pa.types.is_map(kind) or pa.types.is_string(kind):
+        if kind == KEY_VALUES or pa.types.is_string(kind):
             for value in column.to_pylist():
                 self._values.update(repr(value).encode() + b"\n")
             return

@@ -27,6 +27,9 @@ _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float32(), 3)
 _PRECISE_POINT = pa.list_(pa.float64(), 3)
 
+KEY_VALUES = pa.list_(pa.struct([pa.field("key", pa.string()), pa.field("value", pa.string())]))
+"""A map, written as a list of pairs: readers that know no maps (Hugging Face ``datasets``) open it too."""
+
 
 def _field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
     return pa.field(name, kind, nullable=nullable)
@@ -73,7 +76,7 @@ SEQUENCES = pa.schema(
         _field("gaze_direction", pa.list_(_POINT)),
         _field("gaze_valid", pa.list_(pa.bool_())),
         _field("world_from_canonical", pa.list_(pa.float64(), 16)),
-        _field("extra", pa.map_(pa.string(), pa.string())),
+        _field("extra", KEY_VALUES),
     ]
 )
 

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float
 
-from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
+from prbench.sequences.schema import EVENTS, KEY_VALUES, OUTCOMES, RECORDINGS, SEQUENCES
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
 
@@ -134,10 +134,11 @@ def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
 def _column(values: list, kind: pa.DataType) -> pa.Array:
     if pa.types.is_fixed_size_list(kind):
         return _vectors(values, kind)
+    if kind == KEY_VALUES:
+        pairs = [[{"key": key, "value": text} for key, text in sorted(value.items())] for value in values]
+        return pa.array(pairs, type=kind)
     if pa.types.is_list(kind):
         return _ragged(values, kind)
-    if pa.types.is_map(kind):
-        return pa.array([sorted(value.items()) for value in values], type=kind)
     return pa.array(values, type=kind)
 
 

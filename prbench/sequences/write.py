@@ -83,6 +83,7 @@ class _PartWriter:
             use_dictionary=_leaves(schema, floating=False),  # type: ignore[arg-type] - the stub knows bool only
             column_encoding=dict.fromkeys(_leaves(schema, floating=True), "BYTE_STREAM_SPLIT"),
             write_statistics=_leaves(schema, floating=False),  # type: ignore[arg-type]
+            write_page_checksum=True,
         )
 
     @property
@@ -123,8 +124,8 @@ def _leaves(schema: pa.Schema, *, floating: bool) -> list[str]:
 def _leaf_paths(path: str, kind: pa.DataType) -> list[tuple[str, pa.DataType]]:
     if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
         return _leaf_paths(f"{path}.list.element", kind.value_type)
-    if pa.types.is_map(kind):
-        return [(f"{path}.key_value.key", kind.key_type), (f"{path}.key_value.value", kind.item_type)]
+    if pa.types.is_struct(kind):
+        return [leaf for field in kind for leaf in _leaf_paths(f"{path}.{field.name}", field.type)]
     return [(path, kind)]
 
 

@@ -32,7 +32,7 @@ def test_every_column_comes_back_as_it_was_written(tmp_path):
             assert chunk.numbers("prime_time")[i] == row.prime_time
             assert chunk.strings("hand")[i] == (row.hand or "")
             assert chunk.strings("object_id")[i] == row.object_id
-            assert dict(chunk.batch.column("extra")[i].as_py()) == dict(row.extra)
+            assert {pair["key"]: pair["value"] for pair in chunk.batch.column("extra")[i].as_py()} == dict(row.extra)
             assert chunk.batch.column("head_position")[i].is_valid is (row.head_position is not None)
 
 
