@@ -17,7 +17,6 @@ from prbench.curation.job import CurationJob
 from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.curation.parts import (
     read_batches,
-    remove_leftovers,
     work_folder,
 )
 from prbench.curation.provenance import describe
@@ -29,6 +28,7 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.sequence import RecordingRecord
 from prbench.sequences.write_dataset import write_dataset
+from prbench.storage import remove_leftovers
 
 _IN_PROCESS = InProcess()
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -37,15 +35,6 @@ class PartReceipt:
 def work_folder(out: Path) -> Path:
     """The folder of parts that belongs to a dataset folder; it stands beside it."""
     return out.parent / f".{out.name}.work"
-
-
-def remove_leftovers(out: Path) -> None:
-    """Delete half-written folders that a killed build of the same dataset left beside it."""
-    # Exactly the names that atomic_folder gives, so that a dataset 'adt' never touches what 'adt-2' is writing.
-    leftover = re.compile(rf"\.{re.escape(out.name)}-[a-z0-9_]{{8}}\.partial")
-    for folder in out.parent.iterdir() if out.parent.is_dir() else ():
-        if leftover.fullmatch(folder.name):
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def part_folder(work: Path, recording_id: str, input_digest: str, settings: str) -> Path:
