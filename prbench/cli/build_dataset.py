@@ -93,9 +93,10 @@ def _print_plan(plan: BuildPlan, workers: int) -> None:
     print(f"{len(plan.recordings)} recordings, {plan.input_bytes / 1e6:,.1f} MB to read")
     if plan.skipped:
         print(f"{len(plan.skipped)} of them are known to be bad and would be skipped: {', '.join(plan.skipped)}")
-    minutes = plan.estimated_seconds / workers / 60
+    seconds = plan.estimated_seconds / workers
+    duration = f"{seconds:,.0f} s" if seconds < 120 else f"{seconds / 60:,.0f} minutes"
     print(
-        f"estimated: {minutes:,.1f} minutes with {workers} worker{'s' if workers > 1 else ''},"
+        f"estimated: {duration} with {workers} worker{'s' if workers > 1 else ''},"
         f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
     )
 
