@@ -119,9 +119,9 @@ def gaze_track(
 
 
 def ray_distance(
-    origin: Float[np.ndarray, "rows 3"], direction: Float[np.ndarray, "rows 3"], point: Float[np.ndarray, "rows 3"]
+    origin: Float[np.ndarray, "rows 3"], direction: Float[np.ndarray, "rows 3"], point: Float[np.ndarray, "_ 3"]
 ) -> Float[np.ndarray, " rows"]:
-    """Distance between a point and a ray; a point behind the ray's origin is as far as the origin."""
+    """Distance between points and rays, pair by pair or one point for all; behind a ray's origin, from that origin."""
     to_point = point - origin
     along = np.maximum((to_point * direction).sum(axis=-1, keepdims=True), 0.0)
     return np.linalg.norm(to_point - along * direction, axis=-1)

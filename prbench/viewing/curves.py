@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.synthetic.performance import Performance, TrueEvent
 
@@ -47,21 +48,14 @@ def curves_of(performance: Performance, event: TrueEvent, start: float, end: flo
     turning = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1.0, 1.0))
     return Curves(
         times=times - event.event_time,
-        gaze_distance=_ray_distance(performance.eye[frames], performance.gaze[frames], event.goal),
-        head_distance=_ray_distance(joints[:, Joint.HEAD], forward, event.goal),
+        gaze_distance=ray_distance(performance.eye[frames], performance.gaze[frames], event.goal[None]),
+        head_distance=ray_distance(joints[:, Joint.HEAD], forward, event.goal[None]),
         wrist_distance=np.linalg.norm(wrist - event.goal, axis=1),
         wrist_speed=_speed(wrist, times),
         pelvis_speed=_speed(joints[:, Joint.PELVIS], times),
         pelvis_height=joints[:, Joint.PELVIS, 1],
         head_rate=np.rad2deg(np.concatenate([[0.0], turning]) / (times[1] - times[0])),
     )
-
-
-def _ray_distance(origin: np.ndarray, direction: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Distance of a point from rays (not lines)."""
-    offset = goal - origin
-    along = np.maximum((offset * direction).sum(axis=1, keepdims=True), 0.0)
-    return np.linalg.norm(offset - along * direction, axis=1)
 
 
 def _speed(points: np.ndarray, times: np.ndarray) -> np.ndarray:

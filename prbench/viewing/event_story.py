@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.storage import atomic_path
 from prbench.viewing.stick_figure import draw_figure
@@ -127,10 +128,13 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     """Distance of the goal from the gaze ray, the head ray and the wrists."""
     times = motion.times - story.event.event_time
     forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
-    gaze = _ray_distance(motion.gaze_origin, motion.gaze_direction, motion.goal)
+    gaze = ray_distance(motion.gaze_origin, motion.gaze_direction, motion.goal[None])
     axes.plot(times, np.where(motion.gaze_valid, gaze, np.nan), color=_GAZE, label="gaze ray")
     axes.plot(
-        times, _ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal), color="tab:green", label="head ray"
+        times,
+        ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal[None]),
+        color="tab:green",
+        label="head ray",
     )
     for wrist, colour, name in zip(WRISTS, ("tab:blue", "tab:red"), ("left wrist", "right wrist"), strict=True):
         distance = np.linalg.norm(motion.joints[:, wrist] - motion.goal, axis=1)
@@ -152,12 +156,3 @@ def _picture_axis(motion: StoryMotion) -> Float[np.ndarray, "3"]:
     towards = (motion.goal - motion.joints[-1, Joint.PELVIS]) * [1.0, 0.0, 1.0]
     length = float(np.linalg.norm(towards))
     return towards / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-
-
-def _ray_distance(
-    origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"], point: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, " n"]:
-    """Distance of a point from rays, metres; behind the origin, from the origin."""
-    offset = point - origin
-    along = np.maximum((offset * direction).sum(axis=1, keepdims=True), 0.0)
-    return np.linalg.norm(offset - along * direction, axis=1)
