@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import prbench
 from prbench.engine import Engine
 from prbench.evaluation.cache import cache_folder
 from prbench.manifests import digest_of, load_manifest, load_protocol
@@ -19,9 +20,13 @@ SEED = 0
 
 
 def default_table_folder() -> Path:
-    """Folder of the embedded dataset; another version of generator, protocol or schema gets another folder."""
+    """Folder of the embedded dataset; another version of prbench, generator, protocol or schema gets another one."""
     key = text_digest(
-        str(GENERATOR_VERSION), str(SCHEMA_VERSION), load_protocol().digest, digest_of(load_manifest(PRESET))
+        prbench.__version__,
+        str(GENERATOR_VERSION),
+        str(SCHEMA_VERSION),
+        load_protocol().digest,
+        digest_of(load_manifest(PRESET)),
     )
     return cache_folder() / "tables" / f"synthetic-{PRESET}-{RECORDINGS}-{key[:12]}"
 

@@ -1,0 +1,45 @@
+"""Without data, prbench builds a synthetic dataset once, says so and where, and goes on."""
+
+from __future__ import annotations
+
+import pytest
+
+from prbench.cli import main
+from prbench.engine import InProcess
+from prbench.workflows import first_run
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache, and a default dataset of two recordings."""
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(first_run, "RECORDINGS", 2)
+    return tmp_path / "cache"
+
+
+def test_a_run_without_data_builds_it_once_and_says_where(cache, tmp_path, capsys):
+    run = ["run", "--method", "ground-truth", "--split", "train"]
+    assert main([*run, "--out", str(tmp_path / "one")]) == 0
+    first = capsys.readouterr()
+    folder = first_run.default_table_folder()
+    assert folder.is_relative_to(cache)
+    assert f"building a synthetic dataset of 2 recordings in {folder} (once)" in first.err
+    assert "synthetic" in first.out
+    built = (folder / "sequences.parquet").stat().st_mtime_ns
+    assert main([*run, "--out", str(tmp_path / "two")]) == 0
+    second = capsys.readouterr()
+    assert f"using the embedded synthetic dataset in {folder}" in second.err
+    assert (folder / "sequences.parquet").stat().st_mtime_ns == built
+
+
+def test_the_embedded_dataset_says_that_it_is_synthetic(cache):
+    info = first_run.default_table(InProcess(), lambda done, total, last: None).info
+    assert info.synthetic
+    assert info.dataset == "synthetic-adt"
+    assert info.counts.recordings_read == 2
+
+
+def test_another_version_of_the_people_gets_another_folder(cache, monkeypatch):
+    folder = first_run.default_table_folder()
+    monkeypatch.setattr(first_run, "GENERATOR_VERSION", first_run.GENERATOR_VERSION + 1)
+    assert first_run.default_table_folder() != folder
