@@ -10,6 +10,7 @@ from pathlib import Path
 
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
 from prbench.errors import AdapterError, PrbenchError
+from prbench.evaluation.declared import Declared
 
 
 @dataclass(frozen=True, order=True)
@@ -69,7 +70,7 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
     origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
     try:
         load = point.load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise AdapterError(
             f"{origin}: cannot be imported: {_cause(error)}. Repair or reinstall the package."
         ) from error
@@ -79,12 +80,13 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
         raise
     except ValueError as error:
         raise AdapterError(f"{origin}: refused its settings: {error}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise AdapterError(f"{origin}: cannot be loaded: {_cause(error)}.") from error
     if not isinstance(adapter, Adapter):
         raise AdapterError(
             f"{origin}: expected an object with name, conditions and generate(), found {type(adapter).__name__}."
         )
+    Declared.by(adapter, origin=origin)
     return adapter
 
 
@@ -94,8 +96,9 @@ def require_condition(name: str, adapter: Adapter, condition: Condition) -> None
     Raises:
         AdapterError: naming the conditions that it does take.
     """
-    if condition not in adapter.conditions:
-        taken = ", ".join(sorted(Condition(item).value for item in adapter.conditions))
+    conditions = Declared.by(adapter, origin=f"adapter '{name}'").conditions
+    if condition not in conditions:
+        taken = ", ".join(sorted(item.value for item in conditions))
         raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
 
 
@@ -104,5 +107,5 @@ def _described(point: EntryPoint) -> InstalledAdapter:
     return InstalledAdapter(point.name, package, version, point.value)
 
 
-def _cause(error: Exception) -> str:
+def _cause(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}".rstrip(".")

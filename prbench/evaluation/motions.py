@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import sys
+import traceback
 from collections.abc import Sequence
 
 import numpy as np
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError, PrbenchError
+from prbench.evaluation.declared import Declared
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
 
@@ -33,11 +36,11 @@ def generate_checked(
         AdapterError: if the method raises, or returns something else than one finite motion of the asked length for
             each row; names method, sequence and frame.
     """
-    native_fps = getattr(adapter, "native_fps", None)
-    asked = batch if native_fps is None else at_native_rate(batch, float(native_fps))
+    native_fps = Declared.by(adapter, origin=f"adapter '{method}'").native_fps
+    asked = batch if native_fps is None else at_native_rate(batch, native_fps)
     motions, halvings = _generate(adapter, asked, seed, method, sequence_ids)
     if native_fps is not None:
-        motions = at_table_rate(motions, batch, native_fps=float(native_fps))
+        motions = at_table_rate(motions, batch, native_fps=native_fps)
     return motions, halvings
 
 
@@ -45,12 +48,12 @@ def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str]
 ) -> tuple[Motions, int]:
     try:
-        motions = adapter.generate(batch, seed=seed)
+        motions = adapter.generate(_own_copy(batch), seed=seed)
     except PrbenchError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if not _out_of_memory(error):
-            raise AdapterError(f"adapter '{method}' failed on {_span(ids)}: {type(error).__name__}: {error}") from error
+            raise AdapterError(f"adapter '{method}' failed on {_span(ids)}: {_told(error)}") from error
         if len(batch) == 1:
             raise AdapterError(
                 f"adapter '{method}' ran out of memory on the single sequence {ids[0]}"
@@ -68,10 +71,15 @@ def _generate(
 def _checked(motions: object, batch: ConditionBatch, method: str, ids: Sequence[str]) -> Motions:
     """The motions as float32 if they are what the contract asks for."""
     origin = f"adapter '{method}' on {_span(ids)}"
-    if not isinstance(motions, Motions) or not isinstance(motions.joints, np.ndarray):
-        found = type(motions).__name__
-        raise AdapterError(f"{origin}: expected prbench.contract.Motions with NumPy arrays, found {found}.")
-    joints, n_frames = motions.joints, np.asarray(motions.n_frames)
+    if not isinstance(motions, Motions):
+        raise AdapterError(f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.")
+    joints, n_frames = motions.joints, _as_array(motions.n_frames)
+    if not isinstance(joints, np.ndarray):
+        remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
+        found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
+        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}")
+    if motions.cost is not None and not isinstance(motions.cost, Cost):
+        raise AdapterError(f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.")
     longest = int(batch.n_frames.max())
     fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
     if not fits or not np.issubdtype(joints.dtype, np.floating):
@@ -96,6 +104,28 @@ def _checked(motions: object, batch: ConditionBatch, method: str, ids: Sequence[
     return Motions(joints, batch.n_frames, motions.cost)
 
 
+def _as_array(n_frames: object) -> np.ndarray:
+    """Frame counts as NumPy reads them; of any shape, wrong ones too."""
+    try:
+        return np.asarray(n_frames)
+    except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
+        return np.empty(0)
+
+
+def _own_copy(batch: ConditionBatch) -> ConditionBatch:
+    """Arrays of its own, so that a method that writes into them changes neither its next sample nor our checks."""
+    arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
+    return dataclasses.replace(
+        batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    )
+
+
+def _told(error: BaseException) -> str:
+    """An exception with the file and line that raised it, for whoever has to repair the method."""
+    raised_at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
+
+
 def _require_finite(joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str]) -> None:
     valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
     bad = ~np.isfinite(joints).all(axis=(2, 3)) & valid
@@ -118,7 +148,7 @@ def _joined(first: Motions, second: Motions) -> Motions:
     return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
 
 
-def _out_of_memory(error: Exception) -> bool:
+def _out_of_memory(error: BaseException) -> bool:
     """Of Python or NumPy, or of torch on either kind of device (recognised without importing it)."""
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return True

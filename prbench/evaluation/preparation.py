@@ -16,6 +16,7 @@ from prbench.errors import AdapterError, UsageError
 from prbench.evaluation.adapters import InstalledAdapter, find_adapter, require_condition
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import GROUND_TRUTH, METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.evaluation.declared import Declared
 from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, weights_digest
 from prbench.evaluation.native_rate import native_frames
 from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select
@@ -97,7 +98,7 @@ def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, Instal
     installed = find_adapter(request.method, also_known=METHOD_CONTROLS)
     adapter = spec.load().adapter
     require_condition(request.method, adapter, request.condition)
-    native_fps = getattr(adapter, "native_fps", None)
+    declared = Declared.by(adapter, origin=f"adapter '{request.method}'")
     return MethodRecord(
         name=request.method,
         kind="adapter",
@@ -106,9 +107,9 @@ def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, Instal
         weights=request.weights.name if request.weights else None,
         weights_digest=digest,
         options=dict(spec.options),
-        max_frames=getattr(adapter, "max_frames", None),
-        native_fps=None if native_fps is None else float(native_fps),
-        motionless=bool(getattr(adapter, "motionless", False)),
+        max_frames=declared.max_frames,
+        native_fps=declared.native_fps,
+        motionless=declared.motionless,
     ), installed
 
 

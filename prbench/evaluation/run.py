@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
-from prbench.errors import PrbenchError
 from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import GROUND_TRUTH, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
@@ -62,7 +61,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
     folder = RunFolder.prepare(prepared.out, prepared.record)
     try:
         made = [_generate(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets]
-    except PrbenchError:
+    except Exception:
         folder.discard_if_empty()
         raise
     summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)

@@ -63,12 +63,37 @@ def test_a_name_that_two_packages_offer_is_refused(install):
         ("def load(weights, *, options, device): raise RuntimeError('no GPU')", "load", "cannot be loaded: .*no GPU"),
         ("def load(weights, *, options, device): return 3", "load", r"expected an object with .* found int"),
         ("def load(): pass", "load", "cannot be loaded: TypeError"),
+        ("raise SystemExit('needs a GPU')", "load", "cannot be imported: SystemExit: needs a GPU"),
     ],
 )
 def test_a_broken_plug_in_is_named_with_its_package_and_cause(install, source, target, message):
     install("broken", source, target=target)
     with pytest.raises(AdapterError, match=rf"adapter 'broken' \(package prbench_broken 1\.2, .*{message}"):
         load_adapter("broken", None, {}, "cpu")
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ("conditions = None", "expected 'conditions' to be some of goal-loc, .*, text, found None"),
+        ("conditions = frozenset({'walk'})", r"expected 'conditions' .*, found frozenset\(\{'walk'\}\)"),
+        ("conditions = 'none'", "expected 'conditions' .*, found 'none'"),
+        ("max_frames = 'many'", "expected 'max_frames' to be a whole number of 1 or more, or None, found 'many'"),
+        ("max_frames = 0", "expected 'max_frames' .*, found 0"),
+        ("native_fps = 0", "expected 'native_fps' to be frames per second above 0, or None, found 0"),
+        ("native_fps = float('nan')", "expected 'native_fps' .*, found nan"),
+        ("native_fps = '30'", "expected 'native_fps' .*, found '30'"),
+    ],
+)
+def test_an_attribute_that_is_not_what_the_contract_asks_for_is_named(install, attributes, message):
+    install("made", adapter_source(attributes=attributes))
+    with pytest.raises(AdapterError, match=rf"adapter 'made' \(package prbench_made 1\.2, .*{message}"):
+        load_adapter("made", None, {}, "cpu")
+
+
+def test_conditions_may_be_given_by_their_names(install):
+    install("made", adapter_source(attributes="conditions = ['none', 'text']"))
+    require_condition("made", load_adapter("made", None, {}, "cpu"), Condition.TEXT)
 
 
 def test_an_error_that_the_user_can_repair_passes_as_it_is(install):

@@ -95,7 +95,7 @@ def test_nan_and_infinity_are_refused_with_method_sequence_and_frame(value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m.joints, "expected prbench.contract.Motions with NumPy arrays, found ndarray"),
+        (lambda m: m.joints, "expected prbench.contract.Motions, found ndarray"),
         (lambda m: None, "found NoneType"),
         (lambda m: Motions(m.joints[:2], m.n_frames[:2]), r"expected joints of shape \(3, 6 or more, 22, 3\)"),
         (lambda m: Motions(m.joints, m.n_frames + 1), "sequence rec/a: expected 4 frames, found 5"),
@@ -107,23 +107,64 @@ def test_wrong_types_shapes_and_lengths_are_refused(change, message):
         run(Method(change))
 
 
-def test_a_wrong_number_of_joints_is_refused_although_no_type_check_runs():
-    def change(motions):
-        made = object.__new__(Motions)  # as without the type checks of the tests
-        for name, value in (("joints", motions.joints[:, :, :21]), ("n_frames", motions.n_frames), ("cost", None)):
-            object.__setattr__(made, name, value)
-        return made
+def unchecked(motions, **changes):
+    """Motions with other fields, as without the type checks of the tests."""
+    made = object.__new__(Motions)
+    for name in ("joints", "n_frames", "cost"):
+        object.__setattr__(made, name, changes.get(name, getattr(motions, name)))
+    return made
 
-    with pytest.raises(AdapterError, match=r"found \(3, 6, 21, 3\) of float64"):
-        run(Method(change))
+
+class Tensor:
+    """As torch's is called."""
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joints": np.zeros((3, 6, 21, 3))}, r"found \(3, 6, 21, 3\) of float64"),
+        ({"joints": np.zeros((3, 6, 22, 3), dtype=int)}, r"with decimals, found \(3, 6, 22, 3\) of int64"),
+        ({"joints": [[[[0.0]]]]}, "expected joints as a NumPy array, found list"),
+        ({"joints": Tensor()}, r"found .*Tensor\. Give joints\.detach\(\)\.cpu\(\)\.numpy\(\)"),
+        ({"n_frames": [[4], [6, 5]]}, r"sequence rec/a: expected 4 frames, found n_frames of shape \(0,\)"),
+        ({"cost": 7}, "expected cost as prbench.contract.Cost or None, found 7"),
+    ],
+)
+def test_wrong_fields_are_refused_although_no_type_check_runs(changes, message):
+    with pytest.raises(AdapterError, match=message):
+        run(Method(lambda motions: unchecked(motions, **changes)))
+
+
+def test_a_method_that_writes_into_its_batch_changes_nothing_but_its_own_copy():
+    class Careless(Method):
+        def generate(self, batch, *, seed):
+            motions = super().generate(batch, seed=seed)
+            changed = Motions(motions.joints.copy(), batch.n_frames)
+            batch.n_frames[:] = 2
+            batch.goal_location[:] = np.nan
+            return changed
+
+    asked = batch(initial=np.zeros((3, 22, 3)), previous=np.zeros((3, 22, 3)))
+    with pytest.raises(AdapterError, match="sequence rec/a: expected 4 frames, found 2"):
+        run(Careless(), asked)
+    assert asked.n_frames.tolist() == [4, 6, 5]
+    assert not np.isnan(asked.goal_location).any()
 
 
 def test_an_exception_of_the_method_is_named_with_the_batch():
     def fail(motions):
         raise KeyError("weights")
 
-    with pytest.raises(AdapterError, match=r"'m' failed on the batch of 3 .* rec/a to rec/c: KeyError: 'weights'"):
+    with pytest.raises(AdapterError, match=r"rec/a to rec/c: KeyError: 'weights' \(.*test_motions\.py, line"):
         run(Method(fail))
+
+
+def test_a_method_that_ends_the_process_is_an_error_like_any_other():
+    def leave(motions):
+        raise SystemExit(3)
+
+    with pytest.raises(AdapterError, match=r"rec/a to rec/c: SystemExit: 3 \("):
+        run(Method(leave))
 
 
 def test_a_batch_too_large_for_memory_is_halved_and_gives_the_same_motions():

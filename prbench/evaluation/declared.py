@@ -1,0 +1,66 @@
+"""What a method declares about itself, checked before anything depends on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from numbers import Integral, Real
+
+from prbench.contract import Adapter, Condition
+from prbench.errors import AdapterError
+
+
+@dataclass(frozen=True)
+class Declared:
+    """The attributes of an adapter that the harness honours."""
+
+    conditions: frozenset[Condition]
+    max_frames: int | None = None
+    """At its own rate; None for no limit."""
+    native_fps: float | None = None
+    """None for the table's rate."""
+    motionless: bool = False
+
+    @classmethod
+    def by(cls, adapter: Adapter, *, origin: str) -> Declared:
+        """Read the attributes of a method.
+
+        Args:
+            adapter: The method.
+            origin: What to call it in messages.
+
+        Raises:
+            AdapterError: naming the attribute that is not what the contract asks for.
+        """
+        return cls(
+            _conditions(adapter.conditions, origin),
+            _max_frames(getattr(adapter, "max_frames", None), origin),
+            _native_fps(getattr(adapter, "native_fps", None), origin),
+            bool(getattr(adapter, "motionless", False)),
+        )
+
+
+def _conditions(value: object, origin: str) -> frozenset[Condition]:
+    known = {condition.value for condition in Condition}
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        found = list(value)
+        if found and all(item in known for item in found):
+            return frozenset(Condition(item) for item in found)
+    raise AdapterError(f"{origin}: expected 'conditions' to be some of {', '.join(sorted(known))}, found {value!r}.")
+
+
+def _max_frames(value: object, origin: str) -> int | None:
+    if value is None:
+        return None
+    if isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1:
+        return int(value)
+    raise AdapterError(f"{origin}: expected 'max_frames' to be a whole number of 1 or more, or None, found {value!r}.")
+
+
+def _native_fps(value: object, origin: str) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf:
+        return float(value)
+    raise AdapterError(f"{origin}: expected 'native_fps' to be frames per second above 0, or None, found {value!r}.")
