@@ -158,7 +158,7 @@ def _require_complete(predictions: Predictions, selection: Selection, request: S
     raise PredictionsError(
         f"{request.predictions}: expected the {len(selection)} {selection.split} sequences of"
         f" {selection.table.info.dataset}{_each(samples)}, found {found}: missing {_listed(missing)},"
-        f" repeated {_listed(repeated)}, unknown {_listed(unknown)}. {_remedy(request.predictions)}"
+        f" repeated {_listed(repeated)}, unknown {_listed(unknown)}. {_remedy(predictions, request, unknown)}"
     )
 
 
@@ -179,9 +179,14 @@ def _listed(names: list[str]) -> str:
     return f"{len(names)} ({', '.join(names[:_NAMED])}{', …' if len(names) > _NAMED else ''})"
 
 
-def _remedy(path: Path) -> str:
-    if (path / run_record.FILE_NAME).is_file():
+def _remedy(predictions: Predictions, request: ScoreRequest, unknown: list[str]) -> str:
+    if (request.predictions / run_record.FILE_NAME).is_file():
         return "Run the same command again: it resumes."
+    if predictions.id_column == "opaque_id" and len(unknown) == len(set(predictions.ids)):
+        return (
+            f"Opaque ids hold for one seed and one table: is --seed {request.seed} that of the run,"
+            " and --data its table?"
+        )
     return "Hand in every sequence exactly once for each sample."
 
 

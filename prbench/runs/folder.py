@@ -55,10 +55,12 @@ class DatasetFolder:
         return sorted((self.path / ".costs").glob("batch-*.json"))
 
     def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
-        """Whether a batch is there, whole, with exactly these sequences."""
+        """Whether a batch is there, whole, with exactly these sequences; the checksum of every page is verified."""
         try:
-            rows = pq.read_table(self.part(batch), columns=["sequence_id", "sample"])
+            rows = pq.read_table(self.part(batch), page_checksum_verification=True)
         except (FileNotFoundError, pa.ArrowInvalid, OSError):
+            return False
+        if not {"sequence_id", "sample"} <= set(rows.column_names):
             return False
         ids = list(sequence_ids)
         expected = [(name, sample) for sample in range(samples) for name in ids]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -110,7 +111,8 @@ class Predictions:
             _check_columns(part, file.schema_arrow, id_column)
             columns = [id_column, "sample"] if "sample" in file.schema_arrow.names else [id_column]
             for group in range(file.num_row_groups):
-                rows = file.read_row_group(group, columns=columns)
+                with _naming(part):
+                    rows = file.read_row_group(group, columns=columns)
                 if any(rows[name].null_count for name in columns):
                     raise PredictionsError(f"{part}: expected a value in every row of {' and '.join(columns)}.")
                 names = rows[id_column].to_pylist()
@@ -143,39 +145,70 @@ class Predictions:
     def _row_group(self, file: int, group: int) -> PredictionRows:
         key = (file, group)
         if key not in self._cache:
-            column = _open(self.paths[file]).read_row_group(group, columns=["joints"])["joints"].combine_chunks()
-            self._cache[key] = _as_rows(column, self.paths[file])
+            opened = _open(self.paths[file])
+            with _naming(self.paths[file]):
+                column = opened.read_row_group(group, columns=["joints"])["joints"].combine_chunks()
+            before = sum(opened.metadata.row_group(earlier).num_rows for earlier in range(group))
+            self._cache[key] = _as_rows(column, self.paths[file], first_row=before)
             while len(self._cache) > 1 and sum(rows.values.nbytes for rows in self._cache.values()) > _CACHED_BYTES:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]
 
 
-def _as_rows(column: pa.Array, path: Path) -> PredictionRows:
+def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
     """Frames as numbers, however deeply the 66 values of a frame are nested in lists."""
     if column.null_count:
         raise PredictionsError(f"{path}, column 'joints': expected {_JOINTS_FORM} in every row, found a null.")
-    offsets = np.concatenate(([0], np.cumsum(np.asarray(column.value_lengths(), dtype=np.int64))))
+    offsets = _ends(column)
     leaves = column.flatten()
+    frame_ends, sizes_of_lists = np.arange(offsets[-1] + 1), []
     while pa.types.is_nested(leaves.type):
+        ends = _ends(leaves)
+        frame_ends = ends[frame_ends]
+        sizes_of_lists.append(np.diff(ends))
         leaves = leaves.flatten()
+    if len(sizes_of_lists) > 1 and (sizes_of_lists[-1] != 3).any():
+        found = int(sizes_of_lists[-1][sizes_of_lists[-1] != 3][0])
+        raise PredictionsError(f"{path}, column 'joints': expected x y z for each of 22 joints, found {found} numbers.")
     values = leaves.to_numpy(zero_copy_only=False)
-    if len(values) != offsets[-1] * _POSE_SIZE:
+    sizes = np.diff(frame_ends)
+    if (sizes != _POSE_SIZE).any():
+        frame = int(np.flatnonzero(sizes != _POSE_SIZE)[0])
+        row = int(np.searchsorted(offsets, frame, side="right")) - 1
         raise PredictionsError(
-            f"{path}, column 'joints': expected {_JOINTS_FORM}, found {len(values)} numbers in {offsets[-1]} frames."
+            f"{path}, column 'joints', row {first_row + row}, frame {frame - offsets[row]}:"
+            f" expected {_JOINTS_FORM}, found {sizes[frame]} numbers."
         )
     if values.dtype not in (np.float32, np.float64):
         values = values.astype(np.float64)
     return PredictionRows(values.reshape(-1, N_JOINTS, 3), offsets)
 
 
-def _open(path: Path) -> pq.ParquetFile:
+def _ends(lists: pa.Array) -> np.ndarray:
+    """Where each list begins among all their items, then the number of items; a null holds none."""
+    lengths = lists.value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
+    return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
     try:
-        return pq.ParquetFile(path)
+        yield
     except FileNotFoundError as error:
         raise PredictionsError(f"{path}: expected a predictions file, found none.") from error
     except (pa.ArrowInvalid, OSError) as error:
-        raise PredictionsError(f"{path}: not a readable Parquet file ({error}).") from error
+        first = str(error).splitlines()[0] if str(error) else "damaged"
+        raise PredictionsError(
+            f"{path}: expected a readable Parquet file, found another form or a damaged one ({first})."
+            " Write it again as Parquet; parts of a run are made again by the same `prbench run`."
+        ) from error
+
+
+def _open(path: Path) -> pq.ParquetFile:
+    with _naming(path):
+        return pq.ParquetFile(path, page_checksum_verification=True)
 
 
 def _id_column(path: Path) -> str:

@@ -91,3 +91,37 @@ def test_a_part_counts_only_with_exactly_its_sequences_and_samples(folder):
 def test_what_another_process_is_just_writing_is_not_read(folder):
     (folder.predictions / ".part-00002-x.partial.parquet").write_bytes(b"half")
     assert len(Predictions.open(folder.predictions).paths) == 2
+
+
+def test_frames_of_unequal_size_are_refused_although_their_numbers_add_up(tmp_path):
+    frames = [[0.0] * 66, [0.0] * 65, [0.0] * 67]
+    joints = pa.array([[[0.0] * 66], frames], pa.list_(pa.list_(pa.float32())))
+    pq.write_table(pa.table({"sequence_id": ["a", "b"], "joints": joints}), tmp_path / "p.parquet", row_group_size=1)
+    with pytest.raises(PredictionsError, match=r"row 1, frame 1: expected a list of frames, .* found 65 numbers"):
+        Predictions.open(tmp_path / "p.parquet").motions(["b"], 0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [((21, 3), "row 0, frame 0: .* found 63 numbers"), ((3, 22), "expected x y z for each of 22 joints, found 22")],
+)
+def test_joints_and_axes_in_another_form_are_refused_however_they_are_nested(tmp_path, shape, message):
+    joints = pa.array([np.zeros((2, *shape)).tolist()], pa.list_(pa.list_(pa.list_(pa.float64()))))
+    pq.write_table(pa.table({"sequence_id": ["a"], "joints": joints}), tmp_path / "p.parquet")
+    with pytest.raises(PredictionsError, match=message):
+        Predictions.open(tmp_path / "p.parquet").motions(["a"], 0)
+
+
+def test_a_single_flipped_bit_anywhere_in_the_numbers_is_noticed(tmp_path):
+    values = np.random.default_rng(0).normal(size=(50, 22, 3)).astype(np.float32)
+    folder = DatasetFolder(tmp_path)
+    write_part(folder.part(0), ["a"], [(1,)], [PredictionRows(values, np.array([0, 50]))], protocol_version=1)
+    assert folder.has_part(0, ["a"], 1)
+    written = bytearray(folder.part(0).read_bytes())
+    for place in range(2000, len(written) - 3000, 997):
+        damaged = written.copy()
+        damaged[place] ^= 1
+        folder.part(0).write_bytes(damaged)
+        assert not folder.has_part(0, ["a"], 1)
+        with pytest.raises(PredictionsError, match="damaged"):
+            Predictions.open(folder.part(0)).motions(["a"], 0)
