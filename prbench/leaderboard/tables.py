@@ -159,20 +159,27 @@ def _place(entry: LeaderboardRow) -> tuple:
 
 
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
-    """Variants, told apart by seed or by the run folder's name where method, condition and variant agree."""
+    """Variants, told apart by seed or by the run folder's name where method, condition and variant agree.
+
+    Controls of all conditions stand together, so they are told apart by their condition first.
+    """
     plain = [entry.variant for entry in entries]
+    conditioned = [_joined(entry.variant, f"condition {entry.record.condition}") for entry in entries]
     seeded = [_joined(entry.variant, f"seed {entry.record.seed}") for entry in entries]
     named = [_joined(entry.variant, f"run {entry.run}") for entry in entries]
 
-    def alike(texts: list[str], i: int) -> bool:
-        mine = (entries[i].method, entries[i].record.condition, texts[i])
-        others = [(entry.method, entry.record.condition, text) for entry, text in zip(entries, texts)]
-        return others.count(mine) > 1
+    def shown(entry: LeaderboardRow, text: str) -> tuple[str, str, str]:
+        condition = "control" if entry.record.method.kind == "control" else entry.record.condition
+        return entry.method, condition, text
 
-    return [
-        plain[i] if not alike(plain, i) else seeded[i] if not alike(seeded, i) else named[i]
-        for i in range(len(entries))
-    ]
+    def first_unlike(i: int) -> str:
+        for texts in (plain, conditioned, seeded):
+            rows = [shown(entry, text) for entry, text in zip(entries, texts)]
+            if rows.count(rows[i]) == 1:
+                return texts[i]
+        return named[i]
+
+    return [first_unlike(i) for i in range(len(entries))]
 
 
 def _joined(*parts: str) -> str:

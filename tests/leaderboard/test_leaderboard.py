@@ -253,6 +253,13 @@ def test_variants_tell_runs_of_one_method_apart(tmp_path):
     assert sorted(variants) == ["run d", "run e", "seed 0", "steps=10", "steps=50"]
 
 
+def test_variants_tell_runs_of_one_control_apart_although_they_share_a_block(tmp_path):
+    for name, condition in (("a", "none"), ("b", "goal-loc"), ("c", "goal-loc")):
+        write_run(tmp_path / name, "scripted", kind="control", record={"condition": condition})
+    variants = [row.variant for row in only(leaderboard(tmp_path).tables).rows]
+    assert variants == ["condition none", "run b", "run c"]
+
+
 def test_csv_has_one_number_a_row_and_a_unique_key(tmp_path):
     write_run(tmp_path / "a", "one", datasets=("adt", "gimo"), prime_success=1 / 3)
     write_run(tmp_path / "b", "two", datasets=("adt", "gimo"))
