@@ -48,7 +48,7 @@ class Trainable(Adapter, Protocol):
     """A method that learns from a table before it generates."""
 
     def fit(self, train: SequenceTable, *, validation: SequenceTable | None, run: TrainingRun) -> None:
-        """Learn from the ``train`` split of ``train``; never look at its other splits.
+        """Learn from ``train``; a run hands over a table that shows the rows of split ``train`` only.
 
         Leave what was learnt in ``run.folder``, and take it from there if it already holds a finished fit: every
         process of a run calls this once. A run fits a method by itself if it was given no weights.

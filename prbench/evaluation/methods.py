@@ -11,6 +11,7 @@ from prbench.contract import Adapter, Trainable, TrainingRun
 from prbench.errors import UsageError
 from prbench.evaluation.adapters import InstalledAdapter, load_adapter
 from prbench.evaluation.cache import cache_folder
+from prbench.evaluation.training_split import TrainingSplit
 from prbench.sequences import SequenceTable
 from prbench.storage import file_digest, text_digest
 
@@ -68,7 +69,7 @@ def _load(spec: MethodSpec) -> LoadedMethod:
     adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
     if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
         run = TrainingRun(folder=spec.fit_folder, seed=_FIT_SEED, device=spec.device)
-        adapter.fit(SequenceTable.open(spec.table_folder), validation=None, run=run)
+        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
     return LoadedMethod(adapter)
 
 
