@@ -54,7 +54,7 @@ def _score(arguments: argparse.Namespace) -> int:
             engine=engine_for(arguments.workers),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
-    print_summary(report.summary)
+    print_summary(report.summary, motionless=report.motionless)
     if report.folder is not None:
         print(f"scores: {report.folder}")
     return 0

@@ -78,6 +78,7 @@ def _generate(
 ) -> int:
     """Make the batches that are not there yet; returns how many."""
     files = folder.dataset(dataset.name)
+    files.require_no_other_parts(len(dataset.plan))
     missing = [
         index
         for index, rows in enumerate(dataset.plan)
@@ -131,9 +132,11 @@ def _scored(
 ) -> DatasetSummary:
     """Score what was generated, unless an earlier call has."""
     files = folder.dataset(dataset.name)
-    if not files.finished:
+    if not (files.finished and files.has_scores()):
         _write_scores(prepared, dataset, files, engine, progress)
-        total_cost(read_batch_costs(files.batch_costs()), batches=len(dataset.plan)).write(files.cost)
+        measured = files.batch_costs()
+        if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
+            total_cost(read_batch_costs(measured), batches=len(dataset.plan)).write(files.cost)
         summarise(read_scores(files.scores), _scored_set(dataset, prepared.request)).write(files.path)
     files.forget_batch_costs()
     return DatasetSummary.read(files.path)

@@ -59,6 +59,8 @@ class ScoreReport:
     scores: pa.Table
     summary: DatasetSummary
     folder: Path | None
+    motionless: bool = False
+    """The run declares that its motions stand still, so that Foot Skating says nothing."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,8 @@ def score_predictions(
     summary = summarise(scores, _scored_set(submission, chosen, selection, len(samples)))
     if request.out is not None:
         _write(request.out, scores, summary)
-    return ScoreReport(scores, summary, request.out)
+    motionless = submission.record is not None and submission.record.method.motionless
+    return ScoreReport(scores, summary, request.out, motionless)
 
 
 def _submission(path: Path, table: SequenceTable) -> _Submission:

@@ -66,6 +66,28 @@ class DatasetFolder:
         expected = [(name, sample) for sample in range(samples) for name in ids]
         return list(zip(rows["sequence_id"].to_pylist(), rows["sample"].to_pylist())) == expected
 
+    def require_no_other_parts(self, batches: int) -> None:
+        """Refuse files among the predictions that are no part of the plan; they would be scored too.
+
+        Raises:
+            RunError: naming the first one.
+        """
+        planned = {self.part(batch) for batch in range(batches)}
+        strangers = sorted(path for path in self.predictions.glob("*.parquet") if path not in planned)
+        strangers = [path for path in strangers if not path.name.startswith(".")]
+        if strangers:
+            raise RunError(
+                f"{strangers[0]}: expected the {batches} parts of this run only, found another file. Move it elsewhere."
+            )
+
+    def has_scores(self) -> bool:
+        """Whether scores are there and their file is whole at its end."""
+        try:
+            pq.read_metadata(self.scores)
+        except (FileNotFoundError, pa.ArrowInvalid, OSError):
+            return False
+        return True
+
     def forget_batch_costs(self) -> None:
         """Remove the measurements of single batches."""
         shutil.rmtree(self.path / ".costs", ignore_errors=True)

@@ -73,10 +73,10 @@ class DatasetInfo(msgspec.Struct, frozen=True, kw_only=True):
         path = folder / FILE_NAME
         try:
             return msgspec.json.decode(path.read_bytes(), type=cls)
-        except FileNotFoundError as error:
+        except (FileNotFoundError, NotADirectoryError) as error:
+            found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
             raise TableError(
-                f"{folder}: expected a built dataset (a folder with {FILE_NAME}), found"
-                f" {'no such file in it' if folder.is_dir() else 'no such folder'}."
+                f"{folder}: expected a built dataset (a folder with {FILE_NAME}), found {found}."
                 " Make one with `prbench build-dataset`."
             ) from error
         except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:

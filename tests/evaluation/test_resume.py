@@ -127,7 +127,36 @@ def test_what_is_missing_is_made_again(table, tmp_path, install, lost):
     assert reproducible_bytes(tmp_path / "out") == before
 
 
-@pytest.mark.parametrize("damage", ["truncated", "of another batch"])
+@pytest.mark.parametrize("lost", ["scores.parquet", "summary.json"])
+def test_what_was_measured_survives_the_loss_of_scores(table, tmp_path, install, lost):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    cost = (tmp_path / "out/cost.json").read_bytes()
+    (tmp_path / "out" / lost).unlink()
+    run_method(request(table, tmp_path / "out", "made"))
+    assert (tmp_path / "out/cost.json").read_bytes() == cost
+
+
+def test_damaged_scores_are_made_again(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    before = reproducible_bytes(tmp_path / "out")
+    scores = tmp_path / "out/scores.parquet"
+    scores.write_bytes(scores.read_bytes()[:-20])
+    run_method(request(table, tmp_path / "out", "made"))
+    assert reproducible_bytes(tmp_path / "out") == before
+
+
+def test_a_file_that_is_no_part_of_the_plan_is_never_scored(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    parts = tmp_path / "out/predictions"
+    (parts / "part-00099.parquet").write_bytes((parts / "part-00000.parquet").read_bytes())
+    with pytest.raises(RunError, match=r"part-00099.parquet: expected the 4 parts of this run only"):
+        run_method(request(table, tmp_path / "out", "made"))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "of another batch", "one bit"])
 def test_a_damaged_part_is_made_again(table, tmp_path, install, damage):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
@@ -135,7 +164,10 @@ def test_a_damaged_part_is_made_again(table, tmp_path, install, damage):
     (tmp_path / "out/summary.json").unlink()
     part = tmp_path / "out/predictions/part-00001.parquet"
     other = tmp_path / "out/predictions/part-00002.parquet"
-    part.write_bytes(part.read_bytes()[:-20] if damage == "truncated" else other.read_bytes())
+    flipped = bytearray(part.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    damaged = {"truncated": part.read_bytes()[:-20], "of another batch": other.read_bytes(), "one bit": bytes(flipped)}
+    part.write_bytes(damaged[damage])
     untouched = [path for path in part.parent.iterdir() if path != part]
     times = [path.stat().st_mtime_ns for path in untouched]
     assert run_method(request(table, tmp_path / "out", "made")).batches_made == 1

@@ -247,6 +247,10 @@ def test_an_empty_table_and_a_missing_one(tmp_path):
     with pytest.raises(TableError, match=r"the sequence table is empty"):
         run_method(RunRequest(method="static", data=(tmp_path / "empty",), out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+    file = tmp_path / "table.parquet"
+    file.write_bytes(b"")
+    with pytest.raises(TableError, match=r"expected a built dataset \(a folder with dataset.json\), found a file"):
+        run_method(RunRequest(method="static", data=(file,), out=tmp_path / "out"))
 
 
 def test_a_table_of_an_unknown_schema_version(tmp_path):

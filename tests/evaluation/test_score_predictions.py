@@ -223,6 +223,12 @@ def test_a_run_scores_as_it_scored_itself(table, tmp_path, part, changes):
     assert DatasetSummary.read(tmp_path / "scores") == DatasetSummary.read(tmp_path / "run")
 
 
+def test_a_run_that_stands_still_is_remembered_as_such(table, recorded, tmp_path):
+    run_method(request(table, tmp_path / "run"))
+    assert score(table, tmp_path / "run").motionless
+    assert not score(table, write(tmp_path / "p.parquet", recorded)).motionless
+
+
 def test_a_run_of_two_datasets_is_scored_on_the_one_given(table, tmp_path):
     other = fake_dataset(tmp_path / "other", 30, dataset="synthetic-gimo")
     run_method(request(table, tmp_path / "run", "scripted", data=(table.folder, other.folder)))
