@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy import special
 
 from prbench.metrics import MetricInfo
 from prbench.metrics.batch import ranges
@@ -179,7 +179,7 @@ def mean_interval(
     if len(data.sequences) == 1:
         return data.estimate(None, None, "none")
     if len(data.sequences) < FEWEST_FOR_BOOTSTRAP:
-        reach = stats.t.ppf(0.5 + CONFIDENCE / 2, len(data.sequences) - 1) * np.sqrt(jackknife_variance(data))
+        reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(jackknife_variance(data))
         low, high, method = data.mean - reach, data.mean + reach, "t-jackknife"
     else:
         means = _bootstrap_means(data, np.random.default_rng(seed_of(data)))
@@ -204,12 +204,12 @@ def effective_sample_size(data: ClusteredValues) -> float:
         return at_least
     design_effect = max(jackknife_variance(data) / (data.mean * (1 - data.mean) / (n - 1)), 1.0)
     upper = 0.5 + CONFIDENCE / 2
-    few_recordings = (stats.t.ppf(upper, n - 1) / stats.t.ppf(upper, count - 1)) ** 2
+    few_recordings = (special.stdtrit(n - 1, upper) / special.stdtrit(count - 1, upper)) ** 2
     return max(float(n / design_effect * few_recordings), at_least)
 
 
 def _wilson(rate: float, n: float) -> tuple[float, float]:
-    z = stats.norm.ppf(0.5 + CONFIDENCE / 2)
+    z = special.ndtri(0.5 + CONFIDENCE / 2)
     centre = (rate + z**2 / (2 * n)) / (1 + z**2 / n)
     reach = z / (1 + z**2 / n) * np.sqrt(rate * (1 - rate) / n + z**2 / (4 * n**2))
     return float(centre - reach), float(centre + reach)
@@ -221,8 +221,8 @@ def _clopper_pearson_of_recordings(rate: float, count: int) -> tuple[float, floa
 
 
 def _expanded_tail(count: int) -> float:
-    reach = stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * np.sqrt(count / (count - 1))
-    return float(stats.norm.cdf(-reach))
+    reach = special.stdtrit(count - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(count / (count - 1))
+    return float(special.ndtr(-reach))
 
 
 def _bootstrap_means(data: ClusteredValues, generator: np.random.Generator) -> Float[np.ndarray, " replicates"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import prbench
 from prbench.engine import Engine
@@ -12,7 +13,9 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.workflows.synthetic_table import Progress, build_synthetic_table
+
+if TYPE_CHECKING:
+    from prbench.workflows.synthetic_table import Progress
 
 PRESET = "adt"
 RECORDINGS = 40
@@ -35,5 +38,7 @@ def default_table(engine: Engine, progress: Progress) -> SequenceTable:
     """Open the embedded dataset, building it first where it is not there yet."""
     folder = default_table_folder()
     if not (folder / "dataset.json").is_file():
+        from prbench.workflows.synthetic_table import build_synthetic_table  # every later run goes without it
+
         build_synthetic_table(PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress)
     return SequenceTable.open(folder)
