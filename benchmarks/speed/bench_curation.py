@@ -12,6 +12,7 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.speed.bench_reading import BYSTANDER_OBJECTS, EVENTS
 from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.curation import curate_recording
 from prbench.curation.in_hand import find_holdings
@@ -22,7 +23,6 @@ from prbench.recording import ObjectTrack, Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.recordings import synthetic_recording
 
-EVENTS, BYSTANDER_OBJECTS = 16, 390
 NAIVE_RAYS, NAIVE_FRAMES = 20, 20
 
 

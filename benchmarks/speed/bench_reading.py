@@ -17,7 +17,7 @@ from prbench.synthetic.layouts import adt as layout
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.adt import sense
 
-EVENTS = 16
+EVENTS = 19
 BYSTANDER_OBJECTS = 390
 
 
