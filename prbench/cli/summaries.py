@@ -21,7 +21,7 @@ def print_summary(summary: DatasetSummary, *, motionless: bool = False) -> None:
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method}, condition {summary.condition}{control}; {summary.sequences} sequences of"
-        f" {summary.recordings} recordings, split {summary.split}"
+        f" {summary.recordings} recording{'' if summary.recordings == 1 else 's'}, split {summary.split}"
     )
     rows = [
         (metric.title, "–", "", "stands still")

@@ -33,7 +33,7 @@ def as_markdown(leaderboard: Leaderboard) -> str:
 
 
 def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
-    counts = f"{table.sequences} sequences, {table.recordings} recordings"
+    counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
     title = f"## {_plain(table.title)}, `{table.dataset}`: {table.split}, {counts}"
     if shared_name:
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
