@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from prbench.cli.arguments import command
+from prbench.cli.tables import print_table
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
 
@@ -31,6 +32,41 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     export.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders, or folders that hold some")
     export.add_argument("--format", choices=["md", "csv", "json"], default="md", help="default: md")
     export.add_argument("--out", type=Path, metavar="FILE", help="write it there instead of printing it")
+    comparison = command(
+        group,
+        "compare",
+        summary="say where two runs on the same sequences differ, and whether the data support it",
+        example="prbench leaderboard compare runs/static runs/scripted",
+        execute=_compare,
+    )
+    comparison.add_argument("first", type=Path, metavar="RUN", help="a finished run folder")
+    comparison.add_argument("second", type=Path, metavar="RUN", help="another one, of the same sequences")
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from prbench.leaderboard import compare_runs
+
+    rows = []
+    for row in compare_runs(arguments.first, arguments.second):
+        difference, p = row.comparison.difference, row.comparison.adjusted_p_value
+        scale, unit = (100.0, " points") if row.info.unit == "rate" else (1.0, " m" if row.info.unit == "m" else "")
+        if "all_equal" in difference.marks:
+            bounds = "all equal"  # a bootstrap of equal differences would claim certainty
+        elif difference.low is None or difference.high is None:
+            bounds = "–"
+        else:
+            bounds = f"[{difference.low * scale:+.2f}, {difference.high * scale:+.2f}]"
+        conclusion = row.comparison.conclusion
+        said = conclusion if conclusion.startswith("not") else f"{arguments.first.name} is {conclusion}"
+        change = f"{difference.mean * scale:+.2f}{unit}"
+        rows.append((row.dataset, row.info.title, change, bounds, "–" if p is None else f"{p:.4f}", said))
+    print_table(
+        f"{arguments.first.name} against {arguments.second.name}, sequence by sequence",
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""),
+        rows,
+        numbers=(2, 3, 4),
+    )
+    return 0
 
 
 def _export(arguments: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
 SCENES_OF_ONE_PRESET = 12
+RECORDINGS_OF_A_HISTOGRAM = 10
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -42,18 +43,24 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--gallery", type=Path, metavar="FILE", help="draw sequences of LAYOUT, or of all presets without one, as PNG"
     )
+    parser.add_argument(
+        "--histograms", type=Path, metavar="FILE", help="draw durations, gaps and movements beside the study's, as PNG"
+    )
     add_workers(parser)
 
 
 def _synthesize(arguments: argparse.Namespace) -> int:
     from prbench.errors import UsageError
 
-    if arguments.gallery is None and arguments.layout is None:
+    draws = arguments.gallery is not None or arguments.histograms is not None
+    if not draws and arguments.layout is None:
         raise UsageError("name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE.")
-    if arguments.layout is not None and (arguments.out is not None or arguments.gallery is None):
+    if arguments.layout is not None and (arguments.out is not None or not draws):
         _write_tree(arguments)
     if arguments.gallery is not None:
         _draw_gallery(arguments)
+    if arguments.histograms is not None:
+        _draw_histograms(arguments)
     return 0
 
 
@@ -148,3 +155,18 @@ def _draw_gallery(arguments: argparse.Namespace) -> None:
         performances = [perform(arguments.layout, seed=arguments.seed, index=index, n_events=6) for index in range(4)]
         render_gallery(sequences_of(performances)[:SCENES_OF_ONE_PRESET], arguments.gallery)
     print(f"gallery: {arguments.gallery}")
+
+
+def _draw_histograms(arguments: argparse.Namespace) -> None:
+    """Statistics of some recordings of the preset that was named, or of all presets."""
+    from prbench.synthetic.people import PRESETS, perform
+    from prbench.viewing.histograms import render_histograms
+
+    presets = tuple(PRESETS) if arguments.layout is None else (arguments.layout,)
+    count = arguments.recordings or RECORDINGS_OF_A_HISTOGRAM
+    acted = {
+        preset: [perform(preset, seed=arguments.seed, index=index, provocations={}) for index in range(count)]
+        for preset in presets
+    }
+    render_histograms(acted, arguments.histograms)
+    print(f"histograms: {arguments.histograms}")

@@ -15,6 +15,7 @@ COMMANDS = [
     ["score"],
     ["leaderboard"],
     ["leaderboard", "export"],
+    ["leaderboard", "compare"],
     ["adapters"],
     ["adapters", "list"],
 ]
@@ -110,3 +111,10 @@ def test_wrong_arguments_are_answered_by_the_parser(capsys):
         main(["run", "--method", "static", "--limit", "0"])
     assert stop.value.code == 2
     assert "expected a whole number of at least 1, found '0'" in capsys.readouterr().err
+
+
+def test_histograms_are_drawn_beside_the_studys_numbers(tmp_path):
+    picture = tmp_path / "h.png"
+    assert main(["synthesize", "adt", "--histograms", str(picture), "--recordings", "1"]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in tmp_path.iterdir()] == ["h.png"], "a picture alone writes no recordings"

@@ -1,0 +1,84 @@
+"""Two finished runs on the same sequences: where they differ, and whether the data support it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from prbench.errors import RunError
+from prbench.evaluation.comparisons import Comparison, PairedValues, compare
+from prbench.metrics import METRICS, MetricInfo
+from prbench.runs.folder import RunFolder
+from prbench.runs.scores import read_scores
+
+
+@dataclass(frozen=True)
+class ComparedMetric:
+    """One metric of one dataset; the difference is first - second."""
+
+    dataset: str
+    info: MetricInfo
+    comparison: Comparison
+
+
+def compare_runs(first: Path, second: Path) -> list[ComparedMetric]:
+    """Compare two runs sequence by sequence, on all the datasets that both were scored on.
+
+    Signs are flipped by recording, and p-values corrected after Holm for everything compared here (design, section 3).
+
+    Args:
+        first: A finished run folder.
+        second: Another one, of the same sequences under the same protocol.
+
+    Raises:
+        RunError: if a run is unfinished, or the two are not of the same protocol, tables and sequences.
+    """
+    runs = RunFolder.open(first), RunFolder.open(second)
+    if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
+        raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")
+    names = [table.dataset for table in runs[0].record.tables]
+    shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
+    if not shared:
+        raise RunError(f"{first} and {second} have no dataset in common.")
+    scores = {name: _paired_scores(*runs, name) for name in shared}
+    found = compare({key: pair for name in shared for key, pair in scores[name].items()})
+    infos = {info.id: info for info in METRICS}
+    return [
+        ComparedMetric(dataset, infos[metric], comparison)
+        for (dataset, metric), comparison in ((key.split("\n"), comparison) for key, comparison in found.items())
+    ]
+
+
+def _paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str, PairedValues]:
+    """The main metrics that both runs have, by dataset and metric."""
+    tables = [_sequence_means(read_scores(run.dataset(dataset).scores)) for run in (first, second)]
+    digests = {next(t.content_digest for t in run.record.tables if t.dataset == dataset) for run in (first, second)}
+    if len(digests) > 1:
+        raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
+    pairs = {}
+    for metric in (info.id for info in METRICS if info.main):
+        rows = [table.filter(pc.field("metric") == metric).sort_by("sequence_id") for table in tables]
+        if not all(row.num_rows for row in rows):
+            continue
+        if not rows[0]["sequence_id"].equals(rows[1]["sequence_id"]):
+            raise RunError(
+                f"{first.path} and {second.path} were scored on different sequences of {dataset}"
+                f" ({rows[0].num_rows} and {rows[1].num_rows}). Run both with the same --split and --limit."
+            )
+        values = [np.asarray(row["value_mean"]) for row in rows]
+        recordings = [recording_key(name) for name in rows[0]["sequence_id"].to_pylist()]
+        pairs[f"{dataset}\n{metric}"] = PairedValues(values[0], values[1], recordings)
+    return pairs
+
+
+def _sequence_means(scores: pa.Table) -> pa.Table:
+    return scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
+
+
+def recording_key(sequence_id: str) -> str:
+    """Dataset and recording of a sequence: its id without object, action, event and pose source."""
+    return sequence_id.rsplit("/", 4)[0]

@@ -1,0 +1,69 @@
+"""Two runs are compared on the same sequences, recording by recording, or not at all."""
+
+from __future__ import annotations
+
+import pytest
+
+from prbench.cli import main
+from prbench.errors import RunError
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.leaderboard import compare_runs
+from prbench.leaderboard.comparison import recording_key
+from tests.fakes import fake_dataset
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Runs of two controls on one table, of one on another table, and of one on fewer sequences."""
+    root = tmp_path_factory.mktemp("comparison")
+    table = fake_dataset(root / "table", 64, recordings=32).folder
+    other = fake_dataset(root / "other", 60, recordings=32).folder
+    for name, method, data, limit in (
+        ("truth", "ground-truth", table, None),
+        ("scripted", "scripted", table, None),
+        ("few", "ground-truth", table, 5),
+        ("elsewhere", "ground-truth", other, None),
+    ):
+        run_method(RunRequest(method=method, data=(data,), limit=limit, out=root / name))
+    return root
+
+
+def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
+    rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted")}
+    back = {row.info.id: row.comparison for row in compare_runs(folder / "scripted", folder / "truth")}
+    assert set(rows) == {
+        "prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating",
+    }  # fmt: skip
+    assert rows["mpjpe"].difference.mean < 0, "the recorded motion has no error"
+    assert rows["mpjpe"].conclusion == "lower"
+    assert rows["mpjpe"].difference.n_recordings == 8, "signs are flipped by recording"
+    for metric, comparison in rows.items():
+        assert comparison.difference.mean == pytest.approx(-back[metric].difference.mean)
+        assert comparison.adjusted_p_value == pytest.approx(back[metric].adjusted_p_value)
+
+
+def test_a_run_does_not_differ_from_itself(folder):
+    for row in compare_runs(folder / "scripted", folder / "scripted"):
+        assert row.comparison.difference.mean == 0
+        assert row.comparison.conclusion == "not supported by the data"
+
+
+def test_other_sequences_and_other_tables_are_refused(folder):
+    with pytest.raises(RunError, match=r"different sequences of synthetic-adt \(16 and 5\)"):
+        compare_runs(folder / "truth", folder / "few")
+    with pytest.raises(RunError, match="different tables of synthetic-adt"):
+        compare_runs(folder / "truth", folder / "elsewhere")
+
+
+def test_the_command_prints_a_conclusion_and_no_certainty(folder, capsys):
+    assert main(["leaderboard", "compare", str(folder / "truth"), str(folder / "scripted")]) == 0
+    printed = capsys.readouterr().out
+    assert "truth is lower" in printed
+    assert "nan" not in printed
+    assert main(["leaderboard", "compare", str(folder / "truth"), str(folder / "truth")]) == 0
+    assert "all equal" in capsys.readouterr().out
+
+
+def test_recordings_are_taken_from_the_end_of_the_id():
+    assert recording_key("adt/tour/M1292/123/pick/5/suit") == "adt/tour/M1292"
