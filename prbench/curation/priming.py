@@ -75,7 +75,7 @@ def find_prime(
     hit = slab_test(*rays, *box).hit[:, 0]
     misses = near_miss(*rays, *box)
     distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
-    primed = np.flatnonzero(distance <= constants.near_miss_distance)
+    primed = np.flatnonzero(hit | misses.within(constants.near_miss_distance)[:, 0])
     if len(primed) == 0:
         nearest = float(distance.min(initial=np.inf))
         value = nearest if np.isfinite(nearest) else None

@@ -12,11 +12,10 @@ import numpy as np
 from prbench.curation import curate_recording
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.engine import Engine, InProcess
-from prbench.errors import TableError
 from prbench.manifests import load_manifest, load_protocol
-from prbench.readers import SYNTHETIC_PREFIX, reader_for
+from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
-from prbench.sequences import EventRecord, SequenceTable
+from prbench.sequences import EventRecord
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import TrueEvent
 from prbench.synthetic.truth_files import read_truth
@@ -111,25 +110,6 @@ class NativeCuration:
         """Read and curate."""
         reader = reader_for(self.dataset)
         return curate_recording(reader.read(found), load_manifest(reader.dataset), load_protocol(), self.options).events
-
-
-def verify_dataset(folder: Path, root: Path) -> Verification:
-    """Compare a dataset that was built from a synthetic tree with that tree's truth.
-
-    Raises:
-        TableError: if the dataset is not synthetic.
-    """
-    table = SequenceTable.open(folder)
-    if not table.info.dataset.startswith(SYNTHETIC_PREFIX):
-        raise TableError(f"{folder}: {table.info.dataset} is no synthetic dataset: there is no truth to compare with.")
-    truth = read_true_events(root)
-    found: dict[str, list[EventRecord]] = {}
-    for row in table.events().to_pylist():
-        vectors = {name: _point(row[name]) for name in ("location", "box_min", "box_max")}
-        found.setdefault(row["recording_id"], []).append(EventRecord(**(row | vectors)))
-    names = [name for name in table.recordings()["recording_id"].to_pylist() if name in truth]
-    matches = [match for name in names for match in match_events(truth[name], found.get(name, []))]
-    return verification(matches, recordings=len(names))
 
 
 def read_true_events(root: Path) -> dict[str, list[TrueEvent]]:

@@ -19,7 +19,6 @@ from prbench.workflows.verify_synthetic import (
     StagedComparison,
     Staging,
     limits,
-    verify_dataset,
     verify_level,
     verify_tree,
 )
@@ -74,7 +73,6 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None
     from_files = verify_tree(tmp_path / "tree")
     assert broken(LEVELS[2], from_files) == []
     build_dataset("adt", tmp_path / "tree", tmp_path / "native")
-    assert verify_dataset(tmp_path / "native", tmp_path / "tree") == from_files
     build_synthetic_table("adt", 1, SEED, tmp_path / "direct", n_events=6)
     native, direct = (SequenceTable.open(tmp_path / name) for name in ("native", "direct"))
     assert native.events().equals(direct.events())
