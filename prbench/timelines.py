@@ -150,20 +150,35 @@ def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str
     early = min(ranges, key=lambda name: ranges[name][1])
     message = (
         f"{recording}: streams do not overlap: {early} {_span(ranges[early])}, {late} {_span(ranges[late])}."
-        f" {_unit_hint(ranges[early], late, ranges[late])}"
+        f" {_unit_hint(ranges, early, late)}"
     )
     raise StreamsDoNotOverlap(message)
 
 
-_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_FACTORS = {1_000: "milliseconds", 1_000_000: "microseconds", 1_000_000_000: "nanoseconds"}
 
 
 def _span(span: tuple[float, float]) -> str:
     return f"{span[0]:,.3f} … {span[1]:,.3f} s"
 
 
-def _unit_hint(early_span: tuple[float, float], late: str, late_span: tuple[float, float]) -> str:
-    for unit, scale in _UNITS.items():
-        if late_span[0] * scale <= early_span[1] and late_span[1] * scale >= early_span[0]:
-            return f"{late} would overlap if its times were {unit}; check the unit of its time column."
+def _unit_hint(ranges: Mapping[str, tuple[float, float]], early: str, late: str) -> str:
+    """Which stream's unit to look at: the one that the other streams do not agree with, else the later one."""
+    for factor, unit in _FACTORS.items():
+        enlarged = (ranges[early][0] * factor, ranges[early][1] * factor)
+        if not _overlap(enlarged, ranges[late]):
+            continue
+        if _companions(ranges, late) > _companions(ranges, early):
+            return (
+                f"{early} would overlap if its times were {factor:,} times as large; check the unit of its time column."
+            )
+        return f"{late} would overlap if its times were {unit}; check the unit of its time column."
     return "No change of unit makes them overlap; check that the files belong to one recording and one clock."
+
+
+def _companions(ranges: Mapping[str, tuple[float, float]], name: str) -> int:
+    return sum(_overlap(ranges[name], span) for span in ranges.values())
+
+
+def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return one[0] <= other[1] and one[1] >= other[0]

@@ -112,6 +112,12 @@ def test_streams_share_the_latest_start_and_the_earliest_end() -> None:
     assert require_overlap({"a": (0.0, 1.0), "b": (1.0, 2.0)}, recording="r") == (1.0, 1.0)
 
 
+def test_the_stream_that_stands_alone_is_named_even_if_its_times_are_too_small() -> None:
+    ranges = {"gaze": (11.7, 11.8), "body": (11_712.0, 11_760.0), "objects": (11_712.5, 11_761.0)}
+    with pytest.raises(StreamsDoNotOverlap, match="gaze would overlap if its times were 1,000 times as large"):
+        require_overlap(ranges, recording="r")
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
 def test_streams_in_different_units_are_told_apart(factor: float, unit: str) -> None:
     ranges = {"gaze": (12.0, 61.3), "head": (12.5, 61.0), "body": (12.041 * factor, 61.31 * factor)}
