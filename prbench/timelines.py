@@ -170,7 +170,8 @@ def _unit_hint(ranges: Mapping[str, tuple[float, float]], early: str, late: str)
             continue
         if _companions(ranges, late) > _companions(ranges, early):
             return (
-                f"{early} would overlap if its times were {factor:,} times as large; check the unit of its time column."
+                f"{early} would overlap if its times were {factor:,} times as large, the step from seconds to {unit};"
+                " check the unit of its time column."
             )
         return f"{late} would overlap if its times were {unit}; check the unit of its time column."
     return "No change of unit makes them overlap; check that the files belong to one recording and one clock."
