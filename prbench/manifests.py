@@ -20,15 +20,17 @@ class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     pose_source: str
     head_tilt_deg: float
-    joint_mapping: tuple[str, ...]
-    """Native joint of each of the 22 joints; ``a+b`` is the mean of two."""
+    joint_mapping: tuple[str, ...] = ()
+    """Native joint of each of the 22 joints; ``a+b`` is the mean of two. Empty where the joints are native already."""
+    other_mappings: dict[str, tuple[str, ...]] = {}
+    """Further mappings by the name under which a reader's option chooses them."""
 
 
 class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """When an object counts as held: a contact point close to it, and the object moving. Metres and seconds."""
 
     contact: Literal["middle_finger_base", "wrist", "hand_vertex"]
-    target: Literal["oriented_box", "origin"]
+    target: Literal["oriented_box", "origin", "surface"]
     distance: float
     moving_speed: float
     moving_window: float
@@ -53,17 +55,24 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     required_files: tuple[str, ...]
     optional_files: tuple[str, ...]
     rates_hz: dict[str, float]
+    kind: Literal["benchmark", "corpus"] = "benchmark"
+    """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
     body: BodySource
-    in_hand: InHandRule
+    other_bodies: dict[str, BodySource] = {}
+    """Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``)."""
+    in_hand: InHandRule | None = None
+    """None where the dataset annotates its events."""
     in_hand_alternatives: dict[str, InHandRule] = {}
+    thresholds: dict[str, float] = {}
+    """Numbers of the reader that the dataset's page leaves to choose, by name."""
     known_bad: dict[str, str] = {}
     """Name (or beginning of the name) of a recording that must be skipped, and why."""
     test_recordings: tuple[str, ...] = ()
     validation_recordings: tuple[str, ...] = ()
     train_recordings: tuple[str, ...] = ()
 
-    def in_hand_rule(self, name: str | None) -> InHandRule:
-        """The dataset's own rule, or one of its alternatives by name.
+    def in_hand_rule(self, name: str | None) -> InHandRule | None:
+        """The dataset's own rule (None where its events are annotated), or one of its alternatives by name.
 
         Raises:
             UsageError: for a name that the manifest does not list.

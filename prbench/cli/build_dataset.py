@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.arguments import add_workers, command, key_value, positive
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
@@ -44,9 +44,17 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument(
         "--on-error",
-        choices=["quarantine", "stop"],
-        default="quarantine",
-        help="go on without a recording that cannot be read and name it (default), or stop",
+        choices=["skip", "fail"],
+        default="skip",
+        help="go on without a recording that cannot be read and name it (default), or fail at once",
+    )
+    parser.add_argument(
+        "--option",
+        type=key_value,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an option of the dataset's reader; repeatable (a wrong name lists them)",
     )
     add_workers(parser)
 
@@ -85,6 +93,7 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
         ),
         recordings=arguments.recordings,
         limit=arguments.limit,
+        reader=tuple(sorted(dict(arguments.option).items())),
         on_error=arguments.on_error,
     )
 

@@ -38,6 +38,13 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--events", type=positive, metavar="N", help="picks and puts a recording")
     parser.add_argument("--bystander-objects", type=int, metavar="N", help="objects that never move")
     parser.add_argument(
+        "--defect",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="damage the first recording as real copies are; repeatable (a wrong name lists them)",
+    )
+    parser.add_argument(
         "--no-verify", action="store_true", help="do not compare what curation finds in the files with the truth"
     )
     parser.add_argument(
@@ -82,6 +89,7 @@ def _write_tree(arguments: argparse.Namespace) -> None:
             workers=arguments.workers,
             n_events=arguments.events,
             bystander_objects=arguments.bystander_objects,
+            defects=arguments.defect,
             on_written=lambda written: show(next(done), planned, written.recording_id),
         )
     print_table(
@@ -90,7 +98,7 @@ def _write_tree(arguments: argparse.Namespace) -> None:
         [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events), str(r.n_objects)) for r in tree.recordings],
         numbers=(2, 3, 4),
     )
-    if not arguments.no_verify:
+    if not arguments.no_verify and not arguments.defect:
         _verify(arguments, len(tree.recordings), engine_for(arguments.workers))
     print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
 

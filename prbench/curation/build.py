@@ -108,7 +108,7 @@ def build_from_sources(
     _require_distinct(sources)
     dataset = sources[0].dataset
     manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
-    job = CurationJob(manifest, protocol, options.curation, options.on_error == "stop", work_folder(out))
+    job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
     remove_leftovers(out)
     receipts = []
     for receipt in engine.map(job, sources):

@@ -14,7 +14,7 @@ from prbench.curation.filters import body_movement, hand_movement, minimum_movem
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays
 from prbench.curation.split import split_of
-from prbench.manifests import BenchmarkProtocol, Manifest
+from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
@@ -60,10 +60,11 @@ def curate_recording(
     """
     group = recording.split_group or recording.recording_id
     split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
-    events, remarks = find_events(recording, options.in_hand_rule(manifest))
+    rule = options.in_hand_rule(manifest)
+    events, remarks = find_events(recording, rule)
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
     stories = [_follow(recording, event, rays, protocol, options, split) for event in events]
-    remarks += _missing_parts(recording, options.in_hand_rule(manifest).contact)
+    remarks += _missing_parts(recording, rule)
     return CuratedRecording(
         sequences=tuple(sorted((s.sequence for s in stories if s.sequence), key=lambda row: row.sequence_id)),
         events=tuple(sorted((_event_record(recording, s) for s in stories), key=lambda row: row.event_id)),
@@ -204,12 +205,12 @@ def _event_record(recording: Recording, story: _Story) -> EventRecord:
     )
 
 
-def _missing_parts(recording: Recording, contact: str) -> tuple[str, ...]:
+def _missing_parts(recording: Recording, rule: InHandRule | None) -> tuple[str, ...]:
     remarks = []
     if recording.body is None:
         remarks.append("no_body: no body poses, so no event can become a sequence")
-    if not recording.annotated_events and not any(hand.contact == contact for hand in recording.hands):
-        remarks.append(f"no {contact} of the wearer's hands, so no events can be found")
+    if rule is not None and not recording.annotated_events and not recording.hand_streams(rule.contact):
+        remarks.append(f"no {rule.contact} of the wearer's hands, so no events can be found")
     if not recording.gaze.valid.any():
         remarks.append("no valid gaze, so no event can be primed")
     return tuple(remarks)

@@ -55,13 +55,17 @@ class PickPutEvent:
     """Why the event is none of this recording's, where that is known already."""
 
 
-def find_events(recording: Recording, rule: InHandRule) -> tuple[list[PickPutEvent], tuple[str, ...]]:
+def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[PickPutEvent], tuple[str, ...]]:
     """Candidate events in the order of time: the dataset's annotations where it has them, else in-hand segmentation.
+
+    Args:
+        recording: What a reader yields.
+        rule: When an object is in hand; None for a dataset that annotates its events.
 
     Returns:
         The events, and remarks that a user should see.
     """
-    if recording.annotated_events:
+    if rule is None or recording.annotated_events:
         events = [_annotated(recording, event) for event in recording.annotated_events]
     else:
         events = [event for holding in find_holdings(recording, rule) for event in _events_of(recording, holding, rule)]

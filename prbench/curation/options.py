@@ -30,8 +30,8 @@ class CurationOptions:
         if self.ray_origin is not None and self.ray_origin not in RAY_ORIGINS:
             raise UsageError(f"unknown ray origin '{self.ray_origin}'; known ones: {', '.join(RAY_ORIGINS)}.")
 
-    def in_hand_rule(self, manifest: Manifest) -> InHandRule:
-        """The chosen in-hand rule.
+    def in_hand_rule(self, manifest: Manifest) -> InHandRule | None:
+        """The chosen in-hand rule; None where the dataset annotates its events.
 
         Raises:
             UsageError: for a name that the manifest does not list.
@@ -40,9 +40,10 @@ class CurationOptions:
 
     def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
         """The choices as text, as ``dataset.json`` holds them."""
+        rule = self.in_hand_rule(manifest)
         return {
-            "in_hand_rule": self.in_hand or "default",
-            "in_hand_rule_digest": digest_of(self.in_hand_rule(manifest)),
+            "in_hand_rule": "none" if rule is None else self.in_hand or "default",
+            "in_hand_rule_digest": "" if rule is None else digest_of(rule),
             "ray_origin": self.ray_origin or protocol.curation.ray_origin,
             "minimum_movement": self.minimum_movement,
         }
@@ -61,7 +62,9 @@ class BuildOptions:
     """Glob over recording ids."""
     limit: int | None = None
     """Only the first so many recordings, by name."""
-    on_error: Literal["quarantine", "stop"] = "quarantine"
+    reader: tuple[tuple[str, str], ...] = ()
+    """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers.options`)."""
+    on_error: Literal["skip", "fail"] = "skip"
     """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
 
 

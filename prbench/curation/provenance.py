@@ -10,7 +10,7 @@ import prbench
 from prbench.curation.options import BuildOptions
 from prbench.curation.parts import PartReceipt
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
-from prbench.readers import SYNTHETIC_PREFIX
+from prbench.readers import SYNTHETIC_PREFIX, described_options, reader_for
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import text_digest
@@ -91,4 +91,7 @@ def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOpti
         "recordings": options.recordings,
         "limit": "all" if options.limit is None else str(options.limit),
     }
+    if options.reader:
+        reader = reader_for(manifest.name, dict(options.reader))
+        chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
     return chosen | options.curation.described(manifest, protocol)

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
-from prbench.readers import RecordingFiles, read_synthetic_tree, reader_for
+from prbench.readers import Reader, RecordingFiles, described_options, read_synthetic_tree, reader_for
 from prbench.recording import Recording
 from prbench.storage import file_digest, text_digest
 
@@ -63,6 +63,8 @@ class NativeSource:
     found: RecordingFiles
     split: str | None
     skip_reason: str | None
+    reader_options: tuple[tuple[str, str], ...] = ()
+    """See :class:`prbench.curation.options.BuildOptions`."""
 
     @property
     def dataset(self) -> str:
@@ -80,14 +82,19 @@ class NativeSource:
         return sum(file.size for file in self.found.files)
 
     def input_digest(self) -> str:
-        """See :class:`RecordingSource`: roles, names and contents of the files, and the split of a synthetic tree."""
+        """See :class:`RecordingSource`: roles, names and contents of the files, a split of their own, and options."""
         files = sorted(self.found.files, key=lambda file: file.role)
-        parts = [text for file in files for text in (file.role, file.path.name, file_digest(file.path))]
-        return text_digest(self.dataset, self.recording_id, self.split or "", *parts)
+        parts = [text for file in files for text in (file.role, file.path.name, file.member, file_digest(file.path))]
+        chosen = [text for item in described_options(self._reader.options).items() for text in item]
+        return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)
+
+    @property
+    def _reader(self) -> Reader:
+        return reader_for(self.dataset, dict(self.reader_options))
 
     def read(self) -> Recording:
         """See :class:`RecordingSource`."""
-        return reader_for(self.dataset).read(self.found)
+        return self._reader.read(self.found)
 
     def without_places(self, message: str) -> str:
         """See :class:`RecordingSource`."""
@@ -104,12 +111,18 @@ def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[Nat
         UsageError: for a dataset without a reader.
         InputFileError: if there is no recording, or none that matches the glob.
     """
-    reader = reader_for(dataset)
+    reader = reader_for(dataset, dict(options.reader))
     found = {recording.recording_id: recording for recording in reader.find(root)}
     tree = read_synthetic_tree(root)
     manifest = load_manifest(reader.dataset)
     return tuple(
-        NativeSource(root, found[name], tree.split.get(name) if tree else None, manifest.why_bad(name))
+        NativeSource(
+            root,
+            found[name],
+            tree.split.get(name) if tree else found[name].split,
+            manifest.why_bad(name),
+            options.reader,
+        )
         for name in chosen_ids(list(found), options, where=root)
     )
 

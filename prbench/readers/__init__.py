@@ -5,13 +5,16 @@ A new dataset is a new module with a ``READER`` and one line in :data:`READER_MO
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
+from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from prbench.errors import UsageError
 from prbench.readers.found import InputFile, RecordingFiles
+from prbench.readers.options import ReaderOptions, described_options, parse_options
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, SyntheticTree, read_synthetic_tree
 from prbench.recording import Recording
 
@@ -19,8 +22,10 @@ __all__ = [
     "READER_MODULES",
     "InputFile",
     "Reader",
+    "ReaderOptions",
     "RecordingFiles",
     "SyntheticTree",
+    "described_options",
     "read_synthetic_tree",
     "reader_for",
 ]
@@ -31,9 +36,17 @@ READER_MODULES: dict[str, str] = {"adt": "prbench.readers.adt"}
 
 @runtime_checkable
 class Reader(Protocol):
-    """Reads one dataset."""
+    """Reads one dataset; a frozen data class, so that options make a new one."""
 
-    dataset: str
+    @property
+    def dataset(self) -> str:
+        """Name of the dataset."""
+        ...
+
+    @property
+    def options(self) -> ReaderOptions:
+        """What the user chose; the class of the default value tells which options there are."""
+        ...
 
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """List the recordings below ``root`` (the dataset's folder, or one recording) without reading them.
@@ -54,15 +67,22 @@ class Reader(Protocol):
         ...
 
 
-def reader_for(dataset: str) -> Reader:
+def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader:
     """The reader of a dataset; ``synthetic-`` before the name is ignored, since both have the same layout.
 
+    Args:
+        dataset: Name of the dataset.
+        options: Options of its reader as text; the defaults where a name is missing.
+
     Raises:
-        UsageError: for a dataset without reader, with the nearest known name.
+        UsageError: for a dataset without reader, with the nearest known name, and for an unknown option or value.
     """
     name = dataset.removeprefix(SYNTHETIC_PREFIX)
     if name not in READER_MODULES:
         near = get_close_matches(name, READER_MODULES, n=1)
         hint = f" Did you mean '{near[0]}'?" if near else ""
         raise UsageError(f"no reader for '{dataset}'.{hint} There are readers for: {', '.join(READER_MODULES)}.")
-    return importlib.import_module(READER_MODULES[name]).READER
+    reader: Reader = importlib.import_module(READER_MODULES[name]).READER
+    if not options:
+        return reader
+    return dataclasses.replace(reader, options=parse_options(type(reader.options), options, dataset=name))  # type: ignore[type-var]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from prbench.errors import InputFileError
 
@@ -16,7 +17,9 @@ class InputFile:
     """What the reader takes it for; unique within a recording."""
     path: Path
     size: int
-    """Bytes."""
+    """Bytes; of the member alone where it lies in an archive."""
+    member: str = ""
+    """Name inside the zip archive ``path``; empty for a plain file."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class RecordingFiles:
     folder: Path
     files: tuple[InputFile, ...]
     """Every input that was found; a missing required one is reported by reading, not by searching."""
+    split: Literal["train", "validation", "test"] | None = None
+    """The dataset's official split, where its files tell it; None = by the split rule."""
 
     def path(self, role: str) -> Path | None:
         """The file of one role, or None where it was not found."""

@@ -7,8 +7,10 @@ from prbench.recording.streams import (
     GazeStream,
     HandStream,
     ObjectTrack,
+    Occluder,
     OtherPerson,
     PoseStream,
+    PublishedPriming,
     Recording,
 )
 
@@ -18,8 +20,10 @@ __all__ = [
     "GazeStream",
     "HandStream",
     "ObjectTrack",
+    "Occluder",
     "OtherPerson",
     "PoseStream",
+    "PublishedPriming",
     "Recording",
     "plausible_body_frames",
 ]

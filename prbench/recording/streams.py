@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.timelines import interpolate, slerp
@@ -131,6 +131,27 @@ class OtherPerson:
 
 
 @dataclass(frozen=True)
+class PublishedPriming:
+    """What the dataset itself says about the priming of an event."""
+
+    outcome: Literal["primed", "not_primed", "excluded"]
+    prime_time: float | None
+    """On the recording's clock; None unless primed."""
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """A triangle mesh that can stand between the eye and a place."""
+
+    name: str
+    vertices: Float[np.ndarray, "v 3"]
+    """In the world; in the object's own frame where it belongs to an object."""
+    faces: Int[np.ndarray, "f 3"]
+    object_id: str | None = None
+    """The tracked object it moves with; None for the scene."""
+
+
+@dataclass(frozen=True)
 class AnnotatedEvent:
     """A pick or put that the dataset itself lists."""
 
@@ -145,6 +166,8 @@ class AnnotatedEvent:
     box_min: Float[np.ndarray, "3"] | None
     box_max: Float[np.ndarray, "3"] | None
     hand: Side | None = None
+    published_priming: PublishedPriming | None = None
+    """None where the dataset publishes no priming."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +195,8 @@ class Recording:
     annotated_events: tuple[AnnotatedEvent, ...] = ()
     split_group: str = ""
     """Recordings with one group share a split (concurrent twins); the recording's own id where it stands alone."""
+    occluders: tuple[Occluder, ...] = ()
+    """Meshes of scene and objects, loaded only where a reader is asked for them (option ``meshes``)."""
     hinged_objects: frozenset[str] = frozenset()
     """Ids of doors, drawers and the like, where the dataset says so."""
     world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))

@@ -63,7 +63,8 @@ def recordings_table(
 
 def events_table(performance: Performance) -> pa.Table:
     """One row a pick, put or provocation of one recording."""
-    events, layout = performance.events, layout_for(performance.preset)
+    layout = layout_for(performance.preset)
+    events = layout.events(performance)
     return _table(
         {
             "recording_id": pa.array([performance.recording_id] * len(events), pa.string()),

@@ -6,7 +6,8 @@ so neither the number of recordings nor the number of workers changes a byte of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,7 +19,8 @@ from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.storage import atomic_folder, remove_leftovers, write_json
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.layouts import layout_for
+from prbench.synthetic.defects import defect
+from prbench.synthetic.layouts import SHARED_PARTS, layout_for
 from prbench.synthetic.people import perform
 from prbench.synthetic.truth_files import (
     events_table,
@@ -80,6 +82,7 @@ def synthesize_tree(
     bystander_objects: int | None = None,
     provocations: Mapping[str, float] | None = None,
     noise: float = 1.0,
+    defects: Sequence[str] = (),
     on_written: Callable[[WrittenRecording], None] | None = None,
 ) -> WrittenTree:
     """Write native files of synthetic recordings, complete or not at all.
@@ -95,6 +98,7 @@ def synthesize_tree(
         bystander_objects: Objects that never move; 3 to 12 if None.
         provocations: See :func:`prbench.synthetic.people.perform`.
         noise: Multiplies every sensor error; 0 for ideal sensors.
+        defects: Names of defects that are done to the first recording (:mod:`prbench.synthetic.defects`).
         on_written: Called after each recording, in their order.
 
     Raises:
@@ -102,6 +106,7 @@ def synthesize_tree(
         StorageError: if the disk is full or the folder cannot be written.
     """
     layout_for(preset)
+    damages = [defect(preset, name) for name in defects]
     amount = _amount(size)
     remove_leftovers(out)
     _require_free(out)
@@ -126,6 +131,10 @@ def synthesize_tree(
             done.append(result)
             if on_written:
                 on_written(result.recording)
+        layout_for(preset).finish(root)
+        shutil.rmtree(root / SHARED_PARTS, ignore_errors=True)
+        for damage in damages:
+            damage.apply(root, done[0].recording.recording_id)
         for name in ("recordings", "events", "fixations"):
             write_truth(pa.concat_tables([getattr(result, name) for result in done]), root, name)
         _write_mark(root, preset, seed, done)

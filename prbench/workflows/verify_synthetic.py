@@ -77,7 +77,7 @@ class StagedComparison:
         offset = layout.clock_start(performance) - float(performance.times[0])
         true = [
             on_clock(dataclasses.replace(event, object_id=layout.object_id(event.object_id)), offset)
-            for event in performance.events
+            for event in layout.events(performance)
         ]
         return match_events(true, curated.events)
 

@@ -63,7 +63,7 @@ def test_failed_and_skipped_recordings_are_counted_named_and_free_of_places(tmp_
 
 
 def test_on_error_stop_ends_the_build_with_the_error(tmp_path: Path) -> None:
-    options = BuildOptions(on_error="stop")
+    options = BuildOptions(on_error="fail")
     with pytest.raises(InputFileError, match="row 3"):
         build_from_sources([SceneSource("broken", problem="file")], tmp_path / "adt", options=options)
     with pytest.raises(PrbenchError, match="odd: unexpected KeyError"):
@@ -137,6 +137,6 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: py
 
 
 def test_an_unknown_rule_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    options = BuildOptions(CurationOptions(in_hand="elbow"), on_error="stop")
+    options = BuildOptions(CurationOptions(in_hand="elbow"), on_error="fail")
     with pytest.raises(UsageError, match="wrist"):
         build_from_sources(some_sources(1), tmp_path / "adt", options=options)

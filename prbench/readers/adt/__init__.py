@@ -10,6 +10,7 @@ from prbench.manifests import load_manifest
 from prbench.readers.adt.layouts import find_recordings
 from prbench.readers.adt.readings import read_readings
 from prbench.readers.found import RecordingFiles
+from prbench.readers.options import ReaderOptions
 from prbench.recording import Recording
 from prbench.recording.from_adt import recording_from_adt
 
@@ -30,6 +31,7 @@ class AdtReader:
     """See :class:`prbench.readers.Reader`."""
 
     dataset: str = "adt"
+    options: ReaderOptions = ReaderOptions()  # noqa: RUF009 (frozen)
 
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""

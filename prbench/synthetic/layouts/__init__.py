@@ -11,11 +11,14 @@ from typing import Any, Protocol, runtime_checkable
 
 from prbench.errors import UsageError
 from prbench.recording import Recording
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches
 
 LAYOUT_MODULES: dict[str, str] = {"adt": "prbench.synthetic.layouts.adt"}
 """Module of each preset's layout; of presets that are not listed there is motion only."""
+
+SHARED_PARTS = ".shared-parts"
+"""Folder of a tree that is being written; see :meth:`Layout.finish`."""
 
 
 @runtime_checkable
@@ -42,6 +45,18 @@ class Layout(Protocol):
         Raises:
             StorageError: if the disk is full or the folder cannot be written.
         """
+        ...
+
+    def finish(self, root: Path) -> None:
+        """Write the files that all recordings of a tree share (tables of contents, annotations), after the last one.
+
+        What :meth:`write` must hand over lies in ``root / SHARED_PARTS``, one file a recording; the folder is removed
+        afterwards.
+        """
+        ...
+
+    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
+        """The performance's events as this dataset can know them, times still those of the performance."""
         ...
 
     def clock_start(self, performance: Performance) -> float:

@@ -16,7 +16,7 @@ from prbench.manifests import load_manifest
 from prbench.recording import Recording
 from prbench.recording.from_adt import recording_from_adt
 from prbench.storage import atomic_folder, atomic_path, write_json
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import adt as sensors
 from prbench.synthetic.sensors.errors import Switches
 
@@ -45,6 +45,13 @@ class AdtLayout:
     def write(self, readings: adt.AdtReadings, root: Path) -> None:
         """One folder a recording, layout v2.0."""
         write(readings, root / readings.recording_id)
+
+    def finish(self, root: Path) -> None:
+        """Recordings share no file."""
+
+    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
+        """All of them."""
+        return performance.events
 
     def clock_start(self, performance: Performance) -> float:
         """Device time of the first instant, seconds."""

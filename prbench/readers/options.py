@@ -1,0 +1,65 @@
+"""Options of readers: a data class beside each reader, filled from the ``name=value`` texts of a command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from prbench.errors import UsageError
+from prbench.storage import file_digest
+
+
+class ReaderOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of every reader's options; this one has none.
+
+    Fields are ``bool``, ``int``, ``float``, ``str``, ``Literal`` or ``Path | None``, each with a default and a
+    docstring. What a field changes must show in the recording, never only in a log.
+    """
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of all options."""
+        return tuple(field.name for field in msgspec.structs.fields(cls))
+
+
+Options = TypeVar("Options", bound=ReaderOptions)
+
+
+def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str) -> Options:
+    """Options of a reader from texts.
+
+    Raises:
+        UsageError: for a name that the reader does not know, or a value that is none of its kind.
+    """
+    for name in given:
+        if name not in form.names():
+            near = get_close_matches(name, form.names(), n=1)
+            hint = f" Did you mean '{near[0]}'?" if near else ""
+            known = ", ".join(form.names()) or "none"
+            raise UsageError(f"the reader of {dataset} has no option '{name}'.{hint} Its options are: {known}.")
+    try:
+        return msgspec.convert(dict(given), form, strict=False, dec_hook=_path)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"an option of the reader of {dataset} has a wrong value: {error}.") from error
+
+
+def described_options(options: ReaderOptions) -> dict[str, str]:
+    """Options as text without places of this machine: of a file its digest, of a folder its name."""
+    return {name: _described(getattr(options, name)) for name in options.names()}
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, Path):
+        value = value.expanduser()
+        return file_digest(value) if value.is_file() else value.name
+    return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _path(kind: type, value: Any) -> Any:
+    if kind is Path:
+        return Path(value)
+    raise NotImplementedError(f"options of the type {kind}")
