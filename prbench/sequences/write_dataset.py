@@ -1,4 +1,4 @@
-"""Write a whole built dataset at once: three tables and ``dataset.json`` with its digests."""
+"""Write a whole built dataset at once: three tables, ``dataset.json`` with its digests, and ``croissant.json``."""
 
 from __future__ import annotations
 
@@ -9,11 +9,18 @@ import msgspec
 import pyarrow as pa
 
 from prbench.errors import StorageError
+from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import ContentDigest, identity_digest
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.write import write_table, write_table_in_parts
 from prbench.storage import atomic_folder
+
+_ROWS = {
+    "sequences": "One prime-and-reach sequence: from 2 s before the first look at the goal to the pick or put.",
+    "events": "One candidate pick or put, with what became of it and the number that decided.",
+    "recordings": "One recording that was found, with counts of its events by outcome.",
+}
 
 
 def write_dataset(
@@ -52,6 +59,8 @@ def write_dataset(
         write_table(temporary / "recordings.parquet", recordings, RECORDINGS, protocol_version=version)
         info = msgspec.structs.replace(info, identity_digest=seen.identity(), content_digest=seen.content.hexdigest())
         info.write(temporary)
+        tables = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
+        write_croissant(temporary, info, tables, _ROWS)
     return info
 
 

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from prbench.sequences import SequenceTable
+from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
+from tests.fakes import fake_dataset
+
+
+@pytest.fixture
+def folder(tmp_path):
+    fake_dataset(tmp_path / "table", n=5)
+    return tmp_path / "table"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_official_checker_accepts_it_and_reads_the_rows_through_it(folder) -> None:
+    mlcroissant = pytest.importorskip("mlcroissant", reason="needs mlcroissant: pip install 'prbench[test]'")
+    dataset = mlcroissant.Dataset(folder / "croissant.json")
+    assert not dataset.metadata.issues.errors
+    expected = SequenceTable.open(folder).events()
+    rows = list(dataset.records("events"))
+    assert [row["events/event_id"].decode() for row in rows] == expected["event_id"].to_pylist()
+    assert [row["events/event_time"] for row in rows] == expected["event_time"].to_pylist()
+
+
+def test_every_column_is_a_field_and_every_file_has_its_digest(folder) -> None:
+    document = json.loads((folder / "croissant.json").read_text())
+    for record_set, schema in zip(document["recordSet"], (SEQUENCES, EVENTS, RECORDINGS), strict=True):
+        assert [field["name"] for field in record_set["field"]] == schema.names
+    joints = next(field for field in document["recordSet"][0]["field"] if field["name"] == "joints")
+    assert joints["arrayShape"] == "-1,66"
+    assert joints["dataType"] == "sc:Float"
+    assert {entry["@id"] for entry in document["distribution"]} >= {"sequences.parquet", "events.parquet"}
+    assert all(len(entry["sha256"]) == 64 for entry in document["distribution"])
+
+
+def test_equal_datasets_have_equal_bytes(tmp_path) -> None:
+    for name in ("one", "two"):
+        fake_dataset(tmp_path / name, n=5)
+    assert (tmp_path / "one" / "croissant.json").read_bytes() == (tmp_path / "two" / "croissant.json").read_bytes()
