@@ -120,7 +120,7 @@ def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[Nat
             root,
             found[name],
             tree.split.get(name) if tree else found[name].split,
-            manifest.why_bad(name),
+            manifest.why_bad(name) or found[name].skip_reason,
             options.reader,
         )
         for name in chosen_ids(list(found), options, where=root)

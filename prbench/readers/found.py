@@ -34,6 +34,8 @@ class RecordingFiles:
     """Every input that was found; a missing required one is reported by reading, not by searching."""
     split: Literal["train", "validation", "test"] | None = None
     """The dataset's official split, where its files tell it; None = by the split rule."""
+    skip_reason: str | None = None
+    """Why a build must leave it out, told in its report as skipped and not as failed; None for all that are fine."""
 
     def path(self, role: str) -> Path | None:
         """The file of one role, or None where it was not found."""
