@@ -13,7 +13,11 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import platformdirs
+
 from prbench.errors import InputFileError, StorageError
+
+CACHE_VARIABLE = "PRBENCH_CACHE"
 
 
 @contextlib.contextmanager
@@ -145,6 +149,11 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def bytes_digest(content: bytes) -> str:
+    """SHA-256 of some bytes, as hexadecimal text."""
+    return hashlib.sha256(content).hexdigest()
+
+
 def text_digest(*parts: str) -> str:
     """SHA-256 of texts, joined so that no two different lists of parts agree."""
     digest = hashlib.sha256()
@@ -165,3 +174,8 @@ def inside(root: Path, relative: str) -> Path:
     if not target.is_relative_to(root.resolve()):
         raise InputFileError(root, relative, expected="a path inside this folder", found="a path that leads out of it")
     return target
+
+
+def cache_folder() -> Path:
+    """Where prbench keeps what it can make again: the folder named by ``PRBENCH_CACHE``, else the user's cache."""
+    return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("prbench", appauthor=False))

@@ -1,15 +1,7 @@
-"""Where prbench keeps what it can make again."""
+"""Where prbench keeps what it can make again (see :func:`prbench.storage.cache_folder`)."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+from prbench.storage import CACHE_VARIABLE, cache_folder
 
-import platformdirs
-
-CACHE_VARIABLE = "PRBENCH_CACHE"
-
-
-def cache_folder() -> Path:
-    """The folder named by ``PRBENCH_CACHE``, else the user's cache folder."""
-    return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("prbench", appauthor=False))
+__all__ = ["CACHE_VARIABLE", "cache_folder"]
