@@ -24,6 +24,8 @@ class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Native joint of each of the 22 joints; ``a+b`` is the mean of two. Empty where the joints are native already."""
     other_mappings: dict[str, tuple[str, ...]] = {}
     """Further mappings by the name under which a reader's option chooses them."""
+    citation: str = ""
+    """BibTeX of the method that estimated the poses, where they are not the dataset's own."""
 
 
 class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -63,6 +65,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     in_hand: InHandRule | None = None
     """None where the dataset annotates its events."""
     in_hand_alternatives: dict[str, InHandRule] = {}
+    publishes_priming: bool = False
+    """Whether the dataset's own files say when events were primed (``--priming published``)."""
     thresholds: dict[str, float] = {}
     """Numbers of the reader that the dataset's page leaves to choose, by name."""
     known_bad: dict[str, str] = {}
@@ -83,6 +87,10 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             known = ", ".join(sorted(self.in_hand_alternatives)) or "none"
             raise UsageError(f"{self.name} has no in-hand rule '{name}'; its alternatives are: {known}.")
         return self.in_hand_alternatives[name]
+
+    def body_source(self, poses: str | None) -> BodySource:
+        """The dataset's own source of bodies, or the one that the reader's option ``poses`` names."""
+        return self.body if poses is None else self.other_bodies.get(poses, self.body)
 
     def why_bad(self, recording_id: str) -> str | None:
         """The reason why a recording must be skipped, or None."""
@@ -138,6 +146,13 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     foot_window: float
 
 
+class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """BibTeX that belongs to every result of the benchmark, whatever the dataset."""
+
+    study: str
+    toolkit: str
+
+
 class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One version of the benchmark's rules."""
 
@@ -177,6 +192,12 @@ def load_manifest(dataset: str) -> Manifest:
 def load_protocol() -> BenchmarkProtocol:
     """The protocol of the prime-and-reach benchmark."""
     return _read_toml("prbench_benchmarks.prime_and_reach", "protocol.toml", BenchmarkProtocol)
+
+
+@cache
+def load_citations() -> Citations:
+    """What to cite beside the datasets: the study that defined the task, and this toolkit."""
+    return _read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", Citations)
 
 
 def dataset_names() -> tuple[str, ...]:

@@ -37,6 +37,12 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--in-hand", metavar="RULE", help="another in-hand rule of the manifest, for example wrist")
     parser.add_argument("--ray-origin", choices=["eye", "camera"], help="where gaze rays start (default: eye)")
     parser.add_argument(
+        "--priming",
+        choices=["rule", "published"],
+        default="rule",
+        help="prime times by the equations (default), or taken over from the dataset where it publishes them (hd-epic)",
+    )
+    parser.add_argument(
         "--minimum-movement",
         default="wrist_to_goal",
         metavar="MEASURE",
@@ -90,6 +96,7 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
             in_hand=arguments.in_hand,
             ray_origin=arguments.ray_origin,
             minimum_movement=arguments.minimum_movement,
+            priming=arguments.priming,
         ),
         recordings=arguments.recordings,
         limit=arguments.limit,

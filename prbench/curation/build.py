@@ -108,6 +108,7 @@ def build_from_sources(
     _require_distinct(sources)
     dataset = sources[0].dataset
     manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
+    options.curation.require_fits(manifest)
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
     remove_leftovers(out)
     receipts = []
@@ -129,19 +130,7 @@ def build_from_sources(
 
 
 def require_replaceable(out: Path) -> None:
-    """Refuse, before hours of work, a folder that the result could not replace.
-
-    Raises:
-        StorageError: if it holds something that is no dataset, or is a file.
-    """
-    if out.is_file():
-        raise StorageError(f"{out}: is a file. Choose an empty or new folder for --out.")
-    if out.is_dir() and any(out.iterdir()) and not (out / FILE_NAME).is_file():
-        raise StorageError(
-            f"{out}: is not empty and holds no {FILE_NAME}, so it is no dataset that may be replaced."
-            " Choose an empty or new folder for --out."
-        )
-
+XXX
 
 def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
     if not sources:

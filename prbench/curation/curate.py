@@ -6,18 +6,25 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.filters import body_movement, hand_movement, minimum_movement
 from prbench.curation.options import DEFAULTS, CurationOptions
-from prbench.curation.priming import Prime, find_prime, gaze_rays
+from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.curation.split import split_of
+from prbench.errors import RecordingUnusable
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
+from prbench.recording.streams import Side
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.timelines import covered, interpolate
+
+LONGEST_WRIST_GAP = 0.15
+"""Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +64,16 @@ def curate_recording(
         protocol: Constants of the path from event to sequence.
         options: What the user chose.
         split: The split, where the recording carries its own (synthetic trees); None = by the split rule.
+
+    Raises:
+        RecordingUnusable: if published priming is asked for and the recording has none.
     """
     group = recording.split_group or recording.recording_id
     split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
     rule = options.in_hand_rule(manifest)
     events, remarks = find_events(recording, rule)
+    if options.priming == "published":
+        _require_published_priming(recording)
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
     stories = [_follow(recording, event, rays, protocol, options, split) for event in events]
     remarks += _missing_parts(recording, rule)
@@ -92,7 +104,10 @@ def _follow(
     """One event through the stages, until one of them says no."""
     if event.rejected is not None or event.place is None:
         return _Story(event, event.rejected or Decision("no_location", "location"))
-    prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
+    if options.priming == "published":
+        prime = published_prime(event.published_priming)
+    else:
+        prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
     if isinstance(prime, Decision):
         return _Story(event, prime)
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)
@@ -183,7 +198,7 @@ def _reaching_wrist(event: PickPutEvent, place: Place, piece: Clip) -> int:
 
 
 def _event_record(recording: Recording, story: _Story) -> EventRecord:
-    event, place, prime = story.event, story.event.place, story.prime
+    event, place, prime, published = story.event, story.event.place, story.prime, story.event.published_priming
     return EventRecord(
         event_id=event.event_id,
         recording_id=recording.recording_id,
@@ -202,7 +217,38 @@ def _event_record(recording: Recording, story: _Story) -> EventRecord:
         stage=story.decision.stage,
         value=story.decision.value,
         threshold=story.decision.threshold,
+        left_wrist=_wrist_at(recording, "left", event.event_time),
+        right_wrist=_wrist_at(recording, "right", event.event_time),
+        published_priming=None if published is None else published.outcome,
+        published_prime_time=None if published is None else published.prime_time,
     )
+
+
+def _wrist_at(recording: Recording, side: Side, time: float) -> Float[np.ndarray, "3"] | None:
+    """Where a wrist was: from the hands where these were measured, else from the body; None if neither says."""
+    sources = [
+        (stream.times, stream.points[:, 0], stream.valid)
+        for stream in recording.hand_streams("wrist")
+        if stream.side == side
+    ]
+    if recording.body is not None:
+        wrist = Joint.LEFT_WRIST if side == "left" else Joint.RIGHT_WRIST
+        sources.append((recording.body.times, recording.body.joints[:, wrist], recording.body.valid))
+    instant = np.array([time])
+    for times, points, valid in sources:
+        near = slice(*np.searchsorted(times, [time - LONGEST_WRIST_GAP, time + LONGEST_WRIST_GAP]))
+        if covered(times[near], valid[near], instant, max_gap=LONGEST_WRIST_GAP).all():
+            return interpolate(times[near][valid[near]], points[near][valid[near]], instant)[0]
+    return None
+
+
+def _require_published_priming(recording: Recording) -> None:
+    events = recording.annotated_events
+    if events and all(event.published_priming is None for event in events):
+        raise RecordingUnusable(
+            f"{recording.recording_id}: --priming published needs the dataset's own priming results; none belongs to"
+            f" any of the {len(events)} events of this recording. Is the file there, and of the same release?"
+        )
 
 
 def _missing_parts(recording: Recording, rule: InHandRule | None) -> tuple[str, ...]:

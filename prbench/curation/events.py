@@ -11,7 +11,7 @@ from prbench.curation.gaps import LONGEST_SURE_GAP
 from prbench.curation.in_hand import Holding, contact_streams, find_holdings, nearest_hand
 from prbench.curation.rest import Departure
 from prbench.manifests import InHandRule
-from prbench.recording import AnnotatedEvent, Recording
+from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
 from prbench.recording.streams import Action, Side
 
 
@@ -51,6 +51,8 @@ class PickPutEvent:
     """How far the object moved away from its rest, metres; None where nobody measured it."""
     tracking_gap: float | None = None
     """Length of the gap in the object's track that the event falls into, seconds; None outside such gaps."""
+    published_priming: PublishedPriming | None = None
+    """What the dataset itself says about its priming."""
     rejected: Decision | None = None
     """Why the event is none of this recording's, where that is known already."""
 
@@ -94,6 +96,7 @@ def _annotated(recording: Recording, event: AnnotatedEvent) -> PickPutEvent:
         place=place,
         hand=event.hand,
         displacement=None,
+        published_priming=event.published_priming,
         rejected=Decision("no_location", "location") if place is None else None,
     )
 

@@ -12,6 +12,8 @@ _REASONS = {
     "no_location": "never came to rest, or no place annotated",
     "tracking_lost": "object not tracked around the event",
     "not_primed": "gaze never met the place in the window before",
+    "excluded_by_dataset": "never tested by the dataset itself",
+    "not_published": "the dataset publishes nothing about it",
     "too_short": "recording or body does not cover the sequence",
     "no_body": "no body poses",
     "minimum_movement": "started beside the goal",
@@ -41,7 +43,7 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     ]
     stages = (
         ("located", counts.located, ("other_wearer", "excluded_category", "no_location", "tracking_lost")),
-        ("primed", counts.primed, ("not_primed",)),
+        ("primed", counts.primed, ("not_primed", "excluded_by_dataset", "not_published")),
         ("long enough", counts.long_enough, ("too_short", "no_body")),
         ("moved enough", counts.moved_enough, ("minimum_movement",)),
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from prbench.curation.filters import MEASURES
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
+
+PrimingSource = Literal["rule", "published"]
 
 
 @dataclass(frozen=True)
@@ -21,8 +23,14 @@ class CurationOptions:
     """``eye`` or ``camera``; None = the protocol's."""
     minimum_movement: str = "wrist_to_goal"
     """Which distance must reach the protocol's minimum; see :data:`prbench.curation.filters.MEASURES`."""
+    priming: PrimingSource = "rule"
+    """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
 
     def __post_init__(self) -> None:
+        if self.priming not in get_args(PrimingSource):
+            raise UsageError(
+                f"unknown source of priming '{self.priming}'; known ones: {', '.join(get_args(PrimingSource))}."
+            )
         if self.minimum_movement not in MEASURES:
             raise UsageError(
                 f"unknown minimum-movement measure '{self.minimum_movement}'; known ones: {', '.join(MEASURES)}."
@@ -38,6 +46,19 @@ class CurationOptions:
         """
         return manifest.in_hand_rule(self.in_hand)
 
+    def require_fits(self, manifest: Manifest) -> None:
+        """Refuse, before anything is read, what a dataset does not have.
+
+        Raises:
+            UsageError: for an in-hand rule that the manifest does not list, or published priming of a dataset without.
+        """
+        self.in_hand_rule(manifest)
+        if self.priming == "published" and not manifest.publishes_priming:
+            raise UsageError(
+                f"{manifest.name} publishes no priming of its own, so --priming published is impossible;"
+                " leave the option out: the rule applies the equations to its gaze."
+            )
+
     def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
         """The choices as text, as ``dataset.json`` holds them."""
         rule = self.in_hand_rule(manifest)
@@ -46,6 +67,7 @@ class CurationOptions:
             "in_hand_rule_digest": "" if rule is None else digest_of(rule),
             "ray_origin": self.ray_origin or protocol.curation.ray_origin,
             "minimum_movement": self.minimum_movement,
+            "priming": self.priming,
         }
 
 

@@ -11,11 +11,12 @@ from jaxtyping import Float
 from prbench.curation.events import Decision, Place
 from prbench.manifests import CurationConstants
 from prbench.rays import near_miss, slab_test
-from prbench.recording import Recording
+from prbench.recording import PublishedPriming, Recording
 from prbench.timelines import interpolate
 
-PrimeKind = Literal["hit", "near_miss"]
+PrimeKind = Literal["hit", "near_miss", "published"]
 RAY_ORIGINS = ("eye", "camera")
+PUBLISHED_STAGE = "published priming"
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Prime:
     time: float
     kind: PrimeKind
     distance: float
-    """How far the ray passes the box, metres; 0 for a hit."""
+    """How far the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
     uncertainty: float
     """Time since the valid gaze sample before it (else until the one after it), seconds: the look began in between."""
 
@@ -90,3 +91,19 @@ def find_prime(
         distance=float(distance[index]),
         uncertainty=float(spacing),
     )
+
+
+def published_prime(published: PublishedPriming | None) -> Prime | Decision:
+    """What the dataset itself says about an event (``--priming published``).
+
+    Returns:
+        The prime; or a decision at the stage ``published priming``: ``not_primed``, ``excluded_by_dataset`` (it was
+        never tested), or ``not_published`` (nothing in the dataset's file belongs to this event).
+    """
+    if published is None:
+        return Decision("not_published", PUBLISHED_STAGE)
+    if published.outcome == "excluded":
+        return Decision("excluded_by_dataset", PUBLISHED_STAGE)
+    if published.outcome == "not_primed" or published.prime_time is None:
+        return Decision("not_primed", PUBLISHED_STAGE)
+    return Prime(published.prime_time, "published", float("nan"), published.uncertainty)

@@ -17,6 +17,7 @@ from prbench.storage import text_digest
 
 NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
 UNLOCATED = (*NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
+UNPRIMED = ("not_primed", "excluded_by_dataset", "not_published")
 TOO_SHORT = ("too_short", "no_body")
 
 
@@ -57,8 +58,14 @@ def describe(
         licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
         redistribution="yes" if synthetic else manifest.redistribution,
         homepage="" if synthetic else manifest.homepage,
-        citation="" if synthetic else manifest.citation.strip(),
+        citation="" if synthetic else _citation(manifest, options),
     )
+
+
+def _citation(manifest: Manifest, options: BuildOptions) -> str:
+    """BibTeX of the dataset and, where they are not its own, of the body poses."""
+    body = manifest.body_source(dict(options.reader).get("poses"))
+    return "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
 
 
 def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
@@ -69,7 +76,7 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
 
     events = sum(outcomes.values())
     located = without(events, UNLOCATED)
-    primed = without(located, ("not_primed",))
+    primed = without(located, UNPRIMED)
     long_enough = without(primed, TOO_SHORT)
     moved_enough = without(long_enough, ("minimum_movement",))
     return FunnelCounts(

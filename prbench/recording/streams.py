@@ -137,6 +137,8 @@ class PublishedPriming:
     outcome: Literal["primed", "not_primed", "excluded"]
     prime_time: float | None
     """On the recording's clock; None unless primed."""
+    uncertainty: float = 0.0
+    """Spacing of the instants at which the dataset looked, seconds."""
 
 
 @dataclass(frozen=True)

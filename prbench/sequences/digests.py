@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from collections.abc import Sequence as SequenceOf
 
 import numpy as np
 import pyarrow as pa
 
-from prbench.sequences.schema import KEY_VALUES, SCHEMA_VERSION, SEQUENCES
+from prbench.sequences.schema import SEQUENCES, SEQUENCES_VERSION
 
 _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
 
@@ -17,7 +18,7 @@ def identity_digest(
     sequence_ids: list[str], splits: list[str], actions: list[str], n_frames: Iterable[int], *, protocol_version: int
 ) -> str:
     """What two laboratories with the same licensed data share: ids with split, action and length, in sorted order."""
-    digest = hashlib.sha256(f"prbench schema {SCHEMA_VERSION} protocol {protocol_version}\n".encode())
+    digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
     for row in sorted(zip(sequence_ids, splits, actions, (str(n) for n in n_frames))):
         digest.update("\t".join(row).encode() + b"\n")
     return digest.hexdigest()
@@ -26,8 +27,8 @@ def identity_digest(
 class ContentDigest:
     """Digest of the values, rounded to 10 µm, in the order of the rows; not of the file's bytes."""
 
-    def __init__(self) -> None:
-        self._columns = {name: _ColumnDigest() for name in SEQUENCES.names}
+    def __init__(self, columns: SequenceOf[str] = tuple(SEQUENCES.names)) -> None:
+        self._columns = {name: _ColumnDigest() for name in columns}
 
     def update(self, batch: pa.RecordBatch) -> None:
         """Take up rows; how they are cut into batches leaves no trace."""
@@ -51,7 +52,7 @@ class _ColumnDigest:
     def update(self, column: pa.Array) -> None:
         self._presence.update(np.asarray(column.is_valid(), dtype=np.uint8).tobytes())
         kind = column.type
-        if kind == KEY_VALUES or pa.types.is_string(kind):
+        if pa.types.is_string(kind) or (pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)):
             for value in column.to_pylist():
                 self._values.update(repr(value).encode() + b"\n")
             return

@@ -7,8 +7,11 @@ import pyarrow as pa
 from prbench.errors import TableError
 from prbench.skeleton import JOINT_SET, N_JOINTS
 
-SCHEMA_VERSION = 1
-READABLE_VERSIONS = (1,)
+SCHEMA_VERSION = 2
+"""2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes."""
+READABLE_VERSIONS = (1, 2)
+SEQUENCES_VERSION = 1
+"""Of the columns of ``sequences`` alone, which enters the identity of a table: it outlives changes of the others."""
 
 OUTCOMES = (
     "sequence",
@@ -20,6 +23,8 @@ OUTCOMES = (
     "other_wearer",
     "excluded_category",
     "tracking_lost",
+    "excluded_by_dataset",
+    "not_published",
 )
 """What can become of a candidate event."""
 
@@ -99,6 +104,10 @@ EVENTS = pa.schema(
         _field("stage", pa.string()),
         _field("value", pa.float64(), nullable=True),
         _field("threshold", pa.float64(), nullable=True),
+        _field("left_wrist", _PRECISE_POINT, nullable=True),
+        _field("right_wrist", _PRECISE_POINT, nullable=True),
+        _field("published_priming", pa.string(), nullable=True),
+        _field("published_prime_time", pa.float64(), nullable=True),
     ]
 )
 
@@ -115,6 +124,19 @@ RECORDINGS = pa.schema(
     ]
 )
 
+_SINCE_VERSION = dict.fromkeys(
+    (
+        "left_wrist",
+        "right_wrist",
+        "published_priming",
+        "published_prime_time",
+        "excluded_by_dataset",
+        "not_published",
+    ),
+    2,
+)
+"""Version of the tables in which a column was added; the others are there from the beginning."""
+
 UNITS = {
     "length": "m",
     "time": "s",
@@ -126,9 +148,10 @@ UNITS = {
 
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
-    """The schema with version, joint set and units as Parquet metadata."""
+    """The schema with version, joint set and units as Parquet metadata, beside what it carries already."""
     return schema.with_metadata(
         {
+            **(schema.metadata or {}),
             "prbench_schema_version": str(SCHEMA_VERSION),
             "prbench_protocol_version": str(protocol_version),
             "joint_set": JOINT_SET,
@@ -156,8 +179,20 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
         raise TableError(f"{source}: expected joint set {JOINT_SET}, found {joint_set or 'none'}.")
     for field in expected:
         index = schema.get_field_index(field.name)
+        if index < 0 and _SINCE_VERSION.get(field.name, 1) > int(version):
+            continue
         if index < 0:
             raise TableError(f"{source}: expected a column '{field.name}', found none. Build the dataset again.")
         found = schema.field(index).type
         if not found.equals(field.type):
             raise TableError(f"{source}: column '{field.name}': expected {field.type}, found {found}.")
+
+
+def with_later_columns(table: pa.Table, expected: pa.Schema) -> pa.Table:
+    """A table of an older version with the columns that came later: null, or 0 where a column counts something."""
+    for field in expected:
+        if table.schema.get_field_index(field.name) >= 0:
+            continue
+        values = pa.nulls(len(table), field.type) if field.nullable else pa.repeat(pa.scalar(0, field.type), len(table))
+        table = table.append_column(field, values)
+    return table

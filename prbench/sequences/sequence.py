@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float
 
-from prbench.sequences.schema import EVENTS, KEY_VALUES, OUTCOMES, RECORDINGS, SEQUENCES
+from prbench.sequences.arrow import column
+from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
 
@@ -86,6 +87,12 @@ class EventRecord:
     """The deciding number."""
     threshold: float | None
     """What it was compared with."""
+    left_wrist: Float[np.ndarray, "3"] | None = None
+    """Where the wearer's wrist was at the event; None where nothing measured it."""
+    right_wrist: Float[np.ndarray, "3"] | None = None
+    published_priming: str | None = None
+    """``primed``, ``not_primed`` or ``excluded`` where the dataset itself says so."""
+    published_prime_time: float | None = None
 
     def __post_init__(self) -> None:
         assert self.outcome in OUTCOMES, self.outcome
@@ -110,14 +117,14 @@ class RecordingRecord:
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:
     """Arrow rows of sequences, in the order given."""
     rows = list(sequences)
-    columns = [_column([getattr(row, name) for row in rows], SEQUENCES.field(name).type) for name in SEQUENCES.names]
+    columns = [column([getattr(row, name) for row in rows], SEQUENCES.field(name).type) for name in SEQUENCES.names]
     return pa.RecordBatch.from_arrays(columns, schema=SEQUENCES)
 
 
 def event_batch(events: Iterable[EventRecord]) -> pa.RecordBatch:
     """Arrow rows of events, in the order given."""
     rows = list(events)
-    columns = [_column([getattr(row, name) for row in rows], EVENTS.field(name).type) for name in EVENTS.names]
+    columns = [column([getattr(row, name) for row in rows], EVENTS.field(name).type) for name in EVENTS.names]
     return pa.RecordBatch.from_arrays(columns, schema=EVENTS)
 
 
@@ -129,37 +136,3 @@ def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
         counts = row.pop("outcomes")
         rows.append(row | {outcome: counts.get(outcome, 0) for outcome in OUTCOMES})
     return pa.RecordBatch.from_pylist(rows, schema=RECORDINGS)
-
-
-def _column(values: list, kind: pa.DataType) -> pa.Array:
-    if pa.types.is_fixed_size_list(kind):
-        return _vectors(values, kind)
-    if kind == KEY_VALUES:
-        pairs = [[{"key": key, "value": text} for key, text in sorted(value.items())] for value in values]
-        return pa.array(pairs, type=kind)
-    if pa.types.is_list(kind):
-        return _ragged(values, kind)
-    return pa.array(values, type=kind)
-
-
-def _vectors(values: list[np.ndarray | None], kind: pa.FixedSizeListType) -> pa.Array:
-    missing = [value is None for value in values]
-    filler = np.zeros(kind.list_size)
-    flat = [np.ravel(filler if value is None else value) for value in values]
-    numbers = np.concatenate(flat) if flat else np.empty(0)
-    mask = pa.array(missing, type=pa.bool_()) if any(missing) else None
-    return pa.FixedSizeListArray.from_arrays(pa.array(numbers, type=kind.value_type), type=kind, mask=mask)
-
-
-def _ragged(values: list[np.ndarray | None], kind: pa.ListType) -> pa.Array:
-    lengths = [0 if value is None else len(value) for value in values]
-    offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int32)
-    inner = kind.value_type
-    present = [value for value in values if value is not None]
-    if pa.types.is_fixed_size_list(inner):
-        numbers = np.concatenate([np.ravel(value) for value in present]) if present else np.empty(0)
-        items = pa.FixedSizeListArray.from_arrays(pa.array(numbers, type=inner.value_type), type=inner)
-    else:
-        items = pa.array(np.concatenate(present) if present else np.empty(0, dtype=bool), type=inner)
-    mask = pa.array([value is None for value in values]) if len(present) < len(values) else None
-    return pa.ListArray.from_arrays(pa.array(offsets), items, type=kind, mask=mask)
