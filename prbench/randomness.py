@@ -17,6 +17,11 @@ def named_generator(*parts: str | int) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 
 
+def hash_fraction(*parts: str) -> float:
+    """SHA-256 of the parts joined by slashes, as a number from 0 to 1: decides what must never depend on an order."""
+    return int.from_bytes(hashlib.sha256("/".join(parts).encode()).digest(), "big") / 2**256
+
+
 def noise_seed(run_seed: int, sequence_id: str, sample: int) -> int:
     """The seed of one generated motion: 63 bits that depend on nothing but run seed, sequence and sample."""
     digest = hashlib.sha256(f"{run_seed}/{sequence_id}/{sample}".encode()).digest()

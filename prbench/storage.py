@@ -114,6 +114,26 @@ def _storage_errors(path: Path, *, every_kind: bool = False) -> Iterator[None]:
         raise
 
 
+def require_replaceable(folder: Path, marker: str, *, kind: str) -> None:
+    """Refuse, before hours of work, a folder that a result could not replace.
+
+    Args:
+        folder: Where the result will stand.
+        marker: File that marks a folder as an earlier result.
+        kind: What such a result is called, for the message.
+
+    Raises:
+        StorageError: if it holds something else, or is a file.
+    """
+    if folder.is_file():
+        raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / marker).is_file():
+        raise StorageError(
+            f"{folder}: is not empty and holds no {marker}, so it is no {kind} that may be replaced."
+            " Choose an empty or new folder for --out."
+        )
+
+
 def write_json(path: Path, value: object) -> None:
     """Write JSON with sorted keys, two-space indent and a final newline; equal values give equal bytes."""
     with atomic_path(path) as temporary:

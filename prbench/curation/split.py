@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import Literal
 
 from prbench.manifests import Manifest, SplitRule
+from prbench.randomness import hash_fraction
 
 Split = Literal["train", "validation", "test"]
-
-
-def hash_fraction(dataset: str, name: str) -> float:
-    """``sha256("dataset/name") / 2**256``, from 0 to 1."""
-    return int.from_bytes(hashlib.sha256(f"{dataset}/{name}".encode()).digest(), "big") / 2**256
 
 
 def split_of(recording_id: str, split_group: str, manifest: Manifest, rule: SplitRule) -> Split:

@@ -8,13 +8,12 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from prbench.errors import StorageError
 from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import ContentDigest, identity_digest
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.write import write_table, write_table_in_parts
-from prbench.storage import atomic_folder
+from prbench.storage import atomic_folder, require_replaceable
 
 _ROWS = {
     "sequences": "One prime-and-reach sequence: from 2 s before the first look at the goal to the pick or put.",
@@ -46,11 +45,7 @@ def write_dataset(
     Raises:
         StorageError: if the folder holds something that is no dataset, or cannot be written.
     """
-    if folder.exists() and any(folder.iterdir()) and not (folder / FILE_NAME).is_file():
-        raise StorageError(
-            f"{folder}: is not empty and holds no {FILE_NAME}, so it is no dataset that may be replaced."
-            " Choose an empty or new folder for --out."
-        )
+    require_replaceable(folder, FILE_NAME, kind="dataset")
     version = info.protocol_version
     with atomic_folder(folder) as temporary:
         seen = _Digesting(info.protocol_version)

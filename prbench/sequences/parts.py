@@ -1,0 +1,62 @@
+"""Intermediate parts of a build: one folder a unit of work, kept until the tables are written, so that a build resumes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+
+import pyarrow as pa
+
+import prbench
+from prbench.storage import atomic_folder, read_json, text_digest, write_json
+
+_RECEIPT = "receipt.json"
+
+
+def work_folder(out: Path) -> Path:
+    """The folder of parts that belongs to the folder of a result; it stands beside it."""
+    return out.parent / f".{out.name}.work"
+
+
+def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path:
+    """Where one part lies: another input, option or version of the code is another folder."""
+    return work / text_digest(name, input_digest, settings, code_digest())[:32]
+
+
+@cache
+def code_digest() -> str:
+    """Digest of the package's source files, so that parts made by other code are never taken over."""
+    root = Path(prbench.__file__).parent
+    digest = hashlib.sha256(prbench.__version__.encode())
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Mapping[str, object]) -> None:
+    """Write one part, whole or not at all: a batch of rows for each table, and what tells of it without opening one."""
+    with atomic_folder(folder) as temporary:
+        for name, batch in batches.items():
+            with pa.OSFile(str(temporary / f"{name}.arrow"), "wb") as sink, pa.ipc.new_file(sink, batch.schema) as file:
+                file.write_batch(batch)
+        write_json(temporary / _RECEIPT, receipt)
+
+
+def read_receipt(folder: Path) -> dict | None:
+    """What was given to :func:`write_part` as the receipt of a finished part; None if there is no such part."""
+    if not (folder / _RECEIPT).is_file():
+        return None
+    entries = read_json(folder / _RECEIPT)
+    assert isinstance(entries, dict)
+    return entries
+
+
+def read_batches(folders: Iterable[Path], table: str) -> Iterator[pa.RecordBatch]:
+    """The rows of one table from parts, in their order; parts without rows are passed over."""
+    for folder in folders:
+        with pa.OSFile(str(folder / f"{table}.arrow"), "rb") as source:
+            for batch in pa.ipc.open_file(source).read_all().to_batches():
+                if batch.num_rows:
+                    yield batch
