@@ -1,0 +1,12 @@
+"""EgoAllo's output files as bodies, shared by the datasets without motion capture (``formats/egoallo.md``).
+
+A dataset's ``find`` adds :func:`find_outputs` to a recording's files; its ``read`` calls :func:`read_bodies` with the
+head poses of the recording and gives what comes back to :func:`prbench.recording.from_egoallo.body_stream`.
+"""
+
+from __future__ import annotations
+
+from prbench.readers.egoallo.bodies import NO_OUTPUTS, read_bodies
+from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE, find_model, find_outputs, poses_folder
+
+__all__ = ["MODEL_ROLE", "NO_OUTPUTS", "OUTPUT_ROLE", "find_model", "find_outputs", "poses_folder", "read_bodies"]

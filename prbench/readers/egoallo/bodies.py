@@ -1,0 +1,39 @@
+"""The outputs of one recording as one body: read, checked against the recording, joined."""
+
+from __future__ import annotations
+
+from prbench.formats import egoallo as ego
+from prbench.readers.egoallo.belonging import require_belongs
+from prbench.readers.egoallo.joints import read_window
+from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
+from prbench.readers.found import RecordingFiles
+from prbench.recording.from_egoallo import joined_windows
+from prbench.recording.streams import PoseStream
+
+NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
+"""What a reader says of a recording without outputs."""
+
+
+def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:
+    """The body of one recording from its output files (:func:`find_outputs` put them into ``found``).
+
+    Args:
+        found: The recording's files.
+        cpf: Poses of the glasses' central pupil frame in the *source* world (that of the trajectory which EgoAllo was
+            given, Z up), times in device seconds.
+
+    Returns:
+        Joints in the source world, on the device clock; None where there are no outputs.
+
+    Raises:
+        InputFileError: if an output is damaged, or belongs to another recording; or if joints must be computed and the
+            body model is missing or damaged.
+    """
+    outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
+    model = found.path(MODEL_ROLE)
+    windows = []
+    for path in outputs:
+        window, head = read_window(path, model)
+        require_belongs(path, window, head, cpf)
+        windows.append(window)
+    return joined_windows(windows)

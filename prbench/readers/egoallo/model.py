@@ -1,0 +1,102 @@
+"""The SMPL-H body model's rest joints (``formats/egoallo.md`` section 4). The file is licensed: users bring it."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from prbench.errors import InputFileError
+from prbench.formats import egoallo as ego
+from prbench.storage import bytes_digest
+
+HOW_TO_GET = (
+    "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration) and"
+    " give its smplh/neutral/model.npz with --option smplh_model=FILE, in the environment variable PRBENCH_SMPLH_MODEL,"
+    " or as smplh/neutral/model.npz below the dataset's root. It is needed once: the joints are kept."
+)
+_CONVERT = (
+    "Some copies hold Python objects, which prbench never unpickles. If yours is from the official site, convert it"
+    " once: python -c \"import numpy as np; m = np.load('model.npz', allow_pickle=True);"
+    " np.savez('plain.npz', **{k: np.asarray(m[k].todense() if hasattr(m[k], 'todense') else m[k])"
+    " for k in ('J_regressor', 'v_template', 'shapedirs')})\""
+)
+_KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
+
+
+def read_smplh_rest(path: Path) -> ego.SmplhRest:
+    """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
+
+    Raises:
+        InputFileError: if the file is missing, damaged, lacks a key, or holds arrays of other shapes or objects.
+    """
+    path = path.expanduser()
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise InputFileError(
+            path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
+        ) from error
+    return _read(path, state.st_size, state.st_mtime_ns)
+
+
+def model_digest(path: Path) -> str:
+    """What tells two models apart: SHA-256 of their rest joints' template and directions.
+
+    Raises:
+        InputFileError: see :func:`read_smplh_rest`.
+    """
+    rest = read_smplh_rest(path)
+    return bytes_digest(np.ascontiguousarray(rest.template).tobytes() + np.ascontiguousarray(rest.directions).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, size: int, modified_ns: int) -> ego.SmplhRest:
+    """Read once a process; size and time of change make a changed file another one."""
+    arrays = _load(path)
+    regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
+    points = regressor.shape[1] if regressor.ndim == 2 else -1
+    for key, array, shape in (
+        (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
+        (ego.TEMPLATE, template, (points, 3)),
+        (ego.SHAPES, shapes[..., : ego.N_BETAS], (points, 3, ego.N_BETAS)),
+    ):
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputFileError(
+                path,
+                key,
+                expected="52 joints, as many points everywhere, at least 16 shapes, finite numbers (SMPL-H, extended)",
+                found=f"the shape {arrays[key].shape}",
+                remedy=HOW_TO_GET,
+            )
+    body = regressor[:22]
+    return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [key for key in _KEYS if key not in archive.files]
+            if missing:
+                raise InputFileError(
+                    path,
+                    "",
+                    expected=f"an array '{missing[0]}'",
+                    found=", ".join(archive.files) or "nothing",
+                    remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
+                )
+            return {key: archive[key] for key in _KEYS}
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise _damaged(path, error) from error
+        raise InputFileError(path, "", expected="plain arrays", found="Python objects", remedy=_CONVERT) from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, AttributeError) as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InputFileError:
+    found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    return InputFileError(path, "", expected="an npz archive", found=found, remedy="Copy or download it again.")

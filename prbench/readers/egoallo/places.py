@@ -1,0 +1,68 @@
+"""Where EgoAllo's outputs and its body model lie."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from prbench.formats import egoallo as ego
+from prbench.readers.found import InputFile, input_file
+
+OUTPUT_ROLE = "egoallo/"
+"""Roles of output files are this and the file's name."""
+MODEL_ROLE = "smplh_model"
+MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
+
+
+def poses_folder(root: Path, recording_id: str, poses_root: Path | None = None) -> Path:
+    """Where ``prbench poses egoallo`` puts the outputs of one recording: below ``poses_root``, else ``root/egoallo``."""
+    base = root / ego.POSES_FOLDER if poses_root is None else poses_root.expanduser()
+    return base / recording_id / ego.OUTPUT_FOLDER
+
+
+def find_outputs(
+    root: Path,
+    folder: Path | None,
+    recording_id: str,
+    poses_root: Path | None = None,
+    *,
+    smplh_model: Path | None = None,
+) -> tuple[InputFile, ...]:
+    """Output files of one recording, and the body model where there is one; nothing where there are no outputs.
+
+    Of several places the first with outputs counts: the recording's folder in ``poses_root`` if that is given, the
+    recording's own folder, the recording's folder in ``root/egoallo``.
+
+    Args:
+        root: The dataset's folder.
+        folder: The recording's own folder; None where it has none (archives).
+        recording_id: Name of the recording.
+        poses_root: Where the user keeps poses.
+        smplh_model: The body model; the environment's or the one below ``root`` by default.
+
+    Returns:
+        Files with the roles ``egoallo/<file name>`` and ``smplh_model``.
+    """
+    places = [poses_folder(root, recording_id, poses_root)] if poses_root is not None else []
+    places += [folder / ego.OUTPUT_FOLDER] if folder is not None else []
+    places.append(poses_folder(root, recording_id))
+    for place in places:
+        outputs = sorted(path for path in place.glob("*.npz") if path.is_file() and not path.name.startswith("."))
+        if outputs:
+            model = find_model(root, smplh_model)
+            files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
+            return (*files, *([input_file(MODEL_ROLE, model)] if model is not None and model.is_file() else []))
+    return ()
+
+
+def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:
+    """The body model: the given one, else that of ``PRBENCH_SMPLH_MODEL``, else ``root/smplh/neutral/model.npz``.
+
+    Returns:
+        A path that the user named, whether it exists or not; of the place below ``root`` only an existing file.
+    """
+    named = smplh_model or (Path(os.environ[MODEL_VARIABLE]) if os.environ.get(MODEL_VARIABLE) else None)
+    if named is not None:
+        return named.expanduser()
+    beside = root / ego.MODEL_FILE
+    return beside if beside.is_file() else None
