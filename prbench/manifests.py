@@ -21,7 +21,8 @@ class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     pose_source: str
     head_tilt_deg: float
     joint_mapping: tuple[str, ...] = ()
-    """Native joint of each of the 22 joints; ``a+b`` is the mean of two. Empty where the joints are native already."""
+    """Native joint of each of the 22 joints; ``a+b`` is the mean of two, ``0.6 a + 0.4 b`` a point between them. Empty
+    where the joints are native already."""
     other_mappings: dict[str, tuple[str, ...]] = {}
     """Further mappings by the name under which a reader's option chooses them."""
     citation: str = ""
@@ -71,6 +72,10 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """Numbers of the reader that the dataset's page leaves to choose, by name."""
     known_bad: dict[str, str] = {}
     """Name (or beginning of the name) of a recording that must be skipped, and why."""
+    excluded: dict[str, str] = {}
+    """Recording that is left out unless the reader's option ``include_excluded`` is on, and why."""
+    object_extents: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[float, float]]] = {}
+    """Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z of the object, metres."""
     test_recordings: tuple[str, ...] = ()
     validation_recordings: tuple[str, ...] = ()
     train_recordings: tuple[str, ...] = ()

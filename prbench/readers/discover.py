@@ -1,0 +1,100 @@
+"""What is below a folder: every dataset that some reader recognises, without reading a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import InputFileError, PrbenchError
+from prbench.readers import READER_MODULES, Reader, RecordingFiles, read_synthetic_tree, reader_for
+
+
+@dataclass(frozen=True)
+class FoundDataset:
+    """One dataset in a folder."""
+
+    dataset: str
+    """Name of its reader."""
+    root: Path
+    recordings: tuple[RecordingFiles, ...]
+
+    @property
+    def name(self) -> str:
+        """Name that a build gives it: ``synthetic-`` stands before that of invented recordings."""
+        return self.recordings[0].dataset
+
+
+@dataclass(frozen=True)
+class BrokenDataset:
+    """A folder that a reader recognises as its own and cannot list."""
+
+    dataset: str
+    root: Path
+    message: str
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """Everything that was recognised below a folder."""
+
+    found: tuple[FoundDataset, ...]
+    broken: tuple[BrokenDataset, ...]
+
+
+def discover(root: Path) -> Discovery:
+    """Ask every reader about a folder, and those that find nothing about each of its sub-folders.
+
+    Raises:
+        InputFileError: if the folder does not exist, or no reader recognises anything in it.
+    """
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="a folder", found="a file" if root.is_file() else "nothing")
+    found: list[FoundDataset] = []
+    broken: list[BrokenDataset] = []
+    for dataset in READER_MODULES:
+        for folder in (root, *_subfolders(root)):
+            claimed = any(folder == other.root or _lies_in(folder, other.recordings) for other in found)
+            if claimed or (folder != root and any(other.dataset == dataset and other.root == root for other in found)):
+                continue
+            answer = _ask(reader_for(dataset), folder)
+            if isinstance(answer, BrokenDataset):
+                broken.append(answer)
+            elif answer is not None:
+                found.append(answer)
+    if not found and not broken:
+        held = ", ".join(sorted(entry.name for entry in root.iterdir())[:8]) or "nothing"
+        raise InputFileError(
+            root,
+            "",
+            expected=f"recordings of {', '.join(READER_MODULES)}, here or one folder below",
+            found=held,
+            remedy="`prbench datasets` says which files each dataset consists of.",
+        )
+    return Discovery(tuple(sorted(found, key=lambda each: (each.dataset, str(each.root)))), tuple(broken))
+
+
+def _ask(reader: Reader, folder: Path) -> FoundDataset | BrokenDataset | None:
+    """What one reader says about one folder; None if it is none of its."""
+    tree = read_synthetic_tree(folder)
+    if tree is not None and tree.preset != reader.dataset:
+        return None
+    try:
+        recordings = reader.find(folder)
+    except InputFileError as error:
+        # A reader that looked and found nothing names the folder itself; one that stumbled names a file of its own.
+        return (
+            None
+            if error.path in (folder, folder.expanduser().resolve())
+            else BrokenDataset(reader.dataset, folder, str(error))
+        )
+    except PrbenchError as error:
+        return BrokenDataset(reader.dataset, folder, str(error))
+    return FoundDataset(reader.dataset, folder, recordings) if recordings else None
+
+
+def _subfolders(root: Path) -> list[Path]:
+    return sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+
+
+def _lies_in(folder: Path, recordings: tuple[RecordingFiles, ...]) -> bool:
+    return any(folder.is_relative_to(recording.folder) for recording in recordings)

@@ -1,0 +1,98 @@
+"""The catalogue of datasets: what each asks for, what of it lies below a folder, and what a built table must cite."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+import prbench
+from prbench.errors import UsageError
+from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
+from prbench.readers import READER_MODULES, reader_for
+from prbench.readers.discover import discover
+from prbench.sequences import DatasetInfo
+
+_TERMS = {
+    "none": "must not be passed on in any form, derived data included, without permission of its owners",
+    "non-commercial": "may be used and passed on for non-commercial purposes only, under the same licence",
+    "yes": "may be passed on under its licence",
+}
+
+
+@dataclass(frozen=True)
+class CatalogueEntry:
+    """One dataset, and what was found of it."""
+
+    manifest: Manifest
+    found: str
+    """Places and counts of recordings; empty where nothing was looked for or found."""
+    missing: tuple[str, ...]
+    """Required files that no recording has, one line each."""
+    reader_options: tuple[str, ...]
+    """Options of its reader with their defaults."""
+
+
+def catalogue(root: Path | None = None, name: str | None = None) -> tuple[CatalogueEntry, ...]:
+    """All datasets, or one of them.
+
+    Args:
+        root: Folder with copies, itself or one folder below; nothing is looked for if None.
+        name: Only this dataset.
+
+    Raises:
+        UsageError: for an unknown name, with the nearest known one.
+        InputFileError: if ``root`` does not exist or holds no dataset.
+    """
+    if name is not None and name not in dataset_names():
+        near = get_close_matches(name, dataset_names(), n=1)
+        hint = f" Did you mean '{near[0]}'?" if near else ""
+        raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(dataset_names())}.")
+    discovery = None if root is None else discover(root)
+    entries = []
+    for dataset in dataset_names() if name is None else (name,):
+        here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
+        broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
+        entries.append(
+            CatalogueEntry(
+                manifest=load_manifest(dataset),
+                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in here),
+                missing=tuple(each.message for each in broken),
+                reader_options=_reader_options(dataset),
+            )
+        )
+    return tuple(entries)
+
+
+def _reader_options(dataset: str) -> tuple[str, ...]:
+    if dataset not in READER_MODULES:
+        return ()
+    options = reader_for(dataset).options
+    return tuple(f"{name} (default {getattr(options, name)})" for name in options.names())
+
+
+def citation_text(folders: Sequence[Path]) -> str:
+    """BibTeX of everything in some built datasets, with their terms as comments.
+
+    Raises:
+        TableError: if a folder holds no built dataset.
+    """
+    terms, entries = [], []
+    for folder in folders:
+        info = DatasetInfo.read(folder)
+        terms.append(f"% {info.dataset}: {info.title}")
+        terms.append(f"%   licence: {info.licence}")
+        terms.append(f"%   it {_TERMS.get(info.redistribution, info.redistribution)}.")
+        if info.homepage:
+            terms.append(f"%   {info.homepage}")
+        entries += [entry for entry in _bibtex_entries(info.citation) if entry not in entries]
+    common = load_citations()
+    toolkit = common.toolkit.replace("VERSION", prbench.__version__)
+    return "\n\n".join(["\n".join(terms), *entries, common.study.strip(), toolkit.strip()])
+
+
+def _bibtex_entries(text: str) -> list[str]:
+    """The entries of a BibTeX text, each starting with ``@`` at the beginning of a line."""
+    return [entry.strip() for entry in re.split(r"^(?=@)", text, flags=re.MULTILINE) if entry.strip()]

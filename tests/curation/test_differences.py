@@ -1,0 +1,113 @@
+"""``prbench diff``: two builds of the same recordings, event by event."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from prbench.curation.differences import compare_builds
+from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
+from prbench.sequences.write_dataset import write_dataset
+from tests.fakes import fake_info, fake_sequence
+
+ROWS = sorted((fake_sequence(index, recordings=2) for index in range(6)), key=lambda row: row.sequence_id)
+
+
+def event_of(row, **changes) -> EventRecord:
+    return dataclasses.replace(
+        EventRecord(
+            event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
+            object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
+            event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
+            location=row.goal_location, box_min=row.goal_box_world_min, box_max=row.goal_box_world_max,
+            outcome="sequence", stage="filters", value=1.0, threshold=0.2,
+        ),
+        **changes,
+    )  # fmt: skip
+
+
+def write(folder: Path, rows=ROWS, events=None, *, failed: str = "") -> Path:
+    events = [event_of(row) for row in rows] if events is None else events
+    names = sorted({row.recording_id for row in ROWS})
+    records = [
+        RecordingRecord(
+            recording_id=name, participant_id="P", split="train", split_group=name, duration=9.0, outcomes={},
+            status="failed" if name == failed else "read", message="gaze.csv is missing" if name == failed else "",
+        )
+        for name in names
+    ]  # fmt: skip
+    write_dataset(
+        folder,
+        fake_info(),
+        sequences=[sequence_batch(list(rows))],
+        events=[event_batch(events)],
+        recordings=[recording_batch(records)],
+    )
+    return folder
+
+
+@pytest.fixture
+def first(tmp_path) -> Path:
+    return write(tmp_path / "first")
+
+
+def changes_to(first: Path, rows, events=None, **options) -> list[tuple[str, str, str, str]]:
+    second = write(first.with_name("second"), rows, events, **options)
+    return [(c.kind, c.before, c.after, c.decided_by) for c in compare_builds(first, second).changes]
+
+
+def test_a_build_does_not_differ_from_itself(first) -> None:
+    difference = compare_builds(first, first)
+    assert difference.equal
+    assert (difference.unchanged_events, difference.unchanged_sequences) == (6, 6)
+    assert difference.settings == ()
+
+
+def test_a_lost_sequence_comes_with_the_stage_and_the_number_that_decided(first) -> None:
+    lost = event_of(ROWS[0], outcome="not_primed", stage="priming", value=0.09, threshold=0.05, sequence_id=None)
+    found = changes_to(first, ROWS[1:], [lost, *map(event_of, ROWS[1:])])
+    assert found == [("lost", "sequence", "not_primed", "priming: 0.090 (threshold 0.05)")]
+    second = first.with_name("second")
+    assert [c.kind for c in compare_builds(second, first).changes] == ["gained"]
+
+
+def test_an_event_that_moved_less_than_a_second_is_the_same_event(first) -> None:
+    moved = dataclasses.replace(ROWS[0], event_time=ROWS[0].event_time + 0.25, sequence_id="other/id/body")
+    rows = sorted((moved, *ROWS[1:]), key=lambda row: row.sequence_id)
+    assert changes_to(first, rows) == [("moved", "sequence", "sequence", "event +0.250 s")]
+
+
+def test_an_event_that_moved_farther_vanished_and_another_appeared(first) -> None:
+    moved = dataclasses.replace(ROWS[0], event_time=ROWS[0].event_time + 1.5, sequence_id="other/id/body")
+    rows = sorted((moved, *ROWS[1:]), key=lambda row: row.sequence_id)
+    assert [change[0] for change in changes_to(first, rows)] == ["appeared", "vanished"]
+
+
+def test_events_of_a_recording_that_failed_vanished_for_its_reason(first) -> None:
+    gone = ROWS[0].recording_id
+    rows = [row for row in ROWS if row.recording_id != gone]
+    found = changes_to(first, rows, failed=gone)
+    assert {change[0] for change in found} == {"vanished"}
+    assert {change[3] for change in found} == {"recording failed: gaze.csv is missing"}
+
+
+@pytest.mark.parametrize("amount", [2e-5, 0.01])
+def test_other_poses_under_the_same_name_are_seen(first, amount) -> None:
+    joints = ROWS[0].joints.copy()
+    joints[-1, 3] += amount
+    changed = dataclasses.replace(ROWS[0], joints=joints)
+    assert [change[0] for change in changes_to(first, [changed, *ROWS[1:]])] == ["values"]
+
+
+def test_what_was_chosen_differently_is_listed(first) -> None:
+    import msgspec
+
+    second = write(first.with_name("second"))
+    info = msgspec.structs.replace(fake_info(), options={"ray_origin": "camera"}, protocol_digest="q")
+    info.write(second)
+    assert compare_builds(first, second).settings == (
+        ("protocol_digest", "p", "q"),
+        ("option ray_origin", "–", "camera"),
+    )
