@@ -90,6 +90,12 @@ class UsageError(PrbenchError):
     exit_code = 2
 
 
+class RedistributionError(PrbenchError):
+    """A dataset's licence does not let its recordings be written into something that is meant to be passed on."""
+
+    exit_code = 10
+
+
 class MissingExtraError(PrbenchError):
     """An optional package is needed; the message holds the ``pip install`` line that helps."""
 

@@ -41,6 +41,18 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_permission(parser: argparse.ArgumentParser) -> None:
+    """``--permission DATASET``, repeatable: the user's word for data whose licence keeps recorded motion."""
+    parser.add_argument(
+        "--permission",
+        action="append",
+        default=[],
+        metavar="DATASET",
+        help="I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
+        " licence forbids it; `prbench datasets` says which); repeatable",
+    )
+
+
 def positive(text: str) -> int:
     """A whole number of at least 1."""
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from prbench.cli.arguments import command
+from prbench.cli.arguments import add_permission, command
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -20,12 +20,13 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("event", help="event id, or any part of it that fits one event only")
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="built dataset folder")
     parser.add_argument("--draw", type=Path, metavar="FILE", help="draw the story as PNG")
+    add_permission(parser)
 
 
 def _explain(arguments: argparse.Namespace) -> int:
     from prbench.workflows.explain import explain_event
 
-    story = explain_event(arguments.data, arguments.event)
+    story = explain_event(arguments.data, arguments.event, permitted=arguments.permission)
     if arguments.draw is not None:
         from prbench.viewing.event_story import draw_event_story
 

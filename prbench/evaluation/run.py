@@ -26,6 +26,8 @@ from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
+from prbench.sequences.redistribution import run_notice
+from prbench.storage import atomic_path
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,21 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
     except Exception:
         folder.discard_if_empty()
         raise
+    for dataset in prepared.datasets:
+        _write_notice(prepared, dataset, folder)
     summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)
     total = sum(len(dataset.plan) for dataset in prepared.datasets)
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
+
+
+def _write_notice(prepared: PreparedRun, dataset: PreparedDataset, folder: RunFolder) -> None:
+    """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
+    files = folder.dataset(dataset.name)
+    recorded = prepared.request.method == GROUND_TRUTH
+    text = run_notice(dataset.selection.table.info, recorded_motion=recorded)
+    if text and not files.notice.is_file():
+        with atomic_path(files.notice) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 def _generate(

@@ -84,6 +84,8 @@ def _legend(table: DatasetTable) -> Iterable[str]:
             )
     if table.redistribution == "non-commercial":
         yield "The data may be used for non-commercial purposes only."
+    elif table.redistribution == "none":
+        yield "The data may not be passed on; this page holds scores only, no recorded motion and no goals."
 
 
 def _macro_blocks(macro: MacroTable) -> list[str]:

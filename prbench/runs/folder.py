@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from prbench.errors import RunError, StorageError
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
+from prbench.sequences.redistribution import NOTICE_FILE
 from prbench.storage import inside
 
 
@@ -36,6 +37,11 @@ class DatasetFolder:
     def cost(self) -> Path:
         """Seconds and memory."""
         return self.path / "cost.json"
+
+    @property
+    def notice(self) -> Path:
+        """What the dataset's terms ask of whoever passes the folder on; absent where they ask nothing."""
+        return self.path / NOTICE_FILE
 
     @property
     def finished(self) -> bool:

@@ -38,7 +38,8 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     heights = [2.0, 1.9] if story.motion is None else [2.0, 1.9, 3.4, 2.8]
     figure = Figure(figsize=(_WIDTH, sum(heights) + 0.4), layout="constrained")
     axes = figure.subplots(len(heights), 1, height_ratios=heights)
-    figure.suptitle(f"{story.title}: {story.event.outcome}\n{story.event.event_id}", fontsize=10)
+    notice = f"\n{story.notice}" if story.notice else ""
+    figure.suptitle(f"{story.title}: {story.event.outcome}\n{story.event.event_id}{notice}", fontsize=10)
     _write_stages(axes[0], story)
     _draw_timeline(axes[1], story)
     if story.motion is not None:

@@ -53,7 +53,9 @@ class EventStory:
     lead: float
     """Seconds before the prime at which a sequence begins."""
     motion: StoryMotion | None
-    """None unless it became a sequence."""
+    """None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views."""
+    notice: str = ""
+    """What the dataset's terms ask a picture of it to say."""
 
     @property
     def title(self) -> str:

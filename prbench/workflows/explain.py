@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pyarrow.compute as pc
 from prbench.errors import TableError, UsageError
 from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import DatasetInfo, EventRecord, SequenceChunk, SequenceTable
+from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
 
@@ -22,13 +24,15 @@ _AROUND = 2  # events before and after that are shown
 _SHOWN = 8  # candidates that an error message lists
 
 
-def explain_event(folder: Path, event: str) -> EventStory:
+def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) -> EventStory:
     """Tell the story of one event.
 
     Args:
         folder: A built dataset.
         event: Its id, its sequence's id, or any part of ``event_id`` or ``recording/object name/action/time`` that
             fits one event only.
+        permitted: Datasets for which the user has permission to pass recorded motion on; without it the story of one
+            whose licence keeps it has no motion to draw.
 
     Raises:
         TableError: if the folder holds no dataset.
@@ -50,7 +54,8 @@ def explain_event(folder: Path, event: str) -> EventStory:
         neighbours=_neighbours(events, row),
         priming_window=protocol.curation.priming_window,
         lead=protocol.curation.lead,
-        motion=None if chunk is None else _motion(chunk),
+        motion=_motion(chunk) if chunk is not None and may_pass_on(table.info, permitted) else None,
+        notice=notice(table.info, permitted),
     )
 
 
@@ -89,9 +94,7 @@ def _readable(events: pa.Table, row: int) -> str:
 
 def _record(events: pa.Table, row: int) -> EventRecord:
     values = events.slice(row, 1).to_pylist()[0]
-    vectors = {
-        name: None if values[name] is None else np.array(values[name]) for name in ("location", "box_min", "box_max")
-    }
+    vectors = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
     return EventRecord(**(values | vectors))
 
 
@@ -186,7 +189,7 @@ def _clipping(event: EventRecord, chunk: SequenceChunk | None, protocol: Benchma
     if chunk is None:
         return f"the recording covers it {interval}"
     n, start = int(chunk.n_frames[0]), float(chunk.numbers("start_time")[0])
-    return f"{n} frames at {protocol.fps:g} Hz from {start:.3f} s"
+    return f"{n} frames at {float(chunk.numbers('fps')[0]):g} Hz from {start:.3f} s"
 
 
 def _body(event: EventRecord, protocol: BenchmarkProtocol) -> str:
