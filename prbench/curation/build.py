@@ -22,13 +22,13 @@ from prbench.curation.parts import (
 from prbench.curation.provenance import describe
 from prbench.curation.sources import NativeSource, RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
-from prbench.errors import InputFileError, StorageError
+from prbench.errors import InputFileError
 from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.sequence import RecordingRecord
 from prbench.sequences.write_dataset import write_dataset
-from prbench.storage import remove_leftovers
+from prbench.storage import remove_leftovers, require_replaceable
 
 _IN_PROCESS = InProcess()
 
@@ -103,7 +103,7 @@ def build_from_sources(
         extra_options: Further entries for the options in ``dataset.json``.
     """
     out = out.expanduser().absolute()
-    require_replaceable(out)
+    require_replaceable(out, FILE_NAME, kind="dataset")
     sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
     _require_distinct(sources)
     dataset = sources[0].dataset
@@ -128,9 +128,6 @@ def build_from_sources(
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
 
-
-def require_replaceable(out: Path) -> None:
-XXX
 
 def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
     if not sources:

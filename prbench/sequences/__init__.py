@@ -1,8 +1,19 @@
-"""The sequence table: schema, rows, writing, reading, digests."""
+"""Sequence and corpus tables: schema, rows, writing, reading, digests."""
 
 from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.corpus_info import CorpusInfo
+from prbench.sequences.corpus_table import CorpusTable
 from prbench.sequences.dataset_info import DatasetInfo
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.sequences.table import SequenceTable
 
-__all__ = ["DatasetInfo", "EventRecord", "RecordingRecord", "Sequence", "SequenceChunk", "SequenceTable"]
+__all__ = [
+    "CorpusInfo",
+    "CorpusTable",
+    "DatasetInfo",
+    "EventRecord",
+    "RecordingRecord",
+    "Sequence",
+    "SequenceChunk",
+    "SequenceTable",
+]

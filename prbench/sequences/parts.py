@@ -1,4 +1,4 @@
-"""Intermediate parts of a build: one folder a unit of work, kept until the tables are written, so that a build resumes."""
+"""Intermediate parts of a build: one folder a unit of work, kept until the tables stand, so that a build resumes."""
 
 from __future__ import annotations
 

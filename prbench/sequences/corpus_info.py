@@ -1,0 +1,78 @@
+"""``corpus.json``: what a built corpus is, where it came from and under which terms it may be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import TableError
+from prbench.sequences.dataset_info import QuarantinedRecording
+from prbench.storage import write_json
+
+CORPUS_FILE = "corpus.json"
+
+
+class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """How many recordings, texts and clips each stage left."""
+
+    recordings_found: int
+    recordings_read: int
+    recordings_failed: int
+    recordings_skipped: int
+    annotations: int
+    """Texts of the source, empty ones included."""
+    clips: int
+    captions: int
+    approximate_clips: int
+    """Clips whose text was placed by aligning starts alone."""
+    frames: int
+
+
+class CorpusInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """Provenance of one built corpus. Holds no time of day, host, absolute path or worker count."""
+
+    schema_version: int
+    protocol_version: int
+    protocol_digest: str
+    dataset: str
+    title: str
+    synthetic: bool
+    prbench_version: str
+    manifest_digest: str
+    input_digest: str
+    """Over the names and contents of all files that were used."""
+    options: dict[str, str]
+    counts: CorpusCounts
+    outcomes: dict[str, int]
+    """Annotations by what became of them."""
+    quarantine: tuple[QuarantinedRecording, ...]
+    identity_digest: str
+    content_digest: str
+    licence: str
+    redistribution: str
+    homepage: str
+    citation: str
+
+    def write(self, folder: Path) -> None:
+        """Write ``corpus.json``."""
+        write_json(folder / CORPUS_FILE, msgspec.to_builtins(self))
+
+    @classmethod
+    def read(cls, folder: Path) -> CorpusInfo:
+        """Read ``corpus.json``.
+
+        Raises:
+            TableError: if the folder holds none, or it is damaged or of another version.
+        """
+        path = folder / CORPUS_FILE
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except (FileNotFoundError, NotADirectoryError) as error:
+            found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+            raise TableError(
+                f"{folder}: expected a built corpus (a folder with {CORPUS_FILE}), found {found}."
+                " Make one with `prbench build-corpus`."
+            ) from error
+        except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise TableError(f"{path}: not a valid {CORPUS_FILE}: {error}. Build the corpus again.") from error
