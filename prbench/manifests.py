@@ -190,19 +190,19 @@ def load_manifest(dataset: str) -> Manifest:
     """
     if dataset not in dataset_names():
         raise UsageError(f"unknown dataset '{dataset}'; known ones are: {', '.join(dataset_names())}.")
-    return _read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
+    return read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
 
 
 @cache
 def load_protocol() -> BenchmarkProtocol:
     """The protocol of the prime-and-reach benchmark."""
-    return _read_toml("prbench_benchmarks.prime_and_reach", "protocol.toml", BenchmarkProtocol)
+    return read_toml("prbench_benchmarks.prime_and_reach", "protocol.toml", BenchmarkProtocol)
 
 
 @cache
 def load_citations() -> Citations:
     """What to cite beside the datasets: the study that defined the task, and this toolkit."""
-    return _read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", Citations)
+    return read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", Citations)
 
 
 def dataset_names() -> tuple[str, ...]:
@@ -214,7 +214,7 @@ def dataset_names() -> tuple[str, ...]:
 Loaded = TypeVar("Loaded", bound=msgspec.Struct)
 
 
-def _read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
+def read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
     file = resources.files(package) / name
     try:
         return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
