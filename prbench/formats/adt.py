@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.formats.aria_mps import GlassesSize
+from prbench.formats.aria_mps import GazeAngles, GlassesSize
 
 METADATA_FILE, METADATA_FILE_BEFORE_1_1 = "metadata.json", "gt-metadata.json"
 INSTANCES_FILE = "instances.json"
@@ -100,20 +100,6 @@ class GlassesPoses:
     rotation: Float[np.ndarray, "n 4"]
     """w x y z."""
     quality: Float[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class GazeAngles:
-    """``eyegaze.csv``: angles in the central pupil frame, radians."""
-
-    time_us: Int[np.ndarray, " n"]
-    yaw: Float[np.ndarray, " n"]
-    pitch: Float[np.ndarray, " n"]
-    depth: Float[np.ndarray, " n"]
-    """Metres from the central pupil frame to what is looked at; 0 or NaN where unknown."""
-    yaw_range: Float[np.ndarray, "n 2"]
-    """Lower and upper bound."""
-    pitch_range: Float[np.ndarray, "n 2"]
 
 
 @dataclass(frozen=True)

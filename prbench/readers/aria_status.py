@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
+
+import msgspec
 
 from prbench.errors import InputFileError
-from prbench.storage import read_json
+from prbench.readers.files import decode_json
+from prbench.readers.zipped import Source, shown
+
+_ANYTHING = msgspec.json.Decoder()
 
 
-def read_warnings(path: Path) -> tuple[str, ...]:
+def read_warnings(path: Source) -> tuple[str, ...]:
     """What the operators of a stream warn of; their names vary between versions, and none is required.
 
     Returns:
@@ -19,17 +23,17 @@ def read_warnings(path: Path) -> tuple[str, ...]:
         InputFileError: if the file is damaged, or an operator reports an ERROR: the stream is then not to be used.
     """
     warnings = []
-    for operator, report in _reports(read_json(path)):
+    for operator, report in _reports(decode_json(path, _ANYTHING)):
         if report["status"] == "ERROR":
             raise InputFileError(
-                path,
+                shown(path),
                 operator,
                 expected="no operator with the status ERROR",
                 found=f"ERROR{_reason(report)}",
                 remedy="The services could not compute this stream; leave the recording out, or request it again.",
             )
         if report["status"] == "WARNING":
-            warnings.append(f"{path.parent.name}: {operator} warns{_reason(report)}")
+            warnings.append(f"{shown(path).parent.name}: {operator} warns{_reason(report)}")
     return tuple(warnings)
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.errors import InputFileError
 from prbench.readers.last_line import require_whole_last_line
+from prbench.readers.zipped import RememberingTail, Source, opened, read_all, shown
 
 Column = type[int] | type[float] | type[str]
 Decoded = TypeVar("Decoded")
@@ -24,37 +25,60 @@ _QUATERNION_TOLERANCE = 1e-3
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 
 
-def read_columns(path: Path, columns: Mapping[str, Column]) -> pa.Table:
+def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     """Read the named columns of a CSV file; further columns and their order do not matter.
 
     Args:
-        path: CSV with a header line.
+        path: CSV with a header line, plain or in an archive.
         columns: Name and type of each column. Empty numbers become NaN; integers must not be empty.
 
     Raises:
         InputFileError: if the file or a column is missing, a line is cut, or a value is no number.
     """
     header = read_header(path)
+    require_column_names(path, header, columns)
+    types = arrow_types(columns)
+    try:
+        table, tail = _parse(path, types, use_threads=True)
+    except pa.ArrowInvalid:
+        table, tail = _parse_naming_row(path, types)
+    require_whole_last_line(shown(path), columns, header, tail=tail)
+    require_integers(path, table, columns)
+    return table
+
+
+def arrow_types(columns: Mapping[str, Column]) -> dict[str, pa.DataType]:
+    """What the columns are parsed to."""
+    return {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
+
+
+def require_column_names(path: Source, header: list[str], columns: Mapping[str, Column]) -> None:
+    """Refuse a file that lacks a column.
+
+    Raises:
+        InputFileError: naming the first one.
+    """
     missing = [name for name in columns if name not in header]
     if missing:
         raise InputFileError(
-            path,
+            shown(path),
             "header",
             expected=f"a column '{missing[0]}'",
             found=f"the columns {', '.join(header)}",
             remedy="This is another file, or another version of the format.",
         )
-    types = {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
-    try:
-        table = _parse(path, types, use_threads=True)
-    except pa.ArrowInvalid:
-        table = _parse_naming_row(path, types)
-    require_whole_last_line(path, columns, header)
+
+
+def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column]) -> None:
+    """Refuse empty cells where integers are needed.
+
+    Raises:
+        InputFileError: naming the first line.
+    """
     for name, kind in columns.items():
         if kind is int and table[name].null_count:
             row = int(np.flatnonzero(table[name].is_null().to_numpy(zero_copy_only=False))[0])
-            raise InputFileError(path, f"line {row + 2}", expected=f"an integer '{name}'", found="nothing")
-    return table
+            raise InputFileError(shown(path), f"line {row + 2}", expected=f"an integer '{name}'", found="nothing")
 
 
 def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
@@ -63,7 +87,7 @@ def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray,
 
 
 def require_increasing(
-    path: Path, times: Int[np.ndarray, " n"], *, unit: str, place: str = "line", first: int = 2
+    path: Source, times: Int[np.ndarray, " n"], *, unit: str, place: str = "line", first: int = 2
 ) -> None:
     """Refuse a clock that stands still or runs backwards.
 
@@ -81,7 +105,7 @@ def require_increasing(
     if backwards.size:
         row = int(backwards[0]) + 1
         raise InputFileError(
-            path,
+            shown(path),
             f"{place} {row + first}",
             expected=f"a time after {times[row - 1]} {unit}",
             found=f"{times[row]} {unit}",
@@ -90,11 +114,12 @@ def require_increasing(
 
 
 def require_poses(
-    path: Path,
+    path: Source,
     position: Float[np.ndarray, "n 3"],
     rotation: Float[np.ndarray, "n 4"],
     *,
     used: Bool[np.ndarray, " n"] | None = None,
+    first: int = 2,
 ) -> None:
     """Refuse poses that are no numbers or no rotations.
 
@@ -103,6 +128,7 @@ def require_poses(
         position: One row a line.
         rotation: Quaternions in any order.
         used: Rows that matter; all by default.
+        first: Line of the first row.
 
     Raises:
         InputFileError: naming the first bad line.
@@ -111,8 +137,8 @@ def require_poses(
     bad = matters & ~np.isfinite(np.einsum("nk->n", position) + np.einsum("nk->n", rotation))
     if bad.any():
         raise InputFileError(
-            path,
-            f"line {int(np.argmax(bad)) + 2}",
+            shown(path),
+            f"line {int(np.argmax(bad)) + first}",
             expected="a pose of finite numbers",
             found="NaN or nothing",
             remedy="Remove the row, or download the file again.",
@@ -122,15 +148,15 @@ def require_poses(
     if bad.any():
         row = int(np.argmax(bad))
         raise InputFileError(
-            path,
-            f"line {row + 2}",
+            shown(path),
+            f"line {row + first}",
             expected="a quaternion of length 1",
             found=f"length {length[row]:.4f}",
             remedy=_COPY_AGAIN,
         )
 
 
-def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded], *, nan_is_null: bool = False) -> Decoded:
+def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_null: bool = False) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
 
     Args:
@@ -142,7 +168,7 @@ def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded], *, nan_is_nu
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
     """
     try:
-        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+        content = read_all(path).removeprefix(b"\xef\xbb\xbf")
         if nan_is_null and b"NaN" in content:
             content = re.sub(rb"(?<=[\[,:\s])-?NaN\b", b"null", content)
         return decoder.decode(content)
@@ -150,45 +176,61 @@ def decode_json(path: Path, decoder: msgspec.json.Decoder[Decoded], *, nan_is_nu
         raise missing_file(path) from error
     except msgspec.ValidationError as error:
         raise InputFileError(
-            path,
+            shown(path),
             "",
             expected="the keys of this format",
             found=str(error),
             remedy="Is this the right file?",
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputFileError(path, "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
+        raise InputFileError(shown(path), "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
 
 
-def missing_file(path: Path) -> InputFileError:
+def missing_file(path: Source) -> InputFileError:
     """The error for a required file that is not there."""
-    return InputFileError(path, "", expected="this file", found="no such file", remedy="Download the recording again.")
+    return InputFileError(
+        shown(path), "", expected="this file", found="no such file", remedy="Download the recording again."
+    )
 
 
-def read_header(path: Path) -> list[str]:
+def read_header(path: Source) -> list[str]:
     """Column names of a CSV file.
 
     Raises:
         InputFileError: if the file is missing or is no text.
     """
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            return [name.strip().strip('"') for name in file.readline().rstrip("\r\n").split(",")]
+        with opened(path) as file:
+            return header_names(file.readline())
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except UnicodeDecodeError as error:
-        raise InputFileError(path, "", expected="text with comma-separated values", found="other bytes") from error
+        raise InputFileError(
+            shown(path), "", expected="text with comma-separated values", found="other bytes"
+        ) from error
 
 
-def _parse(path: Path, types: Mapping[str, pa.DataType], *, use_threads: bool) -> pa.Table:
-    return pyarrow.csv.read_csv(
-        path,
-        read_options=pyarrow.csv.ReadOptions(use_threads=use_threads),
-        convert_options=pyarrow.csv.ConvertOptions(column_types=types, include_columns=list(types)),
-    )
+def header_names(line: bytes) -> list[str]:
+    """Column names in a header line.
+
+    Raises:
+        UnicodeDecodeError: if it is no text.
+    """
+    return [name.strip().strip('"') for name in line.decode("utf-8-sig").rstrip("\r\n").split(",")]
 
 
-def _parse_naming_row(path: Path, types: Mapping[str, pa.DataType]) -> pa.Table:
+def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool) -> tuple[pa.Table, bytes | None]:
+    """The table, and the last bytes of a file in an archive."""
+    read = pyarrow.csv.ReadOptions(use_threads=use_threads)
+    convert = pyarrow.csv.ConvertOptions(column_types=types, include_columns=list(types))
+    if isinstance(path, Path):
+        return pyarrow.csv.read_csv(path, read_options=read, convert_options=convert), None
+    with opened(path) as file:
+        stream = RememberingTail(file)
+        return pyarrow.csv.read_csv(stream, read_options=read, convert_options=convert), stream.tail
+
+
+def _parse_naming_row(path: Source, types: Mapping[str, pa.DataType]) -> tuple[pa.Table, bytes | None]:
     """Parse again in one thread, which is slow but knows the row of an error."""
     try:
         return _parse(path, types, use_threads=False)
@@ -196,7 +238,7 @@ def _parse_naming_row(path: Path, types: Mapping[str, pa.DataType]) -> pa.Table:
         found = str(error).splitlines()[0]
         row = re.search(r"Row #(\d+)", found)
         raise InputFileError(
-            path,
+            shown(path),
             f"line {row[1]}" if row else "",
             expected="complete lines of comma-separated values of the right kind",
             found=f"'{found[:160]}'",

@@ -13,7 +13,9 @@ _HARMLESS = re.compile(rb"-?(0|\d\d+)\.\d{6,}|-?\d(\.\d+)?e-\d\d+")
 several digits, or a whole negative exponent. One digit before the point could be the mantissa of a lost exponent."""
 
 
-def require_whole_last_line(path: Path, wanted: Collection[str], header: list[str]) -> None:
+def require_whole_last_line(
+    path: Path, wanted: Collection[str], header: list[str], *, tail: bytes | None = None
+) -> None:
     """Refuse a file whose last number may have been cut: a cut number still looks like one.
 
     A file that ends in a line break is whole. Without one it is taken as it is where nothing that is read could have
@@ -24,14 +26,12 @@ def require_whole_last_line(path: Path, wanted: Collection[str], header: list[st
         path: The file.
         wanted: Columns that are read from it.
         header: All its columns.
+        tail: Its last 80 bytes, where they are known; else they are read.
 
     Raises:
         InputFileError: saying what to do.
     """
-    with open(path, "rb") as file:
-        file.seek(0, 2)
-        file.seek(max(file.tell() - 80, 0))
-        tail = file.read()
+    tail = _tail(path) if tail is None else tail
     if tail.endswith((b"\n", b"\r")):
         return
     last = tail.splitlines()[-1] if tail else b""
@@ -46,3 +46,10 @@ def require_whole_last_line(path: Path, wanted: Collection[str], header: list[st
         remedy="Compare its size with the original: if it is smaller, the file is truncated; copy or download it again."
         " If it is complete, append one line break to the file.",
     )
+
+
+def _tail(path: Path) -> bytes:
+    with open(path, "rb") as file:
+        file.seek(0, 2)
+        file.seek(max(file.tell() - 80, 0))
+        return file.read()

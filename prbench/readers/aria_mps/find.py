@@ -1,0 +1,97 @@
+"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives (section 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+from prbench.formats import aria_mps as mps
+from prbench.readers.found import InputFile, input_file
+from prbench.readers.zipped import archive_members
+
+_ROLES: dict[str, tuple[str, ...]] = {
+    mps.TRAJECTORY: (mps.TRAJECTORY_FILE,),
+    mps.GAZE: mps.GAZE_FILES,
+    mps.CALIBRATION: (mps.CALIBRATION_FILE,),
+    mps.WRISTS: (mps.WRISTS_FILE,),
+    mps.HAND_TRACKING: (mps.HAND_TRACKING_FILE,),
+}
+_SUMMARIES = {
+    mps.SLAM_SUMMARY: (mps.TRAJECTORY, mps.CALIBRATION),
+    mps.GAZE_SUMMARY: (mps.GAZE,),
+    mps.HAND_SUMMARY: (mps.WRISTS, mps.HAND_TRACKING),
+}
+"""A summary lies beside one of the files that it speaks of."""
+_USUAL_FOLDERS = ("slam", "trajectory", "eye_gaze", "hand_tracking")
+
+
+def find_mps_files(root: Path) -> tuple[InputFile, ...]:
+    """The files of one recording, under their present or old names.
+
+    Args:
+        root: The folder of one recording's outputs, or a zip archive of it; in a folder, archives are looked into too.
+
+    Returns:
+        At most one file a role: of several with the best name that in one of the usual folders, then the one that lies
+        highest, plain before archived. Nothing is required here.
+
+    Raises:
+        InputFileError: if an archive is damaged.
+    """
+    present = _files_of_archive(root) if root.is_file() else _files_below(root)
+    found = {role: file for role, names in _ROLES.items() if (file := _best(present, names, role))}
+    for role, companions in _SUMMARIES.items():
+        beside = [_folder(found[companion]) for companion in companions if companion in found]
+        summaries = [file for file in present if _name(file) == mps.SUMMARY_FILE and _folder(file) in beside]
+        if summaries:
+            found[role] = InputFile(role, summaries[0].path, summaries[0].size, summaries[0].member)
+    return tuple(found.values())
+
+
+def find_gaze_file(folder: Path) -> Path | None:
+    """The preferred gaze file of a folder, under its new or an old name; None if there is none."""
+    return next((folder / name for name in mps.GAZE_FILES if (folder / name).is_file()), None)
+
+
+def is_personalized(file: InputFile) -> bool:
+    """Whether a gaze file was made with the wearer's own calibration."""
+    return _name(file) in mps.PERSONALIZED_GAZE_FILES
+
+
+def _files_below(root: Path) -> list[InputFile]:
+    wanted = {name for names in _ROLES.values() for name in names} | {mps.SUMMARY_FILE}
+    files = []
+    for path in sorted(root.rglob("*")):
+        if path.name in wanted and path.is_file():
+            files.append(input_file("", path))
+        elif path.suffix == ".zip" and path.is_file():
+            files += _files_of_archive(path)
+    return files
+
+
+def _files_of_archive(archive: Path) -> list[InputFile]:
+    return [InputFile("", archive, size, member) for member, size in sorted(archive_members(archive).items())]
+
+
+def _best(present: Sequence[InputFile], names: Sequence[str], role: str) -> InputFile | None:
+    candidates = [file for file in present if _name(file) in names]
+    if not candidates:
+        return None
+    best = min(candidates, key=lambda file: _rank(file, names))
+    return InputFile(role, best.path, best.size, best.member)
+
+
+def _rank(file: InputFile, names: Sequence[str]) -> tuple[int, bool, int, bool, str]:
+    folder = _folder(file)
+    unusual = folder.name not in _USUAL_FOLDERS
+    return names.index(_name(file)), unusual, len(folder.parts), bool(file.member), str(folder)
+
+
+def _name(file: InputFile) -> str:
+    return PurePosixPath(file.member).name if file.member else file.path.name
+
+
+def _folder(file: InputFile) -> PurePosixPath:
+    """The folder of a file; an archive counts as one."""
+    path = file.path / file.member if file.member else file.path
+    return PurePosixPath(path.as_posix()).parent

@@ -1,0 +1,130 @@
+"""Files inside zip archives, read where they are: nothing is unpacked to the disk."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from prbench.errors import InputFileError
+from prbench.readers.found import InputFile
+
+_COPY_AGAIN = "The archive may be truncated; copy or download it again."
+
+
+@dataclass(frozen=True)
+class ZippedFile:
+    """One file inside a zip archive."""
+
+    archive: Path
+    member: str
+
+    def __str__(self) -> str:
+        return str(self.shown)
+
+    @property
+    def shown(self) -> Path:
+        """How messages name it."""
+        return self.archive / self.member
+
+    @property
+    def name(self) -> str:
+        """Its own name, without folders."""
+        return self.member.rpartition("/")[2]
+
+
+Source = Path | ZippedFile
+
+
+def source_of(file: InputFile) -> Source:
+    """What to read of an input file: itself, or its member of an archive."""
+    return ZippedFile(file.path, file.member) if file.member else file.path
+
+
+def shown(source: Source) -> Path:
+    """How messages name a source."""
+    return source if isinstance(source, Path) else source.shown
+
+
+def archive_members(archive: Path) -> dict[str, int]:
+    """Names of the files in an archive, with their sizes in bytes when unpacked.
+
+    Raises:
+        InputFileError: if it is no zip archive, or its table of contents is damaged.
+    """
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
+    except zipfile.BadZipFile as error:
+        raise InputFileError(
+            archive, "", expected="a whole zip archive", found=str(error), remedy=_COPY_AGAIN
+        ) from error
+
+
+@contextmanager
+def opened(source: Source) -> Iterator[BinaryIO]:
+    """The bytes of a source as a stream; a damaged archive becomes an error that says what to do.
+
+    Raises:
+        InputFileError: if there is no such file or member, or the archive is damaged or encrypted. Damage shows where
+            it is reached: the checksum of a member is compared at its end.
+        FileNotFoundError: if a plain file is missing.
+    """
+    if isinstance(source, Path):
+        with open(source, "rb") as file:
+            yield file
+        return
+    with ExitStack() as stack:
+        file = _opened_member(source, stack)
+        try:
+            yield file
+        except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+            raise _damaged(source, error) from error
+
+
+def _opened_member(source: ZippedFile, stack: ExitStack) -> BinaryIO:
+    try:
+        archive = stack.enter_context(zipfile.ZipFile(source.archive))
+        return cast(BinaryIO, stack.enter_context(archive.open(source.member)))
+    except KeyError as error:
+        raise InputFileError(source.archive, "", expected=f"the file {source.member} in it", found="none") from error
+    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
+        raise _damaged(source, error) from error
+
+
+def _damaged(source: ZippedFile, error: Exception) -> InputFileError:
+    return InputFileError(
+        source.shown, "", expected="a file that can be unpacked", found=str(error), remedy=_COPY_AGAIN
+    )
+
+
+def read_all(source: Source) -> bytes:
+    """All bytes of a small source (see :func:`opened` for what it raises)."""
+    with opened(source) as file:
+        return file.read()
+
+
+class RememberingTail(io.RawIOBase):
+    """A stream that passes on what another one reads and remembers the end of it."""
+
+    LENGTH = 80
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.tail = b""
+
+    def readable(self) -> bool:
+        """It can be read."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """See :class:`io.RawIOBase`."""
+        content = self._stream.read(size)
+        if content:
+            self.tail = (self.tail + content[-self.LENGTH :])[-self.LENGTH :]
+        return content
