@@ -16,7 +16,7 @@ FLOORS = {
     "prbench.formats": 1,
     **{
         f"prbench.{room}": 1
-        for room in ("skeleton", "rays", "timelines", "manifests", "engine", "storage", "randomness")
+        for room in ("skeleton", "rays", "timelines", "manifests", "published", "engine", "storage", "randomness")
     },
     **{f"prbench.{room}": 2 for room in ("metrics", "sequences", "representation", "text", "recording")},
     **{f"prbench.{room}": 3 for room in ("readers", "synthetic", "contract", "runs")},

@@ -8,10 +8,10 @@ import sys
 from collections.abc import Sequence
 
 import prbench
-from prbench.cli import adapters, build_dataset, datasets, diff, explain, leaderboard, run, score, synthesize
+from prbench.cli import adapters, build_dataset, datasets, diff, explain, leaderboard, run, score, stats, synthesize
 from prbench.errors import PrbenchError
 
-_COMMANDS = (run, build_dataset, datasets, diff, explain, synthesize, score, leaderboard, adapters)
+_COMMANDS = (run, build_dataset, datasets, stats, diff, explain, synthesize, score, leaderboard, adapters)
 
 _EXAMPLES = """\
 examples:

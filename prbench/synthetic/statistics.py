@@ -17,17 +17,10 @@ from prbench.metrics.batch import MotionBatch
 from prbench.metrics.prime_success import prime_success
 from prbench.metrics.reach_success import reach_success
 from prbench.metrics.targets import ScoringTargets
+from prbench.published import Spread, load_table_one
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.true_clips import FPS, TrueClip, true_clips
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Mean and standard deviation over sequences."""
-
-    mean: float
-    sd: float
 
 
 @dataclass(frozen=True)
@@ -48,11 +41,8 @@ class SequenceStatistics:
 
 TARGETS: Mapping[str, SequenceStatistics] = MappingProxyType(
     {
-        "hd-epic": SequenceStatistics(Spread(5.49, 2.76), Spread(3.55, 2.79), Spread(0.72, 0.67), Spread(0.45, 0.22)),
-        "mogaze": SequenceStatistics(Spread(3.64, 0.94), Spread(1.53, 0.92), Spread(1.07, 0.62), Spread(0.75, 0.25)),
-        "hot3d": SequenceStatistics(Spread(4.31, 1.54), Spread(2.37, 1.57), Spread(0.20, 0.15), Spread(0.38, 0.19)),
-        "adt": SequenceStatistics(Spread(7.44, 2.47), Spread(4.51, 2.74), Spread(1.23, 1.28), Spread(0.56, 0.24)),
-        "gimo": SequenceStatistics(Spread(7.11, 2.49), Spread(4.47, 1.49), Spread(3.09, 1.20), Spread(0.64, 0.19)),
+        dataset: SequenceStatistics(row.duration, row.prime_gap, row.body_movement, row.hand_movement)
+        for dataset, row in load_table_one().items()
     }
 )
 """The study's numbers of the real datasets."""

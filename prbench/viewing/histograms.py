@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from prbench.published import Spread
 from prbench.storage import atomic_path
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.statistics import TARGETS, Spread, clips_of
+from prbench.synthetic.statistics import TARGETS, clips_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,90 @@
+"""``prbench stats``: Table 1, Table S2 and Figure S2 of the study, for one's own tables."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.cli.arguments import command
+from prbench.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from prbench.published import PublishedRow
+    from prbench.sequences.table_one import TableStatistics
+
+
+def add_parser(commands: argparse._SubParsersAction) -> None:
+    """Register the command."""
+    parser = command(
+        commands,
+        "stats",
+        summary="print how many sequences a table holds, how long they are and how far people move, beside the study",
+        example="prbench stats tables/adt tables/mogaze --draw figure_s2.svg",
+        execute=_stats,
+    )
+    parser.add_argument("data", type=Path, nargs="+", metavar="DIR", help="built dataset folder(s)")
+    parser.add_argument("--draw", type=Path, metavar="FILE", help="draw the six panels of Figure S2 as PNG or SVG")
+
+
+def _stats(arguments: argparse.Namespace) -> int:
+    from prbench.published import load_table_one
+    from prbench.sequences import SequenceTable
+    from prbench.sequences.table_one import table_statistics
+
+    statistics = [table_statistics(SequenceTable.open(folder)) for folder in arguments.data]
+    published = load_table_one()
+    rows = []
+    for each in statistics:
+        row = published.get(each.dataset.removeprefix("synthetic-"))
+        rows += [_ours(each), _theirs(row)] if row else [_ours(each)]
+        rows += [_deviations(each, row)] if row else []
+    print_table(
+        "prime-and-reach sequences (mean ± standard deviation over sequences)",
+        (
+            "dataset",
+            "sequences",
+            "train",
+            "validation",
+            "test",
+            "duration s",
+            "prime gap s",
+            "body m",
+            "hand m",
+            "body",
+        ),
+        rows,
+        numbers=range(1, 9),
+    )
+    if any(each.dataset.startswith("synthetic-") for each in statistics):
+        print("Synthetic sequences imitate the published means; their counts and scores are not comparable with them.")
+    if arguments.draw is not None:
+        from prbench.viewing.table_one import draw_table_one
+
+        draw_table_one(statistics, arguments.draw)
+        print(f"drawing: {arguments.draw}")
+    return 0
+
+
+def _ours(each: TableStatistics) -> tuple[str, ...]:
+    from prbench.published import QUANTITIES
+
+    spreads = [each.spread(name) for name in QUANTITIES]
+    counts = [str(each.by_split[split]) for split in ("train", "validation", "test")]
+    numbers = [f"{spread.mean:.2f} ± {spread.sd:.2f}" for spread in spreads]
+    return (each.dataset, str(each.sequences), *counts, *numbers, ", ".join(each.pose_sources))
+
+
+def _theirs(row: PublishedRow) -> tuple[str, ...]:
+    from prbench.published import QUANTITIES
+
+    spreads = [getattr(row, name) for name in QUANTITIES]
+    numbers = [f"{spread.mean:.2f} ± {spread.sd:.2f}" for spread in spreads]
+    return ("  published", str(row.sequences), str(row.train), "–", str(row.test), *numbers, "")
+
+
+def _deviations(each: TableStatistics, row: PublishedRow) -> tuple[str, ...]:
+    from prbench.published import QUANTITIES
+
+    numbers = [f"{each.deviation(name, getattr(row, name)):+.2f} sd" for name in QUANTITIES]
+    return ("  difference", "", "", "", "", *numbers, "")

@@ -1,0 +1,112 @@
+"""The study's statistics of a built dataset: Table 1, Table S2 and what Figure S2 draws.
+
+The goal's distance, elevation and azimuth are those of its location as seen from the pelvis of the first frame, in the
+canonical frame: azimuth 0 straight ahead and positive to the left, elevation 0 at the height of the pelvis. The page
+names the three and defines none of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.published import QUANTITIES, Spread
+from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.table import SequenceTable
+from prbench.skeleton import Joint
+
+GAZE_SHIFT_SPAN = (-2.0, 8.0)
+"""Seconds before and after the prime time over which the gaze shift is averaged."""
+GAZE_SHIFT_STEP = 0.1
+_COLUMNS = ("joints", "goal_location", "gaze_origin", "gaze_direction", "gaze_valid", "fps", "preroll", "split")
+
+
+@dataclass(frozen=True)
+class TableStatistics:
+    """Numbers of one built dataset."""
+
+    dataset: str
+    sequences: int
+    by_split: dict[str, int]
+    pose_sources: tuple[str, ...]
+    duration: Float[np.ndarray, " n"]
+    prime_gap: Float[np.ndarray, " n"]
+    body_movement: Float[np.ndarray, " n"]
+    hand_movement: Float[np.ndarray, " n"]
+    goal_distance: Float[np.ndarray, " n"]
+    goal_elevation_deg: Float[np.ndarray, " n"]
+    goal_azimuth_deg: Float[np.ndarray, " n"]
+    gaze_shift_times: Float[np.ndarray, " k"]
+    """Seconds from the prime time: left edges of bins."""
+    gaze_shift_deg: Float[np.ndarray, "k 3"]
+    """Quartiles over all sequences of the angle between gaze and goal in each bin; NaN where nothing was measured."""
+
+    def spread(self, quantity: str) -> Spread:
+        """Mean and standard deviation of one of the four quantities of Table 1."""
+        values = getattr(self, quantity)
+        return Spread(float(values.mean()), float(values.std()))
+
+    def deviation(self, quantity: str, published: Spread) -> float:
+        """(our mean - the published one) in published standard deviations."""
+        return (self.spread(quantity).mean - published.mean) / published.sd
+
+
+def table_statistics(table: SequenceTable) -> TableStatistics:
+    """Compute the statistics of a built dataset; rows are streamed.
+
+    The sequence's duration is that of the study: from 2 s before the prime to the event.
+    """
+    scalars = table.scalars()
+    splits = scalars["split"].to_pylist()
+    goals, angles = [], []
+    for chunk in table.chunks(columns=_COLUMNS):
+        goals.append(_goal_from_start(chunk))
+        angles.append(_gaze_shift(chunk))
+    goal = np.concatenate(goals)
+    horizontal = np.hypot(goal[:, 0], goal[:, 2])
+    times, quartiles = _quartiles(np.concatenate(angles))
+    return TableStatistics(
+        dataset=table.info.dataset,
+        sequences=len(splits),
+        by_split={split: splits.count(split) for split in ("train", "validation", "test")},
+        pose_sources=tuple(sorted(set(scalars["pose_source"].to_pylist()))),
+        duration=(scalars["event_time"].to_numpy() - scalars["start_time"].to_numpy()),
+        **{name: scalars[name].to_numpy() for name in QUANTITIES if name != "duration"},
+        goal_distance=np.linalg.norm(goal, axis=1),
+        goal_elevation_deg=np.rad2deg(np.arctan2(goal[:, 1], horizontal)),
+        goal_azimuth_deg=np.rad2deg(np.arctan2(goal[:, 0], goal[:, 2])),
+        gaze_shift_times=times,
+        gaze_shift_deg=quartiles,
+    )
+
+
+def _goal_from_start(chunk: SequenceChunk) -> Float[np.ndarray, "b 3"]:
+    return chunk.vectors("goal_location") - chunk.joints[chunk.offsets[:-1], Joint.PELVIS]
+
+
+def _gaze_shift(chunk: SequenceChunk) -> Float[np.ndarray, "m 2"]:
+    """Time from the prime, and angle between gaze and goal in degrees, of every frame with valid gaze."""
+    row = np.repeat(np.arange(len(chunk)), chunk.n_frames)
+    frame = np.arange(len(row)) - chunk.offsets[row]
+    time = frame / chunk.numbers("fps")[row] - chunk.numbers("preroll")[row]
+    towards = chunk.vectors("goal_location")[row] - chunk.frames("gaze_origin")
+    length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+    cosine = np.einsum("nk,nk->n", towards, chunk.frames("gaze_direction")) / length
+    angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.column_stack([time, angle])[chunk.frames("gaze_valid")]
+
+
+def _quartiles(samples: Float[np.ndarray, "m 2"]) -> tuple[np.ndarray, np.ndarray]:
+    first, last = GAZE_SHIFT_SPAN
+    times = np.round(np.arange(first, last, GAZE_SHIFT_STEP), 6)
+    bins = np.floor((samples[:, 0] - first) / GAZE_SHIFT_STEP + 1e-6).astype(int)
+    order = np.argsort(bins, kind="stable")
+    edges = np.searchsorted(bins[order], np.arange(len(times) + 1))
+    quartiles = np.full((len(times), 3), np.nan)
+    for index in range(len(times)):
+        inside = samples[order[edges[index] : edges[index + 1]], 1]
+        if len(inside):
+            quartiles[index] = np.quantile(inside, (0.25, 0.5, 0.75))
+    return times, quartiles

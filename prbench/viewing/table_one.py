@@ -1,0 +1,105 @@
+"""The six panels of the study's Figure S2, drawn from built datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from prbench.errors import UsageError
+from prbench.published import Spread, load_table_one
+from prbench.sequences.table_one import TableStatistics
+from prbench.storage import atomic_path
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FORMATS = (".png", ".svg")
+_BINS = 30
+_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
+
+
+def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: int = 110) -> None:
+    """Draw goal distance, elevation and azimuth, body movement, gaze shift and prime gap.
+
+    Histograms show densities, so that datasets of different size can be compared. The published mean and spread of the
+    dataset stand behind body movement and prime gap, where one dataset is drawn.
+
+    Args:
+        statistics: One or several datasets, drawn over one another.
+        path: ``.png`` or ``.svg``; replaced when it exists.
+        dpi: Resolution of a PNG.
+
+    Raises:
+        UsageError: for another kind of file.
+        StorageError: if the file cannot be written.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
+        figure = _figure(statistics, dpi)
+        metadata = {"Software": None} if path.suffix.lower() == ".png" else {"Date": None, "Creator": None}
+        with atomic_path(path) as draft:
+            figure.savefig(draft, format=path.suffix[1:].lower(), dpi=dpi, metadata=metadata)
+
+
+def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 6.6), dpi=dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2, 3).ravel()
+    only = statistics[0] if len(statistics) == 1 else None
+    published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
+    _histogram(panels[0], statistics, "goal_distance", "a  goal distance from the start (m)")
+    _histogram(panels[1], statistics, "goal_elevation_deg", "b  goal elevation from the start (deg)")
+    _histogram(panels[2], statistics, "goal_azimuth_deg", "c  goal azimuth from the start (deg, left positive)")
+    band = None if published is None else published.body_movement
+    _histogram(panels[3], statistics, "body_movement", "d  body movement (m)", band)
+    _gaze_shift(panels[4], statistics)
+    band = None if published is None else published.prime_gap
+    _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
+    for colour, each in zip(_COLOURS, statistics, strict=False):
+        panels[0].plot([], [], color=colour, linewidth=4, label=f"{each.dataset}, {each.sequences} sequences")
+    panels[0].legend(fontsize=7, frameon=False)
+    return figure
+
+
+def _histogram(
+    axes: Axes, statistics: Sequence[TableStatistics], quantity: str, title: str, published: Spread | None = None
+) -> None:
+    values = [getattr(each, quantity) for each in statistics]
+    together = np.concatenate(values)
+    low, high = float(together.min()), float(together.max())
+    edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
+    if published is not None:
+        axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
+        axes.axvline(published.mean, color="0.4", linewidth=1.0, label="published mean, sd shaded")
+        axes.legend(fontsize=7, frameon=False)
+    for colour, each in zip(_COLOURS, values, strict=False):
+        axes.hist(each, bins=edges.tolist(), density=True, color=colour, alpha=0.7 if len(values) == 1 else 0.4)
+        axes.axvline(float(each.mean()), color=colour, linewidth=1.0)
+    _dress(axes, title)
+    axes.set_yticks([])
+
+
+def _gaze_shift(axes: Axes, statistics: Sequence[TableStatistics]) -> None:
+    for colour, each in zip(_COLOURS, statistics, strict=False):
+        axes.fill_between(
+            each.gaze_shift_times, each.gaze_shift_deg[:, 0], each.gaze_shift_deg[:, 2], color=colour, alpha=0.2
+        )
+        axes.plot(each.gaze_shift_times, each.gaze_shift_deg[:, 1], color=colour, linewidth=1.2)
+    axes.axvline(0.0, color="0.6", linewidth=0.8)
+    axes.set_ylim(bottom=0.0)
+    _dress(axes, "e  gaze away from the goal (deg, quartiles), s from the prime time")
+
+
+def _dress(axes: Axes, title: str) -> None:
+    axes.set_title(title, fontsize=8, loc="left")
+    axes.tick_params(labelsize=7)
