@@ -30,7 +30,10 @@ __all__ = [
     "reader_for",
 ]
 
-READER_MODULES: dict[str, str] = {"adt": "prbench.readers.adt"}
+READER_MODULES: dict[str, str] = {
+    "adt": "prbench.readers.adt",
+    "hot3d": "prbench.readers.hot3d",
+}
 """Module of each dataset's reader; imported when it is asked for."""
 
 

@@ -102,6 +102,8 @@ class ObjectTrack:
     box_max: Float[np.ndarray, "3"]
     movable: bool
     """Whether the dataset tracks it; only such objects can be picked up."""
+    surface_points: Float[np.ndarray, "k 3"] | None = None
+    """Points all over its surface, in its own frame; only where a reader is asked for meshes."""
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)

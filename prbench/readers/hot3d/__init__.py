@@ -1,0 +1,41 @@
+"""Reader of HOT3D's Aria recordings (``formats/hot3d.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import RecordingUnusable
+from prbench.manifests import load_manifest
+from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d.layout import find_recordings
+from prbench.readers.hot3d.options import Hot3dOptions
+from prbench.readers.hot3d.readings import read_readings
+from prbench.recording import Recording
+from prbench.recording.from_hot3d import recording_from_hot3d
+
+__all__ = ["READER", "Hot3dOptions", "Hot3dReader", "find_recordings", "read_readings"]
+
+
+@dataclass(frozen=True)
+class Hot3dReader:
+    """See :class:`prbench.readers.Reader`."""
+
+    dataset: str = "hot3d"
+    options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
+
+    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+        """See :func:`find_recordings`."""
+        return find_recordings(root, self.options)
+
+    def read(self, found: RecordingFiles) -> Recording:
+        """See :class:`prbench.readers.Reader`."""
+        manifest = load_manifest("hot3d")
+        reason = manifest.why_bad(found.recording_id) or found.skip_reason
+        if reason:
+            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        readings = read_readings(found, self.options)
+        return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
+
+
+READER = Hot3dReader()

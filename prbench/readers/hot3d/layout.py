@@ -1,0 +1,156 @@
+"""Where the files of HOT3D recordings lie, and which recordings can be used (``formats/hot3d.md`` sections 1 and 2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import InputFileError
+from prbench.formats import hot3d
+from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.egoallo import find_outputs
+from prbench.readers.files import decode_json, read_columns
+from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.hot3d.options import Hot3dOptions
+from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+
+METADATA, OBJECTS, HEADSET, INSTANCES = "metadata", "objects", "headset", "instances"
+UMETRACK, PROFILE, MANO = "umetrack", "hand profile", "mano"
+MASK_PREFIX, MODEL_PREFIX, MANO_MODEL_PREFIX = "mask:", "model:", "mano model:"
+"""Roles of masks, object models and hand models are this and their name, uid or side."""
+
+_FILES = {
+    OBJECTS: hot3d.OBJECTS_FILE,
+    HEADSET: hot3d.HEADSET_FILE,
+    UMETRACK: hot3d.UMETRACK_FILE,
+    PROFILE: hot3d.PROFILE_FILE,
+    MANO: hot3d.MANO_FILE,
+    **{f"{MASK_PREFIX}{name}": f"{hot3d.MASK_FOLDER}/mask_{name}.csv" for name in hot3d.MASK_NAMES},
+}
+
+
+class GroundTruth(msgspec.Struct):
+    """Which ground truth a recording has; that of test participants is withheld."""
+
+    object_pose_gt: bool
+    umetrack_hand_pose_gt: bool
+    mano_hand_pose_gt: bool = False
+
+
+class Metadata(msgspec.Struct):
+    """``metadata.json``."""
+
+    headset: str
+    participant_id: str
+    recording_name: str
+    gt_available_status: GroundTruth
+
+
+METADATA_DECODER = msgspec.json.Decoder(Metadata)
+
+
+def why_unusable(metadata: Metadata) -> str | None:
+    """Why a recording cannot be primed, or None: it must come from Aria glasses and have poses of objects and hands."""
+    if metadata.headset != hot3d.ARIA:
+        return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
+    status = metadata.gt_available_status
+    missing = [
+        what
+        for what, there in (("objects", status.object_pose_gt), ("hands", status.umetrack_hand_pose_gt))
+        if not there
+    ]
+    if missing:
+        return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
+    return None
+
+
+def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, ...]:
+    """List the recordings of a HOT3D folder: the dataset's (recordings in it or one level deeper), or one recording.
+
+    Recordings of Quest 3 and of test participants are listed with the reason why they are skipped.
+
+    Raises:
+        InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata is
+            reported when its recording is read, not here.
+    """
+    root = root.expanduser().resolve()
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="a folder of HOT3D recordings", found="no such folder")
+    dataset = f"{SYNTHETIC_PREFIX}hot3d" if read_synthetic_tree(root) is not None else "hot3d"
+    found = [
+        _recording(dataset, root, path.parent, options)
+        for pattern in ("", "*/", "*/*/")
+        for path in sorted(root.glob(f"{pattern}{hot3d.METADATA_FILE}"))
+        if not any(part.startswith(".") for part in path.relative_to(root).parts) and _is_hot3d(path.parent)
+    ]
+    if not found:
+        names = [path.name for path in sorted(root.iterdir())]
+        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        raise InputFileError(
+            root,
+            "",
+            expected=f"recordings of HOT3D: folders that hold {hot3d.METADATA_FILE}, at most two levels down",
+            found=listed or "an empty folder",
+            remedy="Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format.",
+        )
+    return tuple(sorted(found, key=lambda recording: recording.recording_id))
+
+
+def _recording(dataset: str, root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
+    files = [input_file(METADATA, folder / hot3d.METADATA_FILE)]
+    files += [input_file(role, folder / name) for role, name in _FILES.items() if (folder / name).is_file()]
+    files += find_mps_files(folder / hot3d.MPS_FOLDER)
+    files += _library_files(root, folder)
+    files += _mano_models(options)
+    files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
+    return RecordingFiles(dataset, folder.name, folder, tuple(files), skip_reason=_skip_reason(folder))
+
+
+def _is_hot3d(folder: Path) -> bool:
+    """Whether a folder with metadata is a recording of this dataset: other datasets call their metadata the same."""
+    if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
+        return True
+    try:
+        decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER)
+    except InputFileError:
+        return False
+    return True
+
+
+def _skip_reason(folder: Path) -> str | None:
+    try:
+        return why_unusable(decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER))
+    except InputFileError:
+        return None  # reported when the recording is read
+
+
+def _library_files(root: Path, folder: Path) -> list[InputFile]:
+    """The table of names, and the models of those objects that this recording tracks."""
+    bases = dict.fromkeys((root, folder.parent, folder.parent.parent))
+    places = [base / name for base in bases for name in hot3d.LIBRARY_FOLDERS]
+    library = next((place for place in places if (place / hot3d.INSTANCES_FILE).is_file()), None)
+    if library is None:
+        return []
+    models = [(uid, library / f"{uid}.glb") for uid in _object_ids(folder / hot3d.OBJECTS_FILE)]
+    return [
+        input_file(INSTANCES, library / hot3d.INSTANCES_FILE),
+        *(input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if path.is_file()),
+    ]
+
+
+def _object_ids(path: Path) -> list[str]:
+    """Digits only, so that no uid of a file can name a path; none of a missing or damaged file."""
+    try:
+        table = read_columns(path, {hot3d.OBJECT_ID: str})
+    except InputFileError:
+        return []
+    return sorted(uid for uid in table[hot3d.OBJECT_ID].unique().to_pylist() if uid.isdecimal())
+
+
+def _mano_models(options: Hot3dOptions) -> list[InputFile]:
+    if options.hands != "mano" or options.mano_models is None:
+        return []
+    folder = options.mano_models.expanduser()
+    paths = {side: folder / f"MANO_{side.upper()}.npz" for side in ("left", "right")}
+    return [input_file(f"{MANO_MODEL_PREFIX}{side}", path) for side, path in paths.items() if path.is_file()]

@@ -1,0 +1,75 @@
+"""The files of one HOT3D recording → :class:`prbench.formats.hot3d.Hot3dReadings`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prbench.errors import InputFileError, RecordingUnusable
+from prbench.formats import hot3d
+from prbench.readers.aria_mps import read_mps
+from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
+from prbench.readers.files import decode_json
+from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d import layout
+from prbench.readers.hot3d.hands_mano import read_mano_hands
+from prbench.readers.hot3d.hands_umetrack import read_profile, read_umetrack
+from prbench.readers.hot3d.masks import read_masks
+from prbench.readers.hot3d.objects import read_objects
+from prbench.readers.hot3d.options import Hot3dOptions
+from prbench.readers.hot3d.poses import read_headset
+from prbench.recording.from_mps import mps_streams
+
+_DEFAULTS = Hot3dOptions()
+
+
+def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> hot3d.Hot3dReadings:
+    """Read all that curation needs of one recording.
+
+    Raises:
+        InputFileError: for a missing or damaged file, or a world that is not Z up.
+        RecordingUnusable: for a recording of Quest 3, or without ground truth.
+    """
+    participant_id = _read_identity(found)
+    objects, remarks = read_objects(found)
+    headset = read_headset(found.require(layout.HEADSET, hot3d.HEADSET_FILE))
+    hands, hand_remarks = read_umetrack(found.require(layout.UMETRACK, hot3d.UMETRACK_FILE))
+    profile = found.path(layout.PROFILE)
+    mano_hands, mano_remarks = read_mano_hands(found, options.mano_models) if options.hands == "mano" else (None, ())
+    masks = read_masks(found)
+    mps = read_mps(found, thin=False)
+    _require_z_up(found, mps.trajectory.up)
+    body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
+    return hot3d.Hot3dReadings(
+        recording_id=found.recording_id,
+        participant_id=participant_id,
+        headset=headset,
+        objects=objects,
+        hands=hands,
+        hand_model=None if profile is None else read_profile(profile),
+        masks=masks,
+        mps=mps,
+        body=body,
+        mano_hands=mano_hands,
+        messages=(*remarks, *hand_remarks, *mano_remarks, *(() if body is not None else (NO_OUTPUTS,))),
+    )
+
+
+def _read_identity(found: RecordingFiles) -> str:
+    """The participant, if the recording can be used."""
+    path = found.require(layout.METADATA, hot3d.METADATA_FILE)
+    metadata = decode_json(path, layout.METADATA_DECODER)
+    reason = layout.why_unusable(metadata)
+    if reason:
+        raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+    return metadata.participant_id
+
+
+def _require_z_up(found: RecordingFiles, up: np.ndarray) -> None:
+    if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:
+        raise InputFileError(
+            found.folder / hot3d.MPS_FOLDER,
+            "gravity columns of the trajectory",
+            expected="gravity along -Z (HOT3D's world is Z up)",
+            found=f"up = {(np.round(up, 3) + 0.0).tolist()}",
+            remedy="This trajectory belongs to another dataset; download the recording's own.",
+        )
