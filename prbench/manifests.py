@@ -57,6 +57,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     citation: str
     required_files: tuple[str, ...]
     optional_files: tuple[str, ...]
+    required_roles: dict[str, str] = {}
+    """Role under which the reader finds each required file (``a|b``: one of the two), and how a user knows it."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
     """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
@@ -215,6 +217,11 @@ Loaded = TypeVar("Loaded", bound=msgspec.Struct)
 
 
 def read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
+    """A TOML file of a data package as a data class.
+
+    Raises:
+        InputFileError: if the file does not fit the data class (naming the key).
+    """
     file = resources.files(package) / name
     try:
         return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)

@@ -8,10 +8,22 @@ import sys
 from collections.abc import Sequence
 
 import prbench
-from prbench.cli import adapters, build_dataset, datasets, diff, explain, leaderboard, run, score, stats, synthesize
+from prbench.cli import (
+    adapters,
+    build_dataset,
+    datasets,
+    diff,
+    explain,
+    inspect,
+    leaderboard,
+    run,
+    score,
+    stats,
+    synthesize,
+)
 from prbench.errors import PrbenchError
 
-_COMMANDS = (run, build_dataset, datasets, stats, diff, explain, synthesize, score, leaderboard, adapters)
+_COMMANDS = (run, inspect, build_dataset, datasets, stats, diff, explain, synthesize, score, leaderboard, adapters)
 
 _EXAMPLES = """\
 examples:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,8 +13,9 @@ import prbench
 from prbench.errors import UsageError
 from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
 from prbench.readers import READER_MODULES, reader_for
-from prbench.readers.discover import discover
+from prbench.readers.discover import FoundDataset, discover
 from prbench.sequences import DatasetInfo
+from prbench.workflows.inspection import missing_files
 
 _TERMS = {
     "none": "must not be passed on in any form, derived data included, without permission of its owners",
@@ -59,11 +61,18 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
             CatalogueEntry(
                 manifest=load_manifest(dataset),
                 found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in here),
-                missing=tuple(each.message for each in broken),
+                missing=(*(each.message for each in broken), *_missing(here, load_manifest(dataset))),
                 reader_options=_reader_options(dataset),
             )
         )
     return tuple(entries)
+
+
+def _missing(found: Sequence[FoundDataset], manifest: Manifest) -> Iterator[str]:
+    recordings = [recording for each in found for recording in each.recordings]
+    lacking = Counter(name for recording in recordings for name in missing_files(recording, manifest))
+    for name, count in sorted(lacking.items()):
+        yield f"{name} is missing in {count} of {len(recordings)} recordings (`prbench inspect` names them)"
 
 
 def _reader_options(dataset: str) -> tuple[str, ...]:

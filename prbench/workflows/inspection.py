@@ -1,0 +1,116 @@
+"""``prbench inspect``: what a folder holds, and which of its recordings are complete, before hours are spent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from prbench.errors import PrbenchError
+from prbench.manifests import Manifest, load_manifest
+from prbench.readers import RecordingFiles, reader_for
+from prbench.readers.discover import BrokenDataset, FoundDataset, discover
+from prbench.readers.integrity import damage
+
+State = Literal["complete", "incomplete", "damaged", "known bad", "unreadable"]
+
+
+@dataclass(frozen=True)
+class InspectedRecording:
+    """One recording and what is wrong with it."""
+
+    recording_id: str
+    state: State
+    size: int
+    """Bytes of all files that reading it depends on."""
+    remarks: tuple[str, ...]
+    """Missing and damaged files, or what reading said."""
+
+
+@dataclass(frozen=True)
+class InspectedDataset:
+    """One dataset below the folder."""
+
+    name: str
+    title: str
+    root: Path
+    recordings: tuple[InspectedRecording, ...]
+
+    @property
+    def usable(self) -> int:
+        """How many recordings a build can use, as far as was looked."""
+        return sum(recording.state == "complete" for recording in self.recordings)
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Everything that was found."""
+
+    datasets: tuple[InspectedDataset, ...]
+    broken: tuple[BrokenDataset, ...]
+    """Folders that are recognised and cannot be listed."""
+
+    @property
+    def all_complete(self) -> bool:
+        """Whether nothing is missing, damaged or unreadable; known-bad recordings do not count."""
+        states = {recording.state for dataset in self.datasets for recording in dataset.recordings}
+        return not self.broken and states <= {"complete", "known bad"}
+
+
+def inspect_folder(
+    root: Path, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
+) -> Inspection:
+    """Look at every recording below a folder.
+
+    Args:
+        root: A dataset's folder, or one that holds several.
+        thorough: Read every recording as a build would, instead of looking for its files and at their ends.
+        progress: Called with done, total and the recording's name.
+
+    Raises:
+        InputFileError: if nothing is recognised.
+    """
+    discovery = discover(root)
+    total = sum(len(found.recordings) for found in discovery.found)
+    datasets, done = [], 0
+    for found in discovery.found:
+        inspected = []
+        for recording in found.recordings:
+            inspected.append(_inspect(found, recording, thorough=thorough))
+            done += 1
+            if progress is not None:
+                progress(done, total, recording.recording_id)
+        title = load_manifest(found.dataset).title
+        datasets.append(InspectedDataset(found.name, title, found.root, tuple(inspected)))
+    return Inspection(tuple(datasets), discovery.broken)
+
+
+def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> InspectedRecording:
+    manifest = load_manifest(found.dataset)
+    size = sum(file.size for file in recording.files)
+    bad = manifest.why_bad(recording.recording_id)
+    if bad is not None:
+        return InspectedRecording(recording.recording_id, "known bad", size, (bad,))
+    missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest))
+    damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
+    if missing or damaged:
+        state: State = "incomplete" if missing else "damaged"
+        return InspectedRecording(recording.recording_id, state, size, missing + damaged)
+    if not thorough:
+        return InspectedRecording(recording.recording_id, "complete", size, ())
+    try:
+        messages = reader_for(found.dataset).read(recording).messages
+    except PrbenchError as error:
+        return InspectedRecording(recording.recording_id, "unreadable", size, (str(error),))
+    return InspectedRecording(recording.recording_id, "complete", size, messages)
+
+
+def missing_files(recording: RecordingFiles, manifest: Manifest) -> tuple[str, ...]:
+    """Required files that a recording lacks, by the names that the manifest gives them."""
+    roles = {file.role for file in recording.files}
+    return tuple(
+        name
+        for role, name in manifest.required_roles.items()
+        if not any(alternative in roles for alternative in role.split("|"))
+    )
