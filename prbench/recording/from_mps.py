@@ -102,7 +102,7 @@ def _wrists(
     streams = []
     for index, side in enumerate(_SIDES):
         local = wrists.wrist[:, index]
-        seen = np.isfinite(local).all(axis=1)
+        seen = np.isfinite(local).min(axis=1)
         points = turn.apply(np.where(seen[:, None], local, 0.0)) + origin
         valid = seen & posed & np.greater(wrists.confidence[:, index], least_confidence)
         streams.append(HandStream(side, "wrist", times, points[:, None], valid))

@@ -30,8 +30,15 @@ TOUCHED = {
 }
 
 
-def test_every_switch_is_covered_by_the_next_test() -> None:
-    assert TOUCHED.keys() == {field.name for field in fields(Switches)}
+OTHER_SENSORS = {
+    "egoallo": {"limb_wobble", "foot_slip", "root_height"},
+    "aria_mps": {"pose_drift", "pose_clock", "hand_noise", "hand_losses"},
+}
+"""Switches of errors that ADT's sensors do not have, by the module whose own test covers them."""
+
+
+def test_every_switch_is_covered_by_the_next_test_or_that_of_another_sensor() -> None:
+    assert set(TOUCHED).union(*OTHER_SENSORS.values()) == {field.name for field in fields(Switches)}
 
 
 @pytest.mark.parametrize("switch", TOUCHED)

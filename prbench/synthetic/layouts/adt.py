@@ -7,8 +7,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
 
 from prbench.formats import adt
 from prbench.formats import aria_mps as mps
@@ -16,6 +14,7 @@ from prbench.manifests import load_manifest
 from prbench.recording import Recording
 from prbench.recording.from_adt import recording_from_adt
 from prbench.storage import atomic_folder, atomic_path, write_json
+from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import adt as sensors
 from prbench.synthetic.sensors.errors import Switches
@@ -125,10 +124,10 @@ def _scene_metadata(*readings: adt.AdtReadings) -> dict[str, object]:
 
 def _write_device_files(readings: adt.AdtReadings, folder: Path, association_file: str) -> None:
     write_json(folder / adt.INSTANCES_FILE, _instances(readings))
-    _write_csv(folder / adt.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
-    _write_csv(folder / adt.GAZE_FILE, _gaze_columns(readings.gaze))
-    _write_csv(folder / adt.BOXES_FILE, _box_columns(readings.objects))
-    _write_csv(folder / adt.OBJECTS_FILE, _object_columns(readings.objects))
+    write_csv(folder / adt.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
+    write_csv(folder / adt.GAZE_FILE, _gaze_columns(readings.gaze))
+    write_csv(folder / adt.BOXES_FILE, _box_columns(readings.objects))
+    write_csv(folder / adt.OBJECTS_FILE, _object_columns(readings.objects))
     people = [
         {"AssociatedDeviceSerial": person.serial, "SkeletonId": person.skeleton_id, "SkeletonName": person.name}
         for person in readings.skeletons
@@ -145,10 +144,10 @@ def _trajectory_columns(glasses: adt.GlassesPoses) -> dict[str, object]:
         mps.GRAPH_COLUMN: [_GRAPH_UID] * n,
         mps.TIME_COLUMN: glasses.time_us,
         "utc_timestamp_ns": np.full(n, -1),
-        **_split(mps.POSITION_COLUMNS, glasses.position),
-        **_split(rotation, glasses.rotation[:, list(_QUATERNION_SCALAR_LAST)]),
+        **split_columns(mps.POSITION_COLUMNS, glasses.position),
+        **split_columns(rotation, glasses.rotation[:, list(_QUATERNION_SCALAR_LAST)]),
         **{name: np.zeros(n) for name in _UNUSED_VELOCITIES},
-        **_split(mps.GRAVITY_COLUMNS, np.tile(_GRAVITY, (n, 1))),
+        **split_columns(mps.GRAVITY_COLUMNS, np.tile(_GRAVITY, (n, 1))),
         mps.QUALITY_COLUMN: glasses.quality,
     }
 
@@ -188,8 +187,8 @@ def _object_columns(objects: Sequence[adt.AdtObject]) -> dict[str, object]:
     return {
         adt.OBJECT_ID: ids[order],
         adt.OBJECT_TIME: times[order],
-        **_split(adt.OBJECT_POSITION, position),
-        **_split(adt.OBJECT_ROTATION, rotation),
+        **split_columns(adt.OBJECT_POSITION, position),
+        **split_columns(adt.OBJECT_ROTATION, rotation),
     }
 
 
@@ -236,17 +235,3 @@ def _write_skeleton(path: Path, person: adt.AdtSkeleton) -> None:
     content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
     with atomic_path(path) as temporary:
         temporary.write_bytes(msgspec.json.encode(content))
-
-
-def _split(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:
-    return {name: columns[:, index] for index, name in enumerate(names)}
-
-
-def _write_csv(path: Path, columns: Mapping[str, object]) -> None:
-    """Write a table as the release does: plain header, no quotes, empty cells for NaN."""
-    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write((",".join(columns) + "\n").encode())
-        pyarrow.csv.write_csv(
-            table, file, pyarrow.csv.WriteOptions(include_header=False, quoting_style="none", batch_size=65536)
-        )

@@ -14,13 +14,22 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.formats import adt
-from prbench.formats.aria_mps import device_from_cpf, gaze_angles
+from prbench.formats.aria_mps import device_from_cpf
 from prbench.skeleton import invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
+from prbench.synthetic.sensors.aria_gaze import (
+    GAZE_MARGIN,
+    gaze_bias,
+    gaze_clock_us,
+    gaze_measurements,
+    lost_gaze,
+)
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.synthetic.sensors.suit import suit_joints, suit_markers, suit_segments
 from prbench.timelines import interpolate, slerp
+
+__all__ = ["clock_start_us", "gaze_bias", "glasses_serial", "native_object_id", "sense"]
 
 RATE = 30.0
 """Glasses, gaze and objects, Hz."""
@@ -30,11 +39,6 @@ GLASSES_SIZE = "DVT-L"
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
 _POSE_NOISE, _POSE_TURN = 0.5e-3, np.deg2rad(0.05)
 _POSE_LOSS = 0.01
-_GAZE_BIAS, _GAZE_JITTER = np.deg2rad(1.0) / np.sqrt(2), np.deg2rad(0.5)
-_GAZE_LOSS = 0.03
-_GAZE_CLOCK_US = 16
-_BLINKS_A_MINUTE, _BLINK = 15.0, 0.15  # s
-_GAZE_MARGIN = 0.02  # rad, half of the written uncertainty interval
 _BODY_NOISE, _BODY_WOBBLE, _BODY_WOBBLE_HZ = 0.8e-3, 3e-3, (0.05, 0.3)
 _BODY_LOSS, _MARKER_LOSS, _THROW = 1e-4, 0.01, 0.5  # share, share, m
 _OBJECT_NOISE, _OBJECT_TURN = 0.3e-3, np.deg2rad(0.1)
@@ -73,13 +77,6 @@ def clock_start_us(performance: Performance) -> int:
     those of the recording.
     """
     return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
-
-
-def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
-    bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
-    yaw, pitch = bias * strength(switches.gaze_bias, noise)
-    return float(yaw), float(pitch)
 
 
 def glasses_serial(performance: Performance, other: int = 0) -> str:
@@ -127,19 +124,13 @@ def _sense_gaze(
     noise: float,
     switches: Switches,
 ) -> adt.GazeAngles:
-    n = len(times)
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    angles = np.column_stack(gaze_angles(head.inv().apply(interpolate(performance.times, performance.gaze, times))))
-    angles += gaze_bias(performance, noise=noise, switches=switches)
-    jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, (n, 2))
-    angles += jitter * strength(switches.gaze_jitter, noise)
-    angles[_blinks(performance, times, strength(switches.blinks, noise))] = np.nan
-    lost = sensor_generator(performance, "gaze-losses").random(n) < _GAZE_LOSS * strength(switches.gaze_losses, noise)
-    shift = sensor_generator(performance, "gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, n)
-    time_us = pose_us - adt.GAZE_BEFORE_POSE_US + np.rint(shift * strength(switches.gaze_clock, noise)).astype(np.int64)
+    angles = gaze_measurements(performance, times, noise=noise, switches=switches)
+    lost = lost_gaze(performance, len(times), noise=noise, switches=switches)
+    shift = gaze_clock_us(performance, len(times), noise=noise, switches=switches)
+    time_us = pose_us - adt.GAZE_BEFORE_POSE_US + shift
     kept = ~lost
     yaw, pitch = np.round(angles[kept], _METRES).T
-    margin = np.array([-_GAZE_MARGIN, _GAZE_MARGIN])
+    margin = np.array([-GAZE_MARGIN, GAZE_MARGIN])
     return adt.GazeAngles(
         time_us[kept],
         yaw,
@@ -148,14 +139,6 @@ def _sense_gaze(
         np.round(yaw[:, None] + margin, _METRES),
         np.round(pitch[:, None] + margin, _METRES),
     )
-
-
-def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: float) -> Bool[np.ndarray, " n"]:
-    rng = sensor_generator(performance, "blinks")
-    count = rng.poisson(_BLINKS_A_MINUTE / 60.0 * performance.duration)
-    starts = rng.uniform(times[0], times[-1], count)
-    closed = np.minimum(_BLINK * scale, 1.0)
-    return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
 
 
 def _gaze_depth(performance: Performance, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -17,6 +17,10 @@ class Switches:
 
     pose_noise: bool = True
     """White noise of the glasses' poses."""
+    pose_drift: bool = True
+    """Slow errors of the world that the glasses' poses were estimated in (not ADT, whose rooms are surveyed)."""
+    pose_clock: bool = True
+    """Uneven steps of the 1 kHz poses."""
     pose_losses: bool = True
     """Poses of quality 0."""
     gaze_bias: bool = True
@@ -35,6 +39,16 @@ class Switches:
     body_losses: bool = True
     """Frames at the origin or with a joint thrown off, and occluded markers."""
     object_noise: bool = True
+    hand_noise: bool = True
+    """White noise of tracked hands."""
+    hand_losses: bool = True
+    """Hands out of view are missing, and of low confidence towards its edge."""
+    limb_wobble: bool = True
+    """Elbows, knees and wrists of an estimated body (EgoAllo) wander."""
+    foot_slip: bool = True
+    """Feet of an estimated body slide."""
+    root_height: bool = True
+    """Every window of an estimated body stands too high or too low."""
 
     @classmethod
     def ideal(cls) -> Switches:
