@@ -14,9 +14,10 @@ from prbench.formats import egoallo as ego
 from prbench.storage import bytes_digest
 
 HOW_TO_GET = (
-    "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration) and"
-    " give its smplh/neutral/model.npz with --option smplh_model=FILE, in the environment variable PRBENCH_SMPLH_MODEL,"
-    " or as smplh/neutral/model.npz below the dataset's root. It is needed once: the joints are kept."
+    "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration)"
+    " and give its smplh/neutral/model.npz with --option smplh_model=FILE, in the environment variable"
+    " PRBENCH_SMPLH_MODEL, or as smplh/neutral/model.npz below the dataset's root. It is needed once: the joints are"
+    " kept."
 )
 _CONVERT = (
     "Some copies hold Python objects, which prbench never unpickles. If yours is from the official site, convert it"
@@ -40,7 +41,7 @@ def read_smplh_rest(path: Path) -> ego.SmplhRest:
         raise InputFileError(
             path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
         ) from error
-    return _read(path, state.st_size, state.st_mtime_ns)
+    return _read((path, state.st_size, state.st_mtime_ns))
 
 
 def model_digest(path: Path) -> str:
@@ -54,8 +55,9 @@ def model_digest(path: Path) -> str:
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, size: int, modified_ns: int) -> ego.SmplhRest:
+def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
     """Read once a process; size and time of change make a changed file another one."""
+    path = state[0]
     arrays = _load(path)
     regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
     points = regressor.shape[1] if regressor.ndim == 2 else -1
@@ -78,7 +80,7 @@ def _read(path: Path, size: int, modified_ns: int) -> ego.SmplhRest:
 
 def _load(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
             missing = [key for key in _KEYS if key not in archive.files]
             if missing:
                 raise InputFileError(
@@ -93,7 +95,7 @@ def _load(path: Path) -> dict[str, np.ndarray]:
         if "allow_pickle" not in str(error):
             raise _damaged(path, error) from error
         raise InputFileError(path, "", expected="plain arrays", found="Python objects", remedy=_CONVERT) from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, AttributeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
         raise _damaged(path, error) from error
 
 

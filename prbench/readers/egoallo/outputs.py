@@ -77,11 +77,7 @@ def _load(path: Path, content: bytes) -> dict[str, np.ndarray]:
     """The arrays that are used; what else an archive holds is not even unpacked."""
     wanted = (ego.TIMES, ego.JOINTS, *_SHAPES)
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputFileError(
-                    path, "", expected="an npz archive of arrays", found="a single array", remedy=_AGAIN
-                )
+        with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {key: archive[key] for key in wanted if key in archive.files}
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, KeyError) as error:
         raise InputFileError(
