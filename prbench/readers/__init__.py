@@ -32,7 +32,9 @@ __all__ = [
 
 READER_MODULES: dict[str, str] = {
     "adt": "prbench.readers.adt",
+    "hd-epic": "prbench.readers.hd_epic",
     "hot3d": "prbench.readers.hot3d",
+    "mogaze": "prbench.readers.mogaze",
 }
 """Module of each dataset's reader; imported when it is asked for."""
 

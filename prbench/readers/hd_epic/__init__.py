@@ -1,0 +1,41 @@
+"""Reader of HD-EPIC (``formats/hd-epic.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import RecordingUnusable
+from prbench.manifests import load_manifest
+from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic.options import HdEpicOptions
+from prbench.readers.hd_epic.places import find_recordings
+from prbench.readers.hd_epic.readings import read_readings
+from prbench.recording import Recording
+from prbench.recording.from_hd_epic import recording_from_hd_epic
+
+__all__ = ["READER", "HdEpicOptions", "HdEpicReader", "find_recordings", "read_readings"]
+
+
+@dataclass(frozen=True)
+class HdEpicReader:
+    """See :class:`prbench.readers.Reader`."""
+
+    dataset: str = "hd-epic"
+    options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
+
+    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+        """See :func:`prbench.readers.hd_epic.places.find_recordings`."""
+        return find_recordings(root, self.options)
+
+    def read(self, found: RecordingFiles) -> Recording:
+        """See :class:`prbench.readers.Reader`."""
+        manifest = load_manifest(self.dataset)
+        reason = found.skip_reason or manifest.why_bad(found.recording_id)
+        if reason:
+            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        readings = read_readings(found, self.options)
+        return recording_from_hd_epic(readings, manifest, dataset=found.dataset, boxes=self.options.boxes)
+
+
+READER = HdEpicReader()

@@ -1,0 +1,219 @@
+"""Where the files of HD-EPIC videos lie, zipped or not (``formats/hd-epic.md`` section 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import InputFileError
+from prbench.formats import aria_mps as mps
+from prbench.formats import hd_epic
+from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.egoallo import find_outputs
+from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.hd_epic.options import HdEpicOptions
+from prbench.readers.hd_epic.slam_map import slam_number
+from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+
+TIME, LOG = "video time", "video log"
+ASSOCIATIONS, MASKS, PRIMING = "associations", "masks", "priming"
+SLAM_MAP = "slam map"
+FRAMES, DEVICE_CALIBRATION = "frames", "device calibration"
+"""Roles of the files of a video, beside those of MPS and EgoAllo."""
+
+UNREADABLE = "unreadable archive: "
+"""Beginning of the role of an archive that cannot be listed; reading its video says why."""
+
+_SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
+_GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.HAND_TRACKING, mps.GAZE_SUMMARY, mps.HAND_SUMMARY})
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A user's copy of the dataset."""
+
+    root: Path
+    """As given."""
+    data: Path
+    """The folder ``HD-EPIC``: the root itself, or inside it."""
+    annotations: Path | None
+    intermediate: Path | None
+
+
+def find_recordings(root: Path, options: HdEpicOptions) -> tuple[RecordingFiles, ...]:
+    """List the videos of which anything lies on the disk: time file, gaze, SLAM or intermediate data.
+
+    Args:
+        root: The folder that holds ``HD-EPIC`` and ``hd-epic-annotations``, or ``HD-EPIC`` itself.
+        options: What the user chose.
+
+    Raises:
+        InputFileError: if there is none, saying what was looked for and what was found.
+    """
+    root = root.expanduser().resolve()
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="the folder of HD-EPIC", found="no such folder")
+    copy = _copy_at(root, options)
+    dataset = f"{SYNTHETIC_PREFIX}hd-epic" if read_synthetic_tree(root) is not None else "hd-epic"
+    videos = _videos(copy)
+    if not videos:
+        names = [path.name for path in sorted(root.iterdir())]
+        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        raise InputFileError(
+            root,
+            "",
+            expected=f"videos of HD-EPIC: {hd_epic.DATA_FOLDER}/{hd_epic.VIDEOS_FOLDER}/P0X/*{hd_epic.TIME_SUFFIX},"
+            f" {hd_epic.MPS_FOLDER}/P0X/{hd_epic.GAZE_FOLDER}/mps_*_vrs.zip, or the intermediate data",
+            found=listed or "an empty folder",
+            remedy=f"Give the folder that holds {hd_epic.DATA_FOLDER} and {hd_epic.ANNOTATIONS_FOLDER}.",
+        )
+    return tuple(_recording(copy, dataset, videos[name], name, options) for name in sorted(videos))
+
+
+def _copy_at(root: Path, options: HdEpicOptions) -> Copy:
+    data = root / hd_epic.DATA_FOLDER
+    if not data.is_dir() and root.name != hd_epic.INTERMEDIATE_FOLDER:
+        data = root
+    around = dict.fromkeys((root, data, data.parent))
+    given = options.annotations
+    return Copy(
+        root,
+        data,
+        given.expanduser() if given is not None else _first_folder(around, f"{hd_epic.ANNOTATIONS_FOLDER}*"),
+        root if root.name == hd_epic.INTERMEDIATE_FOLDER else _first_folder(around, hd_epic.INTERMEDIATE_FOLDER),
+    )
+
+
+def _first_folder(places: Iterable[Path], pattern: str) -> Path | None:
+    found = (path for place in places if place.is_dir() for path in sorted(place.glob(pattern)) if path.is_dir())
+    return next(found, None)
+
+
+def _videos(copy: Copy) -> dict[str, str]:
+    """Participant's folder of every video, by the video's name."""
+    videos: dict[str, str] = {}
+    folder, slam_and_gaze = copy.data / hd_epic.VIDEOS_FOLDER, copy.data / hd_epic.MPS_FOLDER
+    for suffix in (hd_epic.TIME_SUFFIX, hd_epic.LOG_SUFFIX):
+        videos |= {path.name.removesuffix(suffix): path.parent.name for path in folder.glob(f"*/*{suffix}")}
+    for path in slam_and_gaze.glob(f"*/{hd_epic.GAZE_FOLDER}/**/mps_*_vrs*"):
+        if path.is_dir() or path.suffix == ".zip":
+            video = path.name.removesuffix(".zip").removeprefix("mps_").removesuffix("_vrs")
+            videos.setdefault(video, path.relative_to(slam_and_gaze).parts[0])
+    for path in slam_and_gaze.glob(f"*/{hd_epic.OTHER_SLAM_FOLDER}/*"):
+        if path.is_dir() or path.suffix == ".zip":
+            videos.setdefault(path.name.removesuffix(".zip"), path.relative_to(slam_and_gaze).parts[0])
+    for path in slam_and_gaze.glob(f"*/{hd_epic.MULTI_SLAM_FOLDER}/{hd_epic.SLAM_MAP_FILE}"):
+        participant = path.relative_to(slam_and_gaze).parts[0]
+        for video, number in _mapped(path):
+            if _slam_place(copy, participant, number) is not None:
+                videos.setdefault(video, participant)
+    if copy.intermediate is not None:
+        found = copy.intermediate.glob(f"*/*/{hd_epic.FRAMES_FILE}")
+        videos |= {path.parent.name: path.parent.parent.name for path in found if path.parent.name not in videos}
+    return videos
+
+
+def _mapped(path: Path) -> list[tuple[str, str]]:
+    """Videos and numbers of a SLAM map; none where it is damaged, which reading reports."""
+    try:
+        numbers = slam_number(path)
+    except InputFileError:
+        return []
+    return list(numbers.items())
+
+
+def _recording(copy: Copy, dataset: str, participant: str, video: str, options: HdEpicOptions) -> RecordingFiles:
+    own = copy.data / hd_epic.VIDEOS_FOLDER / participant
+    files = [
+        *_present(TIME, [own / f"{video}{hd_epic.TIME_SUFFIX}"]),
+        *_present(LOG, [own / f"{video}{hd_epic.LOG_SUFFIX}"]),
+        *_annotation_files(copy.annotations),
+    ]
+    skip_reason = None
+    if options.source == "mps":
+        mps_files, skip_reason = _mps_files(copy, participant, video)
+        files += mps_files
+    elif copy.intermediate is not None:
+        folder = copy.intermediate / participant / video
+        files += _present(FRAMES, [folder / hd_epic.FRAMES_FILE])
+        files += _present(DEVICE_CALIBRATION, [folder / hd_epic.DEVICE_CALIBRATION_FILE])
+    files += _body_files(copy, video, options)
+    return RecordingFiles(dataset, video, own, tuple(files), skip_reason=skip_reason)
+
+
+def _present(role: str, places: Iterable[Path]) -> list[InputFile]:
+    """The first of several places that is a file."""
+    path = next((place for place in places if place.is_file()), None)
+    return [] if path is None else [input_file(role, path)]
+
+
+def _annotation_files(folder: Path | None) -> list[InputFile]:
+    if folder is None:
+        return []
+    movements = (folder / hd_epic.MOVEMENTS_FOLDER, folder)
+    around = (folder, folder.parent)
+    priming = [place / name for place in around for name in hd_epic.PRIMING_FOLDERS] + [folder]
+    return [
+        *_present(ASSOCIATIONS, [place / hd_epic.ASSOCIATIONS_FILE for place in movements]),
+        *_present(MASKS, [place / hd_epic.MASKS_FILE for place in movements]),
+        *_present(PRIMING, [place / hd_epic.PRIMING_FILE for place in priming]),
+    ]
+
+
+def _mps_files(copy: Copy, participant: str, video: str) -> tuple[list[InputFile], str | None]:
+    """MPS files of a video: gaze and hands from its own archive, the trajectory from the multi-recording SLAM.
+
+    The trajectory of the video's own archive, if there is one, has a world of its own and is not used.
+
+    Returns:
+        The files, and why the video must be skipped (None for all that are fine).
+    """
+    base = copy.data / hd_epic.MPS_FOLDER / participant
+    files = []
+    gaze = _archive_or_folder(base / hd_epic.GAZE_FOLDER, f"mps_{video}_vrs")
+    if gaze is not None:
+        files += _listed(gaze, _GAZE_ROLES)
+    slam_map = base / hd_epic.MULTI_SLAM_FOLDER / hd_epic.SLAM_MAP_FILE
+    files += _present(SLAM_MAP, [slam_map])
+    number = dict(_mapped(slam_map)).get(video) if slam_map.is_file() else None
+    place = None if number is None else _slam_place(copy, participant, number)
+    other = _archive_or_folder(base / hd_epic.OTHER_SLAM_FOLDER, video)
+    if place is None and number is None and other is not None:
+        if not _listed(other, frozenset({mps.TRAJECTORY})):
+            return files, (
+                f"{hd_epic.OTHER_SLAM_FOLDER}/{other.name} holds no {mps.TRAJECTORY_FILE}: this video was aligned to"
+                " its kitchen by other means than SLAM, in files whose layout is not known"
+            )
+        place = other
+    if place is not None:
+        files += _listed(place, _SLAM_ROLES)
+    return files, None
+
+
+def _listed(place: Path, roles: frozenset[str]) -> list[InputFile]:
+    try:
+        return [file for file in find_mps_files(place) if file.role in roles]
+    except InputFileError:
+        return [input_file(f"{UNREADABLE}{place.name}", place)] if place.is_file() else []
+
+
+def _slam_place(copy: Copy, participant: str, number: str) -> Path | None:
+    return _archive_or_folder(copy.data / hd_epic.MPS_FOLDER / participant / hd_epic.MULTI_SLAM_FOLDER, number)
+
+
+def _archive_or_folder(folder: Path, name: str) -> Path | None:
+    """``folder/name`` where somebody unpacked it (also one level deeper), else ``folder/name.zip``."""
+    for place in (folder / name, *sorted(folder.glob(f"*/{name}"))):
+        if place.is_dir():
+            return place
+    archive = folder / f"{name}.zip"
+    return archive if archive.is_file() else None
+
+
+def _body_files(copy: Copy, video: str, options: HdEpicOptions) -> tuple[InputFile, ...]:
+    for root in dict.fromkeys((copy.root, copy.data.parent)):
+        outputs = find_outputs(root, None, video, options.poses_root, smplh_model=options.smplh_model)
+        if outputs:
+            return outputs
+    return ()

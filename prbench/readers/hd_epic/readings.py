@@ -1,0 +1,145 @@
+"""The files of one video → :class:`prbench.formats.hd_epic.HdEpicReadings`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from prbench.errors import InputFileError
+from prbench.formats import aria_mps as mps
+from prbench.formats import hd_epic
+from prbench.manifests import load_manifest
+from prbench.readers.aria_mps import find_mps_files, read_mps
+from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
+from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic import places
+from prbench.readers.hd_epic.annotations import read_priming, read_tracks
+from prbench.readers.hd_epic.intermediate import read_frames
+from prbench.readers.hd_epic.options import HdEpicOptions
+from prbench.readers.hd_epic.slam_map import slam_number
+from prbench.readers.hd_epic.video_clock import read_video_clock
+from prbench.recording.from_hd_epic import glasses_streams
+
+
+def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEpicReadings:
+    """Read all that curation needs of one video.
+
+    Raises:
+        InputFileError: for a missing or damaged file; of SLAM it says which archive is missing.
+    """
+    thresholds = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
+    video, participant = found.recording_id, found.folder.name
+    tracks, track_remarks = read_tracks(
+        _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS), video
+    )
+    priming = found.path(places.PRIMING)
+    frames, glasses = None, None
+    if options.source == "intermediate":
+        frames = read_frames(_frames_file(found), found.path(places.DEVICE_CALIBRATION))
+    clock, clock_remarks = _read_clock(found, frames)
+    if frames is None:
+        _require_mps(found, participant)
+        glasses = read_mps(found)
+    readings = hd_epic.HdEpicReadings(
+        video=video,
+        participant_id=participant,
+        clock=clock,
+        tracks=tracks,
+        priming=None if priming is None else read_priming(priming, video),
+        glasses=frames or glasses,
+        body=None,
+        messages=(*track_remarks, *clock_remarks),
+    )
+    streams = glasses_streams(readings.glasses, thresholds, world_from_source=np.eye(4))
+    body = read_bodies(found, cpf=streams.head)
+    if body is None:
+        return dataclasses.replace(readings, messages=(*readings.messages, NO_OUTPUTS))
+    return dataclasses.replace(readings, body=body)
+
+
+def _annotation(found: RecordingFiles, role: str) -> Path:
+    path = found.path(role)
+    if path is not None:
+        return path
+    name = hd_epic.ASSOCIATIONS_FILE if role == places.ASSOCIATIONS else hd_epic.MASKS_FILE
+    raise InputFileError(
+        f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{name}",
+        "",
+        expected="this file of the annotation repository",
+        found="none",
+        remedy=f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR.",
+    )
+
+
+def _read_clock(
+    found: RecordingFiles, frames: hd_epic.FrameReadings | None
+) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
+    """From the time file; the intermediate data tell the same time of every frame."""
+    path = found.path(places.TIME)
+    if path is None and frames is not None:
+        return hd_epic.VideoClock(frames.tracking_ns), ("frame times are those of the intermediate data",)
+    name = f"{found.recording_id}{hd_epic.TIME_SUFFIX}"
+    return read_video_clock(found.require(places.TIME, name), found.path(places.LOG))
+
+
+def _frames_file(found: RecordingFiles) -> Path:
+    path = found.path(places.FRAMES)
+    if path is not None:
+        return path
+    raise InputFileError(
+        f"{hd_epic.INTERMEDIATE_FOLDER}/{found.folder.name}/{found.recording_id}/{hd_epic.FRAMES_FILE}",
+        "",
+        expected="this file, since source=intermediate was chosen",
+        found="none",
+        remedy="Download the intermediate data, or leave the option out to use SLAM-and-Gaze.",
+    )
+
+
+def _require_mps(found: RecordingFiles, participant: str) -> None:
+    """Refuse a video without trajectory or gaze, naming the archive that a download by video leaves out."""
+    for file in found.files:
+        if file.role.startswith(places.UNREADABLE):
+            find_mps_files(file.path)
+    folder = f"{hd_epic.MPS_FOLDER}/{participant}"
+    if found.path(mps.TRAJECTORY) is None:
+        raise _missing_slam(found, participant, folder)
+    if found.path(mps.GAZE) is None:
+        raise InputFileError(
+            f"{folder}/{hd_epic.GAZE_FOLDER}/mps_{found.recording_id}_vrs.zip",
+            "",
+            expected="eye gaze of this video",
+            found="none",
+            remedy="Download GAZE_HAND of this video.",
+        )
+
+
+def _missing_slam(found: RecordingFiles, participant: str, folder: str) -> InputFileError:
+    slam_map = found.path(places.SLAM_MAP)
+    if slam_map is None:
+        return InputFileError(
+            f"{folder}/{hd_epic.MULTI_SLAM_FOLDER}/{hd_epic.SLAM_MAP_FILE}",
+            "",
+            expected=f"this file, which tells the SLAM zip of {found.recording_id}",
+            found="none",
+            remedy=f"Download SLAM/multi of {participant}: a download by video fetches gaze only.",
+        )
+    number = slam_number(slam_map).get(found.recording_id)
+    if number is None:
+        return InputFileError(
+            slam_map,
+            f"{participant}/{found.recording_id}.vrs",
+            expected="the number of a SLAM zip",
+            found="no such key",
+            remedy=f"This video has no multi-recording SLAM; three have {hd_epic.OTHER_SLAM_FOLDER}/<video>.zip instead.",
+        )
+    archive = f"{folder}/{hd_epic.MULTI_SLAM_FOLDER}/{number}.zip"
+    return InputFileError(
+        archive,
+        "",
+        expected=f"the trajectory of {found.recording_id}",
+        found=f"SLAM zip {number} of {participant} missing",
+        remedy="Download it: a download by video fetches gaze only, not SLAM."
+        " Or use the intermediate data: --option source=intermediate.",
+    )
