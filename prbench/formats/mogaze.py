@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +48,9 @@ WORLD_FROM_MOGAZE = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
 def kind_of_body(name: str) -> str:
     """What a body is: ``cup``, ``plate``, ``jug``, ``bowl``, ``table``, ``laiva_shelf``, ``red_chair`` → ``chair``.
 
-    Colours are left out; a name that follows no known pattern is its own kind.
+    Colours and numbers are left out; a name that follows no known pattern is its own kind.
     """
+    name = re.sub(r"_\d+$", "", name)
     if name.startswith(("cup_", "plate_")):
         return name.split("_")[0]
     return "chair" if name.endswith("_chair") else name
@@ -56,7 +58,7 @@ def kind_of_body(name: str) -> str:
 
 def is_furniture(name: str) -> bool:
     """Whether a body stands in its place for the whole recording."""
-    return kind_of_body(name).endswith(FURNITURE)
+    return kind_of_body(name).lower().endswith(FURNITURE)
 
 
 def gaze_directions(

@@ -14,7 +14,10 @@ from prbench.recording import Recording
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches
 
-LAYOUT_MODULES: dict[str, str] = {"adt": "prbench.synthetic.layouts.adt"}
+LAYOUT_MODULES: dict[str, str] = {
+    "adt": "prbench.synthetic.layouts.adt",
+    "mogaze": "prbench.synthetic.layouts.mogaze",
+}
 """Module of each preset's layout; of presets that are not listed there is motion only."""
 
 SHARED_PARTS = ".shared-parts"

@@ -1,0 +1,60 @@
+"""Reader of MoGaze (``formats/mogaze.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import RecordingUnusable
+from prbench.manifests import load_manifest
+from prbench.readers.found import RecordingFiles
+from prbench.readers.mogaze.layouts import find_recordings
+from prbench.readers.mogaze.readings import read_readings
+from prbench.readers.options import ReaderOptions
+from prbench.recording import Recording
+from prbench.recording.from_mogaze import JointMapping, recording_from_mogaze
+
+__all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_readings"]
+
+
+class MogazeOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a user may choose about reading MoGaze."""
+
+    joint_mapping: JointMapping = "anatomical"
+    """How the 22 joints are made of the 21 links: where a body has them, or (``named``) as the links are called."""
+    legacy_gaze: bool = False
+    """Gaze by the formula of the dataset's own player, which subtracts the goggles' position once more."""
+    meshes: bool = False
+    """Load the meshes of ``scene.xml`` as occluders."""
+    include_excluded: bool = False
+    """Keep recordings that the manifest leaves out for poor gaze (p7_2)."""
+
+
+@dataclass(frozen=True)
+class MogazeReader:
+    """See :class:`prbench.readers.Reader`."""
+
+    dataset: str = "mogaze"
+    options: MogazeOptions = MogazeOptions()  # noqa: RUF009 (frozen)
+
+    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+        """See :func:`prbench.readers.mogaze.layouts.find_recordings`."""
+        return find_recordings(root, include_excluded=self.options.include_excluded)
+
+    def read(self, found: RecordingFiles) -> Recording:
+        """See :class:`prbench.readers.Reader`."""
+        manifest = load_manifest("mogaze")
+        reason = manifest.why_bad(found.recording_id)
+        if reason:
+            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        readings = read_readings(found, manifest, meshes=self.options.meshes)
+        return recording_from_mogaze(
+            readings,
+            manifest,
+            dataset=found.dataset,
+            joint_mapping=self.options.joint_mapping,
+            legacy_gaze=self.options.legacy_gaze,
+        )
+
+
+READER = MogazeReader()

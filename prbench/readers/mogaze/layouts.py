@@ -1,0 +1,81 @@
+"""Where the files of MoGaze recordings lie: all in one folder, four HDF5 files a recording, and a common scene."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from prbench.errors import InputFileError
+from prbench.formats import mogaze
+from prbench.manifests import load_manifest
+from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.mogaze.scene import read_scene
+from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+
+SCENE = "scene"
+MESH_PREFIX = "mesh:"
+"""Role of a mesh: this and the name of its file."""
+
+_FILE_NAME = re.compile(rf"(?P<id>p\d+_\d+|\w+_synthetic_\w+)_(?P<part>{'|'.join(mogaze.PARTS)})\.hdf5")
+
+
+def find_recordings(root: Path, *, include_excluded: bool = False) -> tuple[RecordingFiles, ...]:
+    """List the recordings of a MoGaze folder, or of the folder ``mogaze`` in it; a file names its recording alone.
+
+    Args:
+        root: The dataset's folder.
+        include_excluded: Do not tell builds to leave out what the manifest excludes.
+
+    Raises:
+        InputFileError: if there are none, saying what was looked for and what was found. Damaged files are reported
+            when their recording is read, not here.
+    """
+    root = root.expanduser().resolve()
+    if root.is_file() and (match := _FILE_NAME.fullmatch(root.name)):
+        found = find_recordings(root.parent, include_excluded=include_excluded)
+        return tuple(recording for recording in found if recording.recording_id == match["id"])
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="a folder of MoGaze recordings", found="no such folder")
+    folder = root if _parts_in(root) else root / "mogaze"
+    parts = _parts_in(folder) if folder.is_dir() else {}
+    if not parts:
+        names = [path.name for path in sorted(root.iterdir())]
+        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        raise InputFileError(
+            root,
+            "",
+            expected="recordings of MoGaze: files like p1_1_human_data.hdf5",
+            found=listed or "an empty folder",
+            remedy="Give the folder that the archive unpacks to (mogaze).",
+        )
+    dataset = f"{SYNTHETIC_PREFIX}mogaze" if read_synthetic_tree(root) is not None else "mogaze"
+    excluded = {} if include_excluded else load_manifest("mogaze").excluded
+    shared = _shared_files(folder)
+    return tuple(
+        RecordingFiles(dataset, name, folder, (*files, *shared), skip_reason=excluded.get(name))
+        for name, files in sorted(parts.items())
+    )
+
+
+def _parts_in(folder: Path) -> dict[str, list[InputFile]]:
+    parts: dict[str, list[InputFile]] = {}
+    for path in sorted(folder.iterdir()):
+        match = _FILE_NAME.fullmatch(path.name)
+        if match and path.is_file():
+            parts.setdefault(match["id"], []).append(input_file(match["part"], path))
+    return parts
+
+
+def _shared_files(folder: Path) -> tuple[InputFile, ...]:
+    """The scene and the meshes that it names; of a damaged scene the file alone."""
+    path = folder / mogaze.SCENE_FILE
+    if not path.is_file():
+        return ()
+    try:
+        meshes = {body.mesh for body in read_scene(path).values() if body.mesh is not None}
+    except InputFileError:
+        meshes = set()
+    return (
+        input_file(SCENE, path),
+        *(input_file(f"{MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in sorted(meshes)),
+    )

@@ -1,0 +1,174 @@
+"""Native files of MoGaze (``formats/mogaze.md``): four HDF5 files a recording, and a scene with meshes for all."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import h5py
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from prbench.formats import mogaze
+from prbench.formats.mogaze_body import STATE_COLUMNS
+from prbench.manifests import load_manifest
+from prbench.recording import Recording
+from prbench.recording.from_mogaze import recording_from_mogaze
+from prbench.storage import atomic_path, write_json
+from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.sensors import mogaze as sensors
+from prbench.synthetic.sensors.errors import Switches
+
+_GAZE_COLUMNS = 7
+_COLOUR = "1 0.5 0.5 0.5"
+_CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
+_FACES = (
+    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+)  # fmt: skip
+
+
+class MogazeLayout:
+    """See :class:`prbench.synthetic.layouts.Layout`."""
+
+    def sense(
+        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
+    ) -> mogaze.MogazeReadings:
+        """Body, goggles and gaze, objects, segments."""
+        return sensors.sense(performance, noise=noise, switches=switches)
+
+    def recording(self, readings: mogaze.MogazeReadings) -> Recording:
+        """The streams of one synthetic recording."""
+        return recording_from_mogaze(readings, load_manifest("mogaze"), dataset="synthetic-mogaze")
+
+    def write(self, readings: mogaze.MogazeReadings, root: Path) -> None:
+        """Four files, and the recording's share of the scene."""
+        write(readings, root)
+        entries = [_scene_entry(body) for body in readings.bodies]
+        write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", msgspec.to_builtins(entries))
+
+    def finish(self, root: Path) -> None:
+        """Scene and meshes of all recordings."""
+        parts = sorted((root / SHARED_PARTS).glob("*.json"))
+        entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
+        write_scene(root, {entry.body_id: entry for entry in entries})
+
+    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
+        """All but those of doors."""
+        return sensors.events(performance)
+
+    def clock_start(self, performance: Performance) -> float:  # noqa: ARG002 (equal for all)
+        """The first frame is time 0."""
+        return 0.0
+
+    def object_id(self, object_id: str) -> str:
+        """Sixteen digits, as in the performance."""
+        return object_id
+
+    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+        """Yaw and pitch, radians."""
+        return sensors.gaze_bias(performance, noise=noise, switches=switches)
+
+
+LAYOUT = MogazeLayout()
+
+
+class SceneEntry(msgspec.Struct, frozen=True):
+    """One body of the scene as recordings hand it over."""
+
+    body_id: int
+    name: str
+    mesh: str
+    """Name of its file; empty without a mesh."""
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+_ENTRIES = msgspec.json.Decoder(list[SceneEntry])
+
+
+def write(readings: mogaze.MogazeReadings, root: Path) -> None:
+    """Write the four files of one recording below the dataset's folder.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    writers = (_write_human, _write_objects, _write_gaze, _write_segments)
+    for part, writer in zip(mogaze.PARTS, writers, strict=True):
+        with (
+            atomic_path(root / f"{readings.recording_id}_{part}.hdf5") as temporary,
+            h5py.File(temporary, "w", track_order=False) as file,
+        ):
+            writer(file, readings)
+
+
+def write_scene(root: Path, entries: dict[int, SceneEntry]) -> None:
+    """Write ``scene.xml`` and one box mesh for each shape that it names."""
+    lines = ['<?xml version="1.0"?>', "<scene>"]
+    meshes: dict[str, SceneEntry] = {}
+    for key, entry in sorted(entries.items()):
+        lines.append(f'  <body id="{key}" name={quoteattr(entry.name)}>')
+        if entry.mesh:
+            meshes[entry.mesh] = entry
+            lines.append(f"    <meshfile src={quoteattr(f'mogaze/{mogaze.MESH_FOLDER}/{entry.mesh}')}/>")
+        lines += [f"    <color>{_COLOUR}</color>", "  </body>"]
+    for name, entry in sorted(meshes.items()):
+        _write_text(root / mogaze.MESH_FOLDER / name, box_mesh(np.array(entry.low), np.array(entry.high)))
+    _write_text(root / mogaze.SCENE_FILE, "\n".join([*lines, "</scene>", ""]))
+
+
+def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
+    """A box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
+    corners = np.where(_CORNERS, high, low).tolist()
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
+    return "\n".join([*lines, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in _FACES), ""])
+
+
+def _write_human(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
+    entry = file.create_dataset(mogaze.HUMAN_DATASET, data=readings.state)
+    entry.attrs[mogaze.COLUMNS_ATTRIBUTE] = np.array(STATE_COLUMNS, dtype="S")
+    entry.attrs[mogaze.START_ATTRIBUTE] = 0
+    entry.attrs[mogaze.FIXED_KEYS_ATTRIBUTE] = np.array(list(readings.fixed), dtype="S")
+    entry.attrs[mogaze.FIXED_VALUES_ATTRIBUTE] = np.array(list(readings.fixed.values()))
+    entry.attrs[mogaze.PARTICIPANT_ATTRIBUTE] = readings.participant_id
+
+
+def _write_objects(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
+    bodies = file.create_group(mogaze.OBJECT_GROUP)
+    for body in readings.bodies:
+        bodies.create_dataset(f"body {body.body_id}", data=np.hstack([body.position, body.rotation]))
+
+
+def _write_gaze(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
+    """One row more than the other files have, as in the release; columns of unknown meaning are zero."""
+    rows = np.zeros((len(readings.gaze_points) + 1, _GAZE_COLUMNS))
+    rows[:-1, mogaze.GAZE_POINT], rows[:-1, -1] = readings.gaze_points, readings.gaze_confidence
+    rows[-1] = rows[-2]
+    entry = file.create_dataset(mogaze.GAZE_DATASET, data=rows)
+    entry.attrs[mogaze.CALIBRATION_ATTRIBUTE] = readings.calibration
+
+
+def _write_segments(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
+    kinds = np.dtype([("start", "<i8"), ("end", "<i8"), ("label", f"S{mogaze.LABEL_LENGTH}")])
+    rows = [(segment.start, segment.end, segment.label.encode()) for segment in readings.segments]
+    entry = file.create_dataset(mogaze.SEGMENT_DATASET, data=np.array(rows, dtype=kinds))
+    labels = dict.fromkeys([mogaze.NULL_LABEL, *(segment.label for segment in readings.segments)])
+    entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
+
+
+def _scene_entry(body: mogaze.MogazeBody) -> SceneEntry:
+    kind = mogaze.kind_of_body(body.name)
+    known = load_manifest("mogaze").object_extents.get(kind)
+    shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
+    mesh = "" if body.name == mogaze.GOGGLES else f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
+    return SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
