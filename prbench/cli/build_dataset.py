@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from prbench.curation import BuildPlan, BuildReport
     from prbench.curation.options import BuildOptions
 
+EVERYTHING = "all"
+"""In place of a dataset's name: whatever is found."""
 NOT_EVERYTHING = 3
 """Exit code of a build that finished, but had to leave recordings out because they could not be read."""
 
@@ -28,7 +30,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         example="prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4",
         execute=_build,
     )
-    parser.add_argument("dataset", help="name of the dataset, for example adt")
+    parser.add_argument("dataset", help="name of the dataset, for example adt; 'all' for whatever lies below --root")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the table; an earlier table is replaced")
     parser.add_argument("--recordings", default="*", metavar="GLOB", help="only recordings whose name matches")
@@ -68,14 +70,14 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 def _build(arguments: argparse.Namespace) -> int:
     from prbench.curation import build_dataset, plan_build
     from prbench.engine import engine_for
-    from prbench.errors import UsageError
 
     options = _options(arguments)
+    if arguments.dataset == EVERYTHING:
+        return _build_all(arguments, options)
     if arguments.dry_run:
         _print_plan(plan_build(arguments.dataset, arguments.root, options), arguments.workers)
         return 0
-    if arguments.out is None:
-        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+    _require_out(arguments)
     with progress(f"building {arguments.dataset}") as show:
         report = build_dataset(
             arguments.dataset,
@@ -86,6 +88,46 @@ def _build(arguments: argparse.Namespace) -> int:
             progress=lambda step: show(step.done, step.total, step.record.recording_id),
         )
     return _print_report(report)
+
+
+def _build_all(arguments: argparse.Namespace, options: BuildOptions) -> int:
+    from prbench.engine import engine_for
+    from prbench.workflows.build_all import build_all, plan_all
+
+    if arguments.dry_run:
+        for name, root, plan in plan_all(arguments.root, options):
+            print(f"{name} in {root}:")
+            _print_plan(plan, arguments.workers)
+        return 0
+    _require_out(arguments)
+    with progress("building") as show:
+        outcomes = build_all(
+            arguments.root,
+            arguments.out,
+            options=options,
+            engine=engine_for(arguments.workers),
+            progress=lambda name, step: show(step.done, step.total, f"{name} {step.record.recording_id}"),
+        )
+    for outcome in outcomes:
+        if outcome.report is not None:
+            _print_report(outcome.report)
+    rows = [
+        (each.dataset, *(_sizes(each.report) if each.report else ("–", "–", "–")), each.message) for each in outcomes
+    ]
+    print_table("datasets", ("dataset", "recordings", "not read", "sequences", "problem"), rows, numbers=(1, 2, 3))
+    return 0 if all(outcome.complete for outcome in outcomes) else NOT_EVERYTHING
+
+
+def _sizes(report: BuildReport) -> tuple[str, str, str]:
+    counts = report.info.counts
+    return str(counts.recordings_read), str(counts.recordings_failed + counts.recordings_skipped), str(counts.sequences)
+
+
+def _require_out(arguments: argparse.Namespace) -> None:
+    from prbench.errors import UsageError
+
+    if arguments.out is None:
+        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
 
 
 def _options(arguments: argparse.Namespace) -> BuildOptions:
