@@ -10,6 +10,7 @@ import numpy as np
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
+from prbench.formats.aria_mps import MpsReadings
 from prbench.manifests import load_manifest
 from prbench.readers.aria_mps import find_mps_files, read_mps
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
@@ -22,6 +23,8 @@ from prbench.readers.hd_epic.slam_map import slam_number
 from prbench.readers.hd_epic.video_clock import read_video_clock
 from prbench.recording.from_hd_epic import glasses_streams
 
+_UP = (0.0, 0.0, 1.0)
+
 
 def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEpicReadings:
     """Read all that curation needs of one video.
@@ -31,24 +34,18 @@ def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEp
     """
     thresholds = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
     video, participant = found.recording_id, found.folder.name
-    tracks, track_remarks = read_tracks(
-        _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS), video
-    )
+    associations, masks = _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS)
+    tracks, track_remarks = read_tracks(associations, masks, video)
     priming = found.path(places.PRIMING)
-    frames, glasses = None, None
-    if options.source == "intermediate":
-        frames = read_frames(_frames_file(found), found.path(places.DEVICE_CALIBRATION))
-    clock, clock_remarks = _read_clock(found, frames)
-    if frames is None:
-        _require_mps(found, participant)
-        glasses = read_mps(found)
+    glasses = _read_frames(found) if options.source == "intermediate" else _read_mps(found)
+    clock, clock_remarks = _read_clock(found, glasses)
     readings = hd_epic.HdEpicReadings(
         video=video,
         participant_id=participant,
         clock=clock,
         tracks=tracks,
         priming=None if priming is None else read_priming(priming, video),
-        glasses=frames or glasses,
+        glasses=glasses,
         body=None,
         messages=(*track_remarks, *clock_remarks),
     )
@@ -74,20 +71,20 @@ def _annotation(found: RecordingFiles, role: str) -> Path:
 
 
 def _read_clock(
-    found: RecordingFiles, frames: hd_epic.FrameReadings | None
+    found: RecordingFiles, glasses: MpsReadings | hd_epic.FrameReadings
 ) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
     """From the time file; the intermediate data tell the same time of every frame."""
     path = found.path(places.TIME)
-    if path is None and frames is not None:
-        return hd_epic.VideoClock(frames.tracking_ns), ("frame times are those of the intermediate data",)
+    if path is None and isinstance(glasses, hd_epic.FrameReadings):
+        return hd_epic.VideoClock(glasses.tracking_ns), ("frame times are those of the intermediate data",)
     name = f"{found.recording_id}{hd_epic.TIME_SUFFIX}"
     return read_video_clock(found.require(places.TIME, name), found.path(places.LOG))
 
 
-def _frames_file(found: RecordingFiles) -> Path:
+def _read_frames(found: RecordingFiles) -> hd_epic.FrameReadings:
     path = found.path(places.FRAMES)
     if path is not None:
-        return path
+        return read_frames(path, found.path(places.DEVICE_CALIBRATION))
     raise InputFileError(
         f"{hd_epic.INTERMEDIATE_FOLDER}/{found.folder.name}/{found.recording_id}/{hd_epic.FRAMES_FILE}",
         "",
@@ -97,11 +94,12 @@ def _frames_file(found: RecordingFiles) -> Path:
     )
 
 
-def _require_mps(found: RecordingFiles, participant: str) -> None:
-    """Refuse a video without trajectory or gaze, naming the archive that a download by video leaves out."""
+def _read_mps(found: RecordingFiles) -> MpsReadings:
+    """Trajectory, gaze and hands; what is missing is named by the archive that a download by video leaves out."""
     for file in found.files:
         if file.role.startswith(places.UNREADABLE):
             find_mps_files(file.path)
+    participant = found.folder.name
     folder = f"{hd_epic.MPS_FOLDER}/{participant}"
     if found.path(mps.TRAJECTORY) is None:
         raise _missing_slam(found, participant, folder)
@@ -113,6 +111,16 @@ def _require_mps(found: RecordingFiles, participant: str) -> None:
             found="none",
             remedy="Download GAZE_HAND of this video.",
         )
+    readings = read_mps(found)
+    if np.linalg.norm(readings.trajectory.up - np.array(_UP)) > 1e-2:
+        raise InputFileError(
+            f"{folder}: {mps.TRAJECTORY_FILE} of {found.recording_id}",
+            "gravity columns",
+            expected="gravity along -Z (the kitchens are Z up)",
+            found=f"up = {(np.round(readings.trajectory.up, 3) + 0.0).tolist()}",
+            remedy="Masks and bodies stand in the world of the original file; use that one.",
+        )
+    return readings
 
 
 def _missing_slam(found: RecordingFiles, participant: str, folder: str) -> InputFileError:
@@ -132,7 +140,7 @@ def _missing_slam(found: RecordingFiles, participant: str, folder: str) -> Input
             f"{participant}/{found.recording_id}.vrs",
             expected="the number of a SLAM zip",
             found="no such key",
-            remedy=f"This video has no multi-recording SLAM; three have {hd_epic.OTHER_SLAM_FOLDER}/<video>.zip instead.",
+            remedy=f"It has no multi-recording SLAM; three videos have {hd_epic.OTHER_SLAM_FOLDER}/*.zip instead.",
         )
     archive = f"{folder}/{hd_epic.MULTI_SLAM_FOLDER}/{number}.zip"
     return InputFileError(
