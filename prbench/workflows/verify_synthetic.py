@@ -23,8 +23,8 @@ from prbench.workflows.matching import Match, Verification, match_events, verifi
 from prbench.workflows.synthetic_table import Staging, World
 
 _IN_PROCESS = InProcess()
-_PERIOD = 1 / 30
-"""Seconds between samples of objects and of gaze."""
+_SLACK = 1e-4
+"""Seconds by which clocks and rounding may move a sample."""
 
 
 @dataclass(frozen=True)
@@ -182,15 +182,17 @@ class Limit:
         return bool(np.isnan(self.value)) or (self.value >= self.bound if self.at_least else self.value <= self.bound)
 
 
-def limits(level: SensorLevel, result: Verification) -> list[Limit]:
-    """What ``methods/synthetic-recordings.md`` section 10 asserts at this level."""
+def limits(level: SensorLevel, result: Verification, *, preset: str = "adt") -> list[Limit]:
+    """What ``methods/synthetic-recordings.md`` section 10 asserts at this level; periods are those of the dataset."""
+    rates = load_manifest(preset).rates_hz
+    objects, gaze = (1.0 / rates.get(stream, 30.0) for stream in ("objects", "gaze"))
     if level.noise == 0:
         return [
             Limit("recall", result.recall, 1.0, at_least=True),
             Limit("precision", result.precision, 1.0, at_least=True),
-            Limit("largest timing error, s", result.timing.largest, 2 * _PERIOD, at_least=False),
+            Limit("largest timing error, s", result.timing.largest, 2 * objects, at_least=False),
             Limit("priming recall", result.priming_recall, 1.0, at_least=True),
-            Limit("largest prime time error, s", result.prime_first.largest, _PERIOD + 1e-4, at_least=False),
+            Limit("largest prime time error, s", result.prime_first.largest, gaze + _SLACK, at_least=False),
         ]
     share = 0.95 if level.noise <= 1 else 0.90
     detection = [
