@@ -15,7 +15,7 @@ from prbench.skeleton import WRISTS
 from prbench.synthetic.people.gaze_plan import WINDOW, GazePlan
 from prbench.synthetic.people.person import SIDES
 from prbench.synthetic.people.plan import Action, Plan, Reach
-from prbench.synthetic.performance import ObjectMotion, TrueEvent
+from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
 NEAR_MISS = 0.05
 _MOVED = 0.001
@@ -125,7 +125,36 @@ def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> f
     return float(times[first + near] + share * (times[first + far] - times[first + near]))
 
 
-def first_sight(scene: Scene, low: np.ndarray, high: np.ndarray, event_time: float) -> Sight:
+def seen_again(
+    event: TrueEvent, performance: Performance, low: np.ndarray, high: np.ndarray, *, gaze_period: float
+) -> TrueEvent:
+    """The same event for a dataset that knows another box of the goal, or samples gaze at another rate.
+
+    Args:
+        event: Of that performance, one that is an event.
+        performance: The truth.
+        low: Lower corner of the world-aligned box; equal to ``high`` for a point.
+        high: Upper corner.
+        gaze_period: Seconds between two gaze samples.
+    """
+    scene = Scene(performance.times, performance.joints, performance.eye, performance.gaze)
+    sight = first_sight(scene, low, high, event.event_time, gaze_period=gaze_period)
+    expected, margin = _outcome(sight, scene, (low + high) / 2)
+    return replace(
+        event,
+        box_min=low,
+        box_max=high,
+        prime_time=sight.lasting,
+        prime_first=sight.first,
+        prime_kind="hit" if sight.kind == "hit" else "near_miss" if sight.kind else None,
+        expected=expected,
+        thin=sight.marginal or margin < _THIN_MOVEMENT,
+    )
+
+
+def first_sight(
+    scene: Scene, low: np.ndarray, high: np.ndarray, event_time: float, *, gaze_period: float = _GAZE_PERIOD
+) -> Sight:
     """First look at a box in the ten seconds before an event, with noise-free gaze."""
     first, last = np.searchsorted(scene.times, [event_time - WINDOW, event_time], side="left")
     last = min(int(last) + int(scene.times[min(last, scene.times.size - 1)] == event_time), scene.times.size)
@@ -141,7 +170,7 @@ def first_sight(scene: Scene, low: np.ndarray, high: np.ndarray, event_time: flo
     start = None if not lasting else int(begins[lasting[0]])
     settling = int(np.ceil(_SETTLING / step)) + 1
     earliest = None if not len(begins) else int(begins[0])
-    marginal = _is_marginal(distance, hit, times, begins, ends, start, step, event_time)
+    marginal = _is_marginal(distance, hit, times, begins, ends, start, step, event_time, gaze_period)
     return Sight(
         None if start is None else float(times[start]),
         None if earliest is None else float(times[earliest]),
@@ -159,17 +188,18 @@ def _is_marginal(
     start: int | None,
     step: float,
     event_time: float,
+    gaze_period: float,
 ) -> bool:
     """Whether a gaze sample more or less, or 5 mm, would change whether and when the event is primed."""
     upto = len(times) if start is None else start
     almost = (np.abs(distance[:upto] - NEAR_MISS) < _THIN_RAY) & ~hit[:upto]
     if start is None:
         return bool(almost.any() or len(begins))
-    settled = times[start] + 2 * _GAZE_PERIOD
-    brief = bool(np.any((ends - begins) * step < 2 * _GAZE_PERIOD)) and begins[0] < start
+    settled = times[start] + 2 * gaze_period
+    brief = bool(np.any((ends - begins) * step < 2 * gaze_period)) and begins[0] < start
     distinct = bool(almost[: max(start - int(0.1 / step), 0)].any())
-    at_border = times[start] < event_time - WINDOW + _GAZE_PERIOD or settled > event_time
-    look = slice(start, min(start + max(2, int(2 * _GAZE_PERIOD / step)), len(times)))
+    at_border = times[start] < event_time - WINDOW + gaze_period or settled > event_time
+    look = slice(start, min(start + max(2, int(2 * gaze_period / step)), len(times)))
     grazing = bool(np.all(~hit[look] & (np.abs(distance[look] - NEAR_MISS) < _THIN_RAY)))
     return bool(brief or distinct or at_border or grazing)
 
@@ -180,12 +210,16 @@ def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
         return "excluded_category", np.inf
     if reach.action not in ("pick", "put"):
         return "not_an_event", np.inf
+    return _outcome(sight, scene, reach.centre)
+
+
+def _outcome(sight: Sight, scene: Scene, goal: np.ndarray) -> tuple[str, float]:
     if sight.lasting is None:
         return "not_primed", np.inf
     start = sight.lasting - _PREROLL
     if start < scene.times[0]:
         return "too_short", np.inf
     wrists = scene.joints[int(np.searchsorted(scene.times, start)), WRISTS]
-    nearest = float(np.linalg.norm(wrists - reach.centre, axis=1).min())
+    nearest = float(np.linalg.norm(wrists - goal, axis=1).min())
     margin = abs(nearest - _MINIMUM_MOVEMENT)
     return ("minimum_movement" if nearest < _MINIMUM_MOVEMENT else "sequence"), margin

@@ -43,12 +43,26 @@ class Switches:
     """White noise of tracked hands."""
     hand_losses: bool = True
     """Hands out of view are missing, and of low confidence towards its edge."""
+    hand_start: bool = True
+    """Hands of the first 0.7 s are wrong in one recording of five (HOT3D)."""
+    object_gaps: bool = True
+    """Runs of missing rows of objects (HOT3D)."""
+    clock_drift: bool = True
+    """The clock of the ground truth runs up to 1 ppm faster or slower than the glasses' (HOT3D)."""
     limb_wobble: bool = True
     """Elbows, knees and wrists of an estimated body (EgoAllo) wander."""
     foot_slip: bool = True
     """Feet of an estimated body slide."""
     root_height: bool = True
     """Every window of an estimated body stands too high or too low."""
+    video_clock: bool = True
+    """Video frames whose image is shown twice or skipped."""
+    annotated_times: bool = True
+    """Starts and ends of movements as people mark them."""
+    annotated_points: bool = True
+    """Places of objects as lifted from depth."""
+    mask_losses: bool = True
+    """Events without a mask, so without a place."""
 
     @classmethod
     def ideal(cls) -> Switches:
