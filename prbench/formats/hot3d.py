@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prbench.formats.aria_mps import MpsReadings
-from prbench.formats.egoallo import EgoAlloBody
+from prbench.formats.egoallo import EgoAlloBody, EgoAlloOutput
 from prbench.formats.umetrack import HandModel
 
 METADATA_FILE = "metadata.json"
@@ -150,5 +150,7 @@ class Hot3dReadings:
     """On the device clock; None without EgoAllo's outputs."""
     mano_hands: tuple[HandPoints, ...] | None = None
     """Posed by the licensed MANO model, where that is asked for; they replace UmeTrack's."""
+    egoallo_outputs: tuple[EgoAlloOutput, ...] = ()
+    """Not read, only written: what ``body`` was computed from."""
     messages: tuple[str, ...] = ()
     """What reading the files brought up."""

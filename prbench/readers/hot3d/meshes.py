@@ -10,6 +10,9 @@ from prbench.errors import InputFileError
 from prbench.formats.hot3d import ObjectMesh
 from prbench.readers.files import missing_file
 
+_METRES = 7
+"""Decimals: float32 millimetres carry no more."""
+
 
 def read_glb(path: Path) -> ObjectMesh:
     """Read the triangles of a model in the object's frame, metres: node transforms applied, materials left aside.
@@ -34,7 +37,7 @@ def read_glb(path: Path) -> ObjectMesh:
             found=f"{type(error).__name__}: {str(error)[:120]}",
             remedy="The file may be truncated; download the object library again.",
         ) from error
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64), _METRES)
     if len(vertices) == 0 or len(mesh.faces) == 0 or not np.isfinite(vertices).all():
         raise InputFileError(path, "", expected="triangles with finite corners", found=f"{len(mesh.faces)} triangles")
     return ObjectMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))

@@ -16,6 +16,8 @@ from prbench.synthetic.sensors.errors import Switches
 
 LAYOUT_MODULES: dict[str, str] = {
     "adt": "prbench.synthetic.layouts.adt",
+    "gimo": "prbench.synthetic.layouts.gimo",
+    "hot3d": "prbench.synthetic.layouts.hot3d",
     "mogaze": "prbench.synthetic.layouts.mogaze",
 }
 """Module of each preset's layout; of presets that are not listed there is motion only."""

@@ -1,0 +1,226 @@
+"""Native files of HOT3D (``formats/hot3d.md``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from prbench.formats import egoallo as ego
+from prbench.formats import hot3d, umetrack
+from prbench.formats.umetrack import HandModel
+from prbench.manifests import load_manifest
+from prbench.recording import Recording
+from prbench.recording.from_hot3d import recording_from_hot3d
+from prbench.storage import atomic_folder, atomic_path, read_json, write_json
+from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.layouts.aria_mps import write_mps
+from prbench.synthetic.layouts.csv_files import split_columns, write_csv
+from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.layouts.glb import glb_bytes
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.sensors import aria_gaze
+from prbench.synthetic.sensors import hot3d as sensors
+from prbench.synthetic.sensors.errors import Switches
+
+HEADSET_UID = "100000000000001"
+LIBRARY = hot3d.LIBRARY_FOLDERS[0]
+_OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
+"""Files that a recording has and curation does not read; all true."""
+_UNSET = 255.0
+"""Of the hand model's unused tables of joints."""
+
+
+class Hot3dLayout:
+    """See :class:`prbench.synthetic.layouts.Layout`."""
+
+    def sense(
+        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
+    ) -> hot3d.Hot3dReadings:
+        """Objects, headset, hands, glasses and gaze, and EgoAllo's bodies."""
+        return sensors.sense(performance, noise=noise, switches=switches)
+
+    def recording(self, readings: hot3d.Hot3dReadings) -> Recording:
+        """The streams of one synthetic recording."""
+        return recording_from_hot3d(readings, load_manifest("hot3d"), dataset="synthetic-hot3d")
+
+    def write(self, readings: hot3d.Hot3dReadings, root: Path) -> None:
+        """One folder a recording; the models of its objects wait for :meth:`finish`."""
+        write(readings, root / readings.recording_id)
+        write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
+
+    def finish(self, root: Path) -> None:
+        """The object library and the body model that all recordings share."""
+        finish(root)
+
+    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
+        """All of them."""
+        return performance.events
+
+    def clock_start(self, performance: Performance) -> float:
+        """Time of the ground truth's clock at the first instant, seconds."""
+        return sensors.clock_start(performance)
+
+    def object_id(self, object_id: str) -> str:
+        """Fifteen digits."""
+        return sensors.native_object_id(object_id)
+
+    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+        """Yaw and pitch, radians."""
+        return aria_gaze.gaze_bias(performance, noise=noise, switches=switches)
+
+
+LAYOUT = Hot3dLayout()
+
+
+def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
+    """Write the files of one recording: complete or not at all.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    with atomic_folder(folder) as target:
+        write_json(
+            target / hot3d.METADATA_FILE,
+            {
+                "gt_available_status": {
+                    "mano_hand_pose_gt": False,
+                    "object_pose_gt": True,
+                    "umetrack_hand_pose_gt": True,
+                },
+                "headset": hot3d.ARIA,
+                "participant_id": readings.participant_id,
+                "recording_name": readings.recording_id,
+            },
+        )
+        bodies = {entry.object_id: entry.rows for entry in readings.objects}
+        write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
+        write_csv(target / hot3d.HEADSET_FILE, pose_columns({HEADSET_UID: readings.headset}))
+        _write_hands(readings.hands, target / hot3d.UMETRACK_FILE)
+        if readings.hand_model is not None:
+            write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
+        _write_masks(readings, target / hot3d.MASK_FOLDER)
+        write_mps(readings.mps, target / hot3d.MPS_FOLDER)
+        write_outputs(readings.egoallo_outputs, target / ego.OUTPUT_FOLDER)
+
+
+def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
+    """Write names and models of one recording's objects."""
+    instances = {
+        entry.object_id: _instance(entry.object_id, entry.name, hot3d.LIBRARY_OBJECT) for entry in readings.objects
+    }
+    write_json(folder / hot3d.INSTANCES_FILE, instances)
+    for entry in readings.objects:
+        if entry.mesh is not None:
+            with atomic_path(folder / f"{entry.object_id}.glb") as temporary:
+                temporary.write_bytes(glb_bytes(entry.mesh, name=entry.name, turned=int(entry.object_id) % 2 == 1))
+
+
+def finish(root: Path) -> None:
+    """Gather the parts of all recordings into the object library, and write the body model.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    headset = {HEADSET_UID: _instance(HEADSET_UID, "Aria", "headset")}
+    instances: dict[str, object] = dict(headset)
+    library = root / LIBRARY
+    library.mkdir(exist_ok=True)
+    for part in sorted((root / SHARED_PARTS).iterdir()):
+        names = read_json(part / hot3d.INSTANCES_FILE)
+        assert isinstance(names, dict)  # written above
+        instances |= names
+        for model in sorted(part.glob("*.glb")):
+            model.replace(library / model.name)
+    write_json(library / hot3d.INSTANCES_FILE, instances)
+    write_smplh_model(root / ego.MODEL_FILE)
+
+
+def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
+    """Columns of a pose table, rows in the order of time."""
+    times = np.concatenate([rows.time_ns for rows in bodies.values()])
+    order = np.argsort(times, kind="stable")
+    uids = np.concatenate([np.full(len(rows.time_ns), uid) for uid, rows in bodies.items()])
+    return {
+        hot3d.OBJECT_ID: uids[order],
+        hot3d.TIME: times[order],
+        **split_columns(hot3d.POSITION, np.concatenate([rows.position for rows in bodies.values()])[order]),
+        **split_columns(hot3d.ROTATION, np.concatenate([rows.rotation for rows in bodies.values()])[order]),
+    }
+
+
+def _write_hands(hands: tuple[hot3d.HandRows, ...], path: Path) -> None:
+    lines: dict[int, dict[str, object]] = {}
+    for hand in hands:
+        numbers = zip(
+            hand.time_ns.tolist(),
+            hand.position.tolist(),
+            hand.rotation.tolist(),
+            hand.angles.tolist(),
+            strict=True,
+        )
+        for time, position, rotation, angles in numbers:
+            lines.setdefault(time, {})[hot3d.HAND_KEYS[hand.side]] = {
+                "wrist_xform": {"t_xyz": position, "q_wxyz": rotation},
+                "joint_angles": angles,
+                "hand_confidence": 1.0,
+            }
+    records = [{"timestamp_ns": time, "hand_poses": lines[time]} for time in sorted(lines)]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
+
+
+def profile(model: HandModel) -> dict[str, object]:
+    """The hand model with the keys of ``umetrack_hand_user_profile.json``, lengths in millimetres."""
+    bones = model.landmark_weights.argmax(axis=1)
+    firsts = [joint % umetrack.JOINTS_A_FINGER == 0 for joint in range(umetrack.N_JOINTS)]
+    return {
+        "dense_bone_weights": model.weights.tolist(),
+        "hand_scale": 1.0,
+        "joint_first_child": [_UNSET] * umetrack.N_JOINTS,
+        "joint_frame_index": [_UNSET] * umetrack.N_JOINTS,
+        "joint_limits": [[-np.pi, np.pi]] * umetrack.N_JOINTS,
+        "joint_next_sibling": [_UNSET] * umetrack.N_JOINTS,
+        "joint_parent": [_UNSET if first else float(joint - 1) for joint, first in enumerate(firsts)],
+        "joint_rest_positions": _millimetres(model.joint_positions),
+        "joint_rotation_axes": model.joint_axes.tolist(),
+        "landmark_rest_bone_indices": [[int(bone)] * 3 for bone in bones],
+        "landmark_rest_bone_weights": [[1.0, 0.0, 0.0]] * umetrack.N_LANDMARKS,
+        "landmark_rest_positions": _millimetres(model.landmarks),
+        "mesh_triangles": model.triangles.astype(float).tolist(),
+        "mesh_vertices": _millimetres(model.vertices),
+    }
+
+
+def _millimetres(points: np.ndarray) -> list[list[float]]:
+    return np.round(points / umetrack.METRES_A_UNIT, 6).tolist()
+
+
+def _write_masks(readings: hot3d.Hot3dReadings, folder: Path) -> None:
+    all_times = readings.headset.time_ns
+    truth = hot3d.MaskRows(all_times[::2], np.ones(len(all_times[::2]), dtype=bool))
+    for name, rows in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
+        write_csv(folder / f"mask_{name}.csv", mask_columns(rows))
+
+
+def mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
+    """One row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
+    slam = rows.time_ns + round(sensors.SLAM_DELAY * 1e9)
+    streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
+    return {
+        hot3d.TIME: np.column_stack([rows.time_ns, slam, slam]).ravel(),
+        hot3d.STREAM: np.tile(streams, len(rows.time_ns)),
+        hot3d.MASK: np.repeat(np.where(rows.good, "True", "False"), len(streams)),
+    }
+
+
+def _instance(uid: str, name: str, kind: str) -> dict[str, object]:
+    return {
+        "instance_bop_id": "0",
+        "instance_id": uid,
+        "instance_name": name,
+        "instance_type": kind,
+        "motion_type": "dynamic",
+        "rigidity": "rigid",
+    }
