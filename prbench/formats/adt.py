@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.formats.aria_mps import GazeAngles, GlassesSize
+from prbench.formats.egoallo import EgoAlloBody
 
 METADATA_FILE, METADATA_FILE_BEFORE_1_1 = "metadata.json", "gt-metadata.json"
 INSTANCES_FILE = "instances.json"
@@ -48,6 +49,8 @@ ROOM_SIZE = 3.0
 LONGEST_BODY_STEP = 0.02
 """Seconds; the suit runs at 120 Hz, a longer step is a gap."""
 UP = (0.0, 1.0, 0.0)
+Z_UP_FROM_SCENE = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""The scene turned so that Z is up, (x, y, z) to (x, -z, y): the world in which EgoAllo must see it."""
 
 JOINT_NAMES: tuple[str, ...] = (
     "Skeleton", "Ab", "Chest", "Neck", "Head",
@@ -153,5 +156,8 @@ class AdtReadings:
     gaze: GazeAngles
     objects: tuple[AdtObject, ...]
     skeletons: tuple[AdtSkeleton, ...]
+    estimated_body: EgoAlloBody | None = None
+    """EgoAllo's estimate, in the scene turned to Z up (:data:`Z_UP_FROM_SCENE`); None where there is none or none was
+    asked for."""
     messages: tuple[str, ...] = ()
     """What reading the files brought up."""

@@ -5,6 +5,8 @@ Readers call this with what the files hold, synthetic recordings with what their
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
@@ -15,6 +17,7 @@ from prbench.formats.aria_mps import GlassesSize, cpf_from_rgb, device_from_cpf
 from prbench.manifests import Manifest
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.from_aria import gaze_in_world, part_poses
+from prbench.recording.from_egoallo import NO_OUTPUTS, body_stream
 from prbench.recording.streams import (
     BodyStream,
     ContactPoint,
@@ -26,9 +29,11 @@ from prbench.recording.streams import (
     Recording,
     Side,
 )
+from prbench.skeleton import invert_rigid
 from prbench.timelines import require_overlap
 
-_ASSUMED_SIZE: GlassesSize = "DVT-L"
+ASSUMED_SIZE: GlassesSize = "DVT-L"
+"""Of glasses whose size no file tells (choice: the public sample's)."""
 _SIDES: tuple[Side, Side] = ("left", "right")
 _CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
     ("wrist", adt.WRIST_JOINTS),
@@ -36,13 +41,19 @@ _CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
 )
 
 
-def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset: str) -> Recording:
+Poses = Literal["native", "egoallo"]
+
+
+def recording_from_adt(
+    readings: adt.AdtReadings, manifest: Manifest, *, dataset: str, poses: Poses = "native"
+) -> Recording:
     """Streams in the world from native readings.
 
     Args:
         readings: Content of the native files.
         manifest: Joint mapping, pose source and head tilt.
         dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
+        poses: Whose body: the suit's, or the one that EgoAllo estimated. Hands, and with them events, stay the suit's.
 
     Raises:
         StreamsDoNotOverlap: if glasses, gaze, objects and the wearer's body share no instant.
@@ -50,7 +61,7 @@ def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset
     """
     device = _device_poses(readings)
     span = float(device.times[0]), float(device.times[-1])
-    device_cpf = device_from_cpf(readings.glasses_size or _ASSUMED_SIZE)
+    device_cpf = device_from_cpf(readings.glasses_size or ASSUMED_SIZE)
     device_rgb = device_cpf @ cpf_from_rgb() if readings.device_from_rgb is None else readings.device_from_rgb
     head = part_poses(device, device_cpf)
     gaze = gaze_in_world(
@@ -61,17 +72,20 @@ def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset
         same_instant=adt.SAME_INSTANT,
     )
     wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
-    body, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest, span)
+    suit, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest, span)
+    body, source = (
+        (suit, manifest.body) if poses == "native" else (_estimated(readings, head), manifest.other_bodies[poses])
+    )
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
     rooms = {track.object_id for track in tracks if encloses_room(track, gaze)}
-    _check_overlap(readings, span, gaze, body, tracks)
+    _check_overlap(readings, span, gaze, suit, tracks)
     return Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
         participant_id="unknown" if wearer is None else wearer.name.removeprefix("Skeleton_"),
-        pose_source="none" if body is None else manifest.body.pose_source,
-        head_tilt_deg=manifest.body.head_tilt_deg,
+        pose_source="none" if body is None else source.pose_source,
+        head_tilt_deg=source.head_tilt_deg,
         span=span,
         gaze=gaze,
         camera=part_poses(device, device_rgb),
@@ -84,8 +98,17 @@ def recording_from_adt(readings: adt.AdtReadings, manifest: Manifest, *, dataset
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
         ),
-        messages=readings.messages + _remarks(readings, span, gaze, body, wearer),
+        messages=readings.messages
+        + _remarks(readings, span, gaze, suit, wearer)
+        + (() if poses == "native" else _estimate_remarks(readings, body)),
     )
+
+
+def _estimated(readings: adt.AdtReadings, head: PoseStream) -> BodyStream | None:
+    """The estimated body in the scene; frames over gaps of the glasses are guesses from nothing, and invalid."""
+    if readings.estimated_body is None:
+        return None
+    return body_stream(readings.estimated_body, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
 
 
 def body_and_hands(
@@ -141,8 +164,7 @@ def encloses_room(track: ObjectTrack, gaze: GazeStream) -> bool:
 
 
 def _device_poses(readings: adt.AdtReadings) -> PoseStream:
-    poses = readings.glasses
-    if len(poses.time_us) == 0:
+    if len(readings.glasses.time_us) == 0:
         raise InputFileError(
             readings.recording_id,
             "",
@@ -150,6 +172,11 @@ def _device_poses(readings: adt.AdtReadings) -> PoseStream:
             found="none",
             remedy="Copy or download the recording again.",
         )
+    return glasses_stream(readings.glasses)
+
+
+def glasses_stream(poses: adt.GlassesPoses) -> PoseStream:
+    """Poses of the device in the scene; quality 0 is invalid."""
     rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
     return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
 
@@ -194,7 +221,7 @@ def _remarks(
     """What a user should know about these readings."""
     remarks = []
     if readings.glasses_size is None:
-        remarks.append(f"size of the glasses unknown, {_ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
+        remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
     outside = ~_within(gaze.times, span)
     if outside.any():
         remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
@@ -216,3 +243,12 @@ def _remarks(
         if gaps:
             remarks.append(f"{gaps} gaps of more than {adt.LONGEST_BODY_STEP * 1e3:.0f} ms in the body")
     return tuple(remarks)
+
+
+def _estimate_remarks(readings: adt.AdtReadings, body: BodyStream | None) -> tuple[str, ...]:
+    """What a user should know about the estimated body."""
+    if readings.estimated_body is None or body is None:
+        return (NO_OUTPUTS,)
+    invalid = int((~body.valid).sum())
+    told = (f"{invalid} of {len(body.valid)} frames of the estimated body are invalid",) if invalid else ()
+    return readings.estimated_body.messages + told

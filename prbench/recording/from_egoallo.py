@@ -11,9 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.formats import egoallo as ego
+from prbench.formats.aria_mps import LONGEST_POSE_STEP
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
-from prbench.recording.streams import BodyStream
+from prbench.recording.streams import BodyStream, PoseStream
 from prbench.skeleton import transform_points
+from prbench.timelines import covered
+
+NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
+"""What is said of a recording without outputs."""
 
 
 def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: ego.SmplhRest) -> ego.EgoAlloBody | None:
@@ -57,7 +62,11 @@ def joined_windows(windows: Sequence[ego.BodyWindow]) -> ego.EgoAlloBody | None:
 
 
 def body_stream(
-    body: ego.EgoAlloBody, *, world_from_source: Float[np.ndarray, "4 4"], seconds_before_device: float = 0.0
+    body: ego.EgoAlloBody,
+    *,
+    world_from_source: Float[np.ndarray, "4 4"],
+    seconds_before_device: float = 0.0,
+    head: PoseStream | None = None,
 ) -> BodyStream:
     """The 22 joints in the recording's world and on its clock; implausible frames are masked and filled.
 
@@ -65,10 +74,14 @@ def body_stream(
         body: In the source world, on the device clock.
         world_from_source: Source world (Z up) to the recording's (Y up).
         seconds_before_device: Recording time = device seconds - this.
+        head: Poses of the glasses on the recording's clock; where they have a gap, EgoAllo had nothing to go by, and
+            the body is invalid.
     """
     times = body.time_ns / 1e9 - seconds_before_device
     joints = transform_points(world_from_source, body.joints.astype(np.float64))
     valid = plausible_body_frames(times, joints)
+    if head is not None:
+        valid &= covered(head.times, head.valid, times, max_gap=LONGEST_POSE_STEP)
     return BodyStream(times, hold_neighbours(joints, valid), valid)
 
 

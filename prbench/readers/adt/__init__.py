@@ -8,22 +8,25 @@ from pathlib import Path
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.adt.layouts import find_recordings
+from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.readings import read_readings
 from prbench.readers.found import RecordingFiles
-from prbench.readers.options import ReaderOptions
 from prbench.recording import Recording
 from prbench.recording.from_adt import recording_from_adt
 
-__all__ = ["READER", "AdtReader", "find_recordings", "read_readings", "read_recording"]
+__all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]
 
 
-def read_recording(found: RecordingFiles) -> Recording:
+_DEFAULTS = AdtOptions()
+
+
+def read_recording(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> Recording:
     """Read one recording (see :class:`prbench.readers.Reader` for what it raises)."""
     manifest = load_manifest("adt")
     reason = manifest.why_bad(found.recording_id)
     if reason:
         raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
-    return recording_from_adt(read_readings(found), manifest, dataset=found.dataset)
+    return recording_from_adt(read_readings(found, options), manifest, dataset=found.dataset, poses=options.poses)
 
 
 @dataclass(frozen=True)
@@ -31,15 +34,15 @@ class AdtReader:
     """See :class:`prbench.readers.Reader`."""
 
     dataset: str = "adt"
-    options: ReaderOptions = ReaderOptions()  # noqa: RUF009 (frozen)
+    options: AdtOptions = _DEFAULTS
 
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
-        return find_recordings(root)
+        return find_recordings(root, self.options)
 
     def read(self, found: RecordingFiles) -> Recording:
         """See :func:`read_recording`."""
-        return read_recording(found)
+        return read_recording(found, self.options)
 
 
 READER = AdtReader()

@@ -8,8 +8,10 @@ import msgspec
 
 from prbench.errors import InputFileError
 from prbench.formats import adt
-from prbench.formats.aria_mps import CALIBRATION_FILE, SUMMARY_FILE
+from prbench.formats.aria_mps import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE
+from prbench.readers.adt.options import AdtOptions
 from prbench.readers.aria_mps import find_gaze_file
+from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -73,7 +75,10 @@ def subtour_id(sequence: str, subtour: str) -> str:
     return f"{sequence}_{subtour}"
 
 
-def find_recordings(root: Path) -> tuple[RecordingFiles, ...]:
+_DEFAULTS = AdtOptions()
+
+
+def find_recordings(root: Path, options: AdtOptions = _DEFAULTS) -> tuple[RecordingFiles, ...]:
     """List the recordings of an ADT folder: the dataset's, a v1.x sequence, or a single recording.
 
     Raises:
@@ -85,7 +90,8 @@ def find_recordings(root: Path) -> tuple[RecordingFiles, ...]:
         raise InputFileError(root, "", expected="a folder of ADT recordings", found="no such folder")
     synthetic = read_synthetic_tree(root) is not None
     folders = [root] if metadata_file(root) else sorted(path for path in root.iterdir() if path.is_dir())
-    found = [recording for folder in folders for recording in _recordings_in(folder, synthetic=synthetic)]
+    dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
+    found = [recording for folder in folders for recording in _recordings_in(folder, root, dataset, options)]
     if not found:
         names = [path.name for path in sorted(root.iterdir())]
         listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
@@ -105,19 +111,33 @@ def metadata_file(folder: Path) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
-def _recordings_in(folder: Path, *, synthetic: bool) -> list[RecordingFiles]:
+def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) -> list[RecordingFiles]:
     metadata_path = metadata_file(folder)
     if metadata_path is None:
         return []
-    dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
     places = [
         (subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name))
         for tour in _subtours(metadata_path)
     ]
     return [
-        RecordingFiles(dataset, recording_id, place, (input_file(METADATA, metadata_path), *_input_files(place)))
+        RecordingFiles(
+            dataset,
+            recording_id,
+            place,
+            (
+                input_file(METADATA, metadata_path),
+                *_input_files(place, options),
+                *_estimated_bodies(root, place, recording_id, options),
+            ),
+        )
         for recording_id, place in places or [(folder.name, folder)]
     ]
+
+
+def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtOptions) -> tuple[InputFile, ...]:
+    if options.poses != "egoallo":
+        return ()
+    return find_outputs(root, folder, recording_id, options.poses_root, smplh_model=options.smplh_model)
 
 
 def _subtours(metadata_path: Path) -> tuple[Subtour, ...]:
@@ -128,9 +148,11 @@ def _subtours(metadata_path: Path) -> tuple[Subtour, ...]:
         return ()
 
 
-def _input_files(folder: Path) -> list[InputFile]:
+def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
     files = []
     for role, names in _FILES.items():
+        if role == GAZE and options.gaze == "personalized":
+            names = (*(f"{adt.MPS_FOLDER}/eye_gaze/{name}" for name in PERSONALIZED_GAZE_FILES), *names)
         path = next((folder / name for name in names if (folder / name).is_file()), None)
         if path is None and role == GAZE:
             path = find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze")

@@ -8,6 +8,7 @@ from prbench.errors import InputFileError
 from prbench.formats import adt
 from prbench.readers.adt import layouts
 from prbench.readers.adt.objects import read_objects
+from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.skeletons import read_skeletons
 from prbench.readers.aria_mps import (
     AriaTrajectory,
@@ -17,11 +18,15 @@ from prbench.readers.aria_mps import (
     read_trajectory,
 )
 from prbench.readers.aria_status import read_warnings
+from prbench.readers.egoallo import read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
+from prbench.recording.adt_for_egoallo import glasses_z_up
+
+_DEFAULTS = AdtOptions()
 
 
-def read_readings(found: RecordingFiles) -> adt.AdtReadings:
+def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt.AdtReadings:
     """Read all that curation needs of one recording.
 
     Raises:
@@ -35,16 +40,19 @@ def read_readings(found: RecordingFiles) -> adt.AdtReadings:
     )
     calibration, calibration_remarks = _read_calibration(found)
     trajectory = _read_trajectory(found)
+    size = None if calibration is None else calibration.size
+    glasses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=serial,
         concurrent=concurrent,
-        glasses_size=None if calibration is None else calibration.size,
+        glasses_size=size,
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
-        glasses=adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality),
+        glasses=glasses,
         gaze=read_gaze_angles(found.require(layouts.GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
+        estimated_body=read_bodies(found, cpf=glasses_z_up(glasses, size)) if options.poses == "egoallo" else None,
         messages=(*remarks, *trajectory.remarks, *calibration_remarks, *_gaze_warnings(found)),
     )
 

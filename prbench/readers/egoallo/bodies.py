@@ -7,11 +7,10 @@ from prbench.readers.egoallo.belonging import require_belongs
 from prbench.readers.egoallo.joints import read_window
 from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
 from prbench.readers.found import RecordingFiles
-from prbench.recording.from_egoallo import joined_windows
+from prbench.recording.from_egoallo import NO_OUTPUTS, joined_windows
 from prbench.recording.streams import PoseStream
 
-NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
-"""What a reader says of a recording without outputs."""
+__all__ = ["NO_OUTPUTS", "read_bodies"]
 
 
 def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:
