@@ -32,6 +32,7 @@ __all__ = [
 
 READER_MODULES: dict[str, str] = {
     "adt": "prbench.readers.adt",
+    "gimo": "prbench.readers.gimo",
     "hd-epic": "prbench.readers.hd_epic",
     "hot3d": "prbench.readers.hot3d",
     "mogaze": "prbench.readers.mogaze",

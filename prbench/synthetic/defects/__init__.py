@@ -14,7 +14,9 @@ from typing import Literal
 
 from prbench.errors import UsageError
 
-DEFECT_MODULES: dict[str, str] = {}
+DEFECT_MODULES: dict[str, str] = {
+    "mogaze": "prbench.synthetic.defects.mogaze",
+}
 """Module of each preset's defects."""
 
 
