@@ -16,6 +16,7 @@ from prbench.cli import (
     explain,
     inspect,
     leaderboard,
+    release,
     run,
     score,
     stats,
@@ -23,7 +24,20 @@ from prbench.cli import (
 )
 from prbench.errors import PrbenchError
 
-_COMMANDS = (run, inspect, build_dataset, datasets, stats, diff, explain, synthesize, score, leaderboard, adapters)
+_COMMANDS = (
+    run,
+    inspect,
+    build_dataset,
+    datasets,
+    stats,
+    diff,
+    explain,
+    synthesize,
+    score,
+    leaderboard,
+    release,
+    adapters,
+)
 
 _EXAMPLES = """\
 examples:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
-from prbench.curation.filters import body_movement, hand_movement, minimum_movement
+from prbench.curation.filters import minimum_movement
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.curation.split import split_of
@@ -19,6 +19,7 @@ from prbench.errors import RecordingUnusable
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
 from prbench.recording.streams import Side
+from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.timelines import covered, interpolate

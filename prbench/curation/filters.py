@@ -8,7 +8,8 @@ import numpy as np
 
 from prbench.curation.clipping import Clip
 from prbench.curation.events import Decision, PickPutEvent, Place
-from prbench.skeleton import WRISTS, Joint
+from prbench.sequences.movement import body_movement
+from prbench.skeleton import WRISTS
 
 
 def wrist_to_goal(clip: Clip, _event: PickPutEvent, place: Place) -> float | None:
@@ -39,15 +40,3 @@ def minimum_movement(clip: Clip, event: PickPutEvent, place: Place, *, measure: 
     value = MEASURES[measure](clip, event, place)
     outcome = "minimum_movement" if value is not None and value < threshold else "sequence"
     return Decision(outcome, "filters", value, threshold)
-
-
-def body_movement(joints: np.ndarray) -> float:
-    """Largest 3-D distance of the pelvis from frame 0, metres; joints (n, 22, 3)."""
-    pelvis = joints[:, Joint.PELVIS]
-    return float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
-
-
-def hand_movement(joints: np.ndarray, wrist: int) -> float:
-    """Largest displacement of one wrist relative to the pelvis (translation removed, heading not), metres."""
-    relative = joints[:, wrist] - joints[:, Joint.PELVIS]
-    return float(np.linalg.norm(relative - relative[0], axis=1).max())

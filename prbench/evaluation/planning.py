@@ -71,12 +71,15 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
 
     Raises:
         UsageError: for an unknown split or a limit below one.
-        TableError: if the split is empty, or the table is not sorted, repeats an id or mixes frame rates.
+        TableError: if the split is empty, the table is not sorted, repeats an id or mixes frame rates, or must not be
+            scored.
     """
     if split not in SPLITS:
         raise UsageError(f"unknown split '{split}'; the splits are: {', '.join(SPLITS)}.")
     if limit is not None and limit < 1:
         raise UsageError(f"--limit: expected 1 or more sequences, found {limit}.")
+    if table.info.why_not_scored is not None:
+        raise TableError(f"{table.folder}: cannot be scored: {table.info.why_not_scored}.")
     rows = table.scalars(split=split)
     if not rows.num_rows:
         counts = _split_counts(table)

@@ -59,6 +59,16 @@ class DatasetInfo(msgspec.Struct, frozen=True, kw_only=True):
     homepage: str
     citation: str
 
+    @property
+    def why_not_scored(self) -> str | None:
+        """Why no metric may be computed on this dataset, or None; an import may not know where its goals are."""
+        if self.options.get("goal_frame") == "unknown":
+            return (
+                "it was imported from a release whose goals are in an unknown frame (import_report.json has the"
+                " evidence), so no distance to a goal means anything"
+            )
+        return None
+
     def write(self, folder: Path) -> None:
         """Write ``dataset.json``."""
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))

@@ -1,0 +1,213 @@
+"""Which of a release's fields means what: exact alias, then part of a name, then the form of the values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from prbench.errors import InputFileError, UsageError
+from prbench.release.inferences import Certainty
+from prbench.release.values import (
+    parse_action,
+    parse_goal,
+    parse_hand,
+    parse_name,
+    parse_number,
+    parse_subset,
+    parse_text,
+)
+
+_LOOKED_AT = 200  # values of a field on which its form is judged
+_FITTING = 0.9  # share of them that must have the form: a few broken entries do not change what a field means
+
+
+@dataclass(frozen=True)
+class FieldRule:
+    """How one canonical field is recognised (formats/pr-release.md, section 3)."""
+
+    canonical: str
+    aliases: tuple[str, ...]
+    fits: Callable[[Any, str], bool]
+    """Whether a value, under a field of the given name, has the right form."""
+    part: str | None = None
+    """Pattern within a name (letters and digits only)."""
+    by_value: bool = False
+    """A field is recognised by its values alone, if nothing else is."""
+    required: bool = False
+
+
+def _is_frame_rate(value: Any, _name: str) -> bool:
+    number = parse_number(value)
+    return number is not None and 5 <= number <= 240
+
+
+def _is_number(value: Any, _name: str) -> bool:
+    return parse_number(value) is not None
+
+
+def _is_name(value: Any, _name: str) -> bool:
+    return parse_name(value) is not None
+
+
+FIELDS: tuple[FieldRule, ...] = (
+    FieldRule(
+        "goal",
+        ("goal", "goallocation", "goalposition", "goalpos", "target", "targetlocation", "targetposition",
+         "objectlocation", "objectposition", "objectpos", "location", "position", "o3d", "loc3d"),
+        lambda value, _: parse_goal(value) is not None,
+        part="goal|target|object.*(loc|pos|cent)|(loc|pos|cent).*object",
+        by_value=True,
+        required=True,
+    ),
+    FieldRule(
+        "text",
+        ("text", "prompt", "textprompt", "caption", "description", "narration", "instruction", "sentence"),
+        lambda value, _: parse_text(value) is not None,
+        part="text|prompt|caption",
+        by_value=True,
+    ),
+    FieldRule(
+        "subset",
+        ("subset", "split", "set", "partition", "phase", "mode", "traintest", "istrain", "train", "test"),
+        lambda value, name: parse_subset(value, name) is not None,
+        part="split|subset|train|test",
+        by_value=True,
+        required=True,
+    ),
+    FieldRule("fps", ("fps", "framerate"), _is_frame_rate, part="fps"),
+    FieldRule("num_frames", ("numframes", "nframes", "framecount", "length", "numberofframes"), _is_number),
+    FieldRule("duration", ("duration", "durations", "seconds"), _is_number),
+    FieldRule("event_frame", ("eventframe", "eventidx", "eventframenumber"), _is_number),
+    FieldRule(
+        "primed_frame",
+        ("primedframe", "primedframenumber", "primeframe", "primingframe", "primedidx", "primeindex", "tp", "prime",
+         "primetime"),
+        _is_number,
+        part="prim(e|ing)",
+        by_value=True,
+        required=True,
+    ),
+    FieldRule(
+        "action",
+        ("action", "actiontype", "type", "event", "eventtype", "pickput", "verb"),
+        lambda value, name: parse_action(value, name) is not None,
+        part="action|pick|put",
+        by_value=True,
+    ),
+    FieldRule("hand", ("hand", "side", "wrist"), lambda value, _: parse_hand(value) is not None, part="hand"),
+    FieldRule(
+        "source",
+        ("source", "sourcevideo", "video", "videoid", "videoname", "recording", "recordingid", "clip", "sequencename"),
+        _is_name,
+    ),
+    FieldRule("object_name", ("objectname", "object", "objectlabel", "noun"), _is_name),
+    FieldRule("object_box", ("objectbox", "goalbox", "targetbox", "bbox", "box", "aabb"),
+              lambda value, _: _is_box(value)),
+    FieldRule("units", ("units", "unit"), lambda value, _: isinstance(value, str)),
+    FieldRule("up", ("up", "upaxis"), lambda value, _: isinstance(value, str)),
+    FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
+)  # fmt: skip
+"""In the order in which names are given away; a field means one thing only."""
+
+
+@dataclass(frozen=True)
+class FieldChoice:
+    """Which field of the release stands for a canonical one."""
+
+    canonical: str
+    field: str
+    certainty: Certainty
+    evidence: str
+
+
+def letters(name: str) -> str:
+    """A name in lower case, letters and digits only."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
+
+def names_a_field(name: str) -> bool:
+    """Whether a name is an exact alias of some field."""
+    return any(letters(name) in rule.aliases for rule in FIELDS)
+
+
+def choose_fields(
+    where: str, names: Sequence[str], values: Callable[[str], Sequence[Any]], given: Mapping[str, str]
+) -> tuple[FieldChoice, ...]:
+    """Decide what each field of a release means.
+
+    Args:
+        where: File, for messages.
+        names: Fields of the release.
+        values: Values of a field.
+        given: Canonical names with the fields that the user chose for them.
+
+    Raises:
+        UsageError: if the user names a field that does not exist.
+        InputFileError: if two fields fit equally well, or a field that is needed is not found; lists the names.
+    """
+    chosen = [_given(where, canonical, field, names) for canonical, field in given.items()]
+    for rule in FIELDS:
+        taken = {choice.field for choice in chosen}
+        if rule.canonical in given:
+            continue
+        free = [name for name in names if name not in taken]
+        choice = _choose(where, rule, free, values)
+        if choice is not None:
+            chosen.append(choice)
+        elif rule.required:
+            raise InputFileError(
+                where,
+                rule.canonical,
+                expected="a field that fits",
+                found=f"the fields {', '.join(names)}",
+                remedy=f"Say which it is: --field-map {rule.canonical}=NAME",
+            )
+    return tuple(chosen)
+
+
+def _given(where: str, canonical: str, field: str, names: Sequence[str]) -> FieldChoice:
+    known = [rule.canonical for rule in FIELDS]
+    if canonical not in known:
+        raise UsageError(f"--field-map: there is no field '{canonical}'; there are: {', '.join(known)}.")
+    if field not in names:
+        raise UsageError(f"--field-map {canonical}={field}: {where} has the fields {', '.join(names)}.")
+    return FieldChoice(canonical, field, "certain", "given by --field-map")
+
+
+def _choose(
+    where: str, rule: FieldRule, free: Sequence[str], values: Callable[[str], Sequence[Any]]
+) -> FieldChoice | None:
+    def fitting(names: Sequence[str]) -> list[str]:
+        return [name for name in names if _fits(rule, name, values(name))]
+
+    part = re.compile(rule.part) if rule.part else None
+    steps: tuple[tuple[list[str], Certainty, str], ...] = (
+        ([name for name in free if letters(name) in rule.aliases], "certain", "known name"),
+        ([name for name in free if part and part.search(letters(name))], "likely", "part of its name, and its values"),
+        (list(free) if rule.by_value else [], "assumed", "its values only"),
+    )
+    for names, certainty, evidence in steps:
+        found = fitting(names)
+        if len(found) > 1 and (rule.required or certainty == "certain"):
+            raise InputFileError(
+                where,
+                rule.canonical,
+                expected="one field that fits",
+                found=f"{len(found)}: {', '.join(found)}",
+                remedy=f"Say which it is: --field-map {rule.canonical}={found[0]}",
+            )
+        if len(found) == 1:
+            return FieldChoice(rule.canonical, found[0], certainty, evidence)
+    return None
+
+
+def _fits(rule: FieldRule, name: str, values: Sequence[Any]) -> bool:
+    some = values[:: max(1, len(values) // _LOOKED_AT)]
+    return bool(some) and sum(rule.fits(value, name) for value in some) >= _FITTING * len(some)
+
+
+def _is_box(value: Any) -> bool:
+    goal = parse_goal(value)
+    return goal is not None and goal.box is not None

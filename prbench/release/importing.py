@@ -1,0 +1,220 @@
+"""Import the authors' release: what it leaves open is inferred, written down, and never guessed in silence.
+
+Files are gone through three times, so that memory does not grow with the motions: headers (frame rate, base of the
+primed frames), measurements (unit, frames), and conversion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from prbench.errors import InputFileError
+from prbench.manifests import Manifest, load_manifest, load_protocol
+from prbench.release.inferences import Inference
+from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
+from prbench.release.judge import UNKNOWN, Conclusions, conclude
+from prbench.release.known import SYNTHETIC_PREFIX
+from prbench.release.layout import DatasetFiles, find_datasets
+from prbench.release.provenance import describe
+from prbench.release.report import ImportReport, count_rows, count_warnings
+from prbench.release.rows import Reading
+from prbench.release.survey import Measured, survey
+from prbench.release.terms import read_export_record, terms_of
+from prbench.release.writing import ImportedRows
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences.write_dataset import write_dataset
+from prbench.storage import remove_leftovers, require_replaceable
+
+NO_OPTIONS = ImportOptions()
+Progress = Callable[[str, str], None]
+"""Called with the dataset and what is being done."""
+
+
+@dataclass(frozen=True)
+class FailedDataset:
+    """A dataset of the release that could not be imported."""
+
+    dataset: str
+    message: str
+
+
+@dataclass(frozen=True)
+class ImportResult:
+    """What became of each dataset."""
+
+    reports: tuple[ImportReport, ...]
+    failed: tuple[FailedDataset, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Nothing had to be left out."""
+        return not self.failed and not any(report.left_out for report in self.reports)
+
+
+def import_release(
+    root: Path,
+    out: Path,
+    *,
+    dataset: str | None = None,
+    options: ImportOptions = NO_OPTIONS,
+    progress: Progress = lambda _dataset, _step: None,
+) -> ImportResult:
+    """Turn a release into sequence tables.
+
+    Args:
+        root: The release (folders HD-EPIC, MoGaze …), or the folder of one dataset.
+        out: With ``dataset`` the table's folder, else a folder in which each dataset gets one of its own.
+        dataset: Only this dataset.
+        options: What the user knows better.
+        progress: Called before each step.
+
+    Raises:
+        InputFileError: if there is nothing to import; with ``on_error="fail"`` for the first thing that is wrong.
+        UsageError: for an unknown dataset or field name.
+        StorageError: if ``out`` cannot be written or holds something else.
+    """
+    found = find_datasets(root, dataset)
+    targets = {name: out if dataset is not None else out / name for name, _ in found}
+    for target in targets.values():
+        require_replaceable(target, FILE_NAME, kind="dataset")
+        remove_leftovers(target)
+    reports, failed = list[ImportReport](), list[FailedDataset]()
+    for name, folder in found:
+        try:
+            reports.append(_import_dataset(name, folder, targets[name], options, progress))
+        except InputFileError as error:
+            if options.on_error == "fail" or len(found) == 1:
+                raise
+            failed.append(FailedDataset(name, str(error)))
+    return ImportResult(tuple(reports), tuple(failed))
+
+
+def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Progress) -> ImportReport:
+    manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
+    exported = read_export_record(folder)
+    progress(dataset, "reading target_information.json and headers")
+    interpreted = interpret(dataset, folder, options)
+    progress(dataset, f"measuring {len(interpreted.found.candidates)} sequences")
+    measured = _measure(interpreted, options)
+    conclusions = _conclude(interpreted, measured, options)
+    reading = _as_exported(_reading(dataset, manifest, interpreted, conclusions, options), measured)
+    inferences = (*interpreted.inferences, *reading.conclusions.inferences)
+    progress(dataset, f"writing {len(measured)} sequences")
+    rows = ImportedRows(reading, measured, interpreted.found)
+    info = write_dataset(
+        out,
+        describe(dataset, manifest, terms_of(dataset, manifest, exported), interpreted, inferences, rows),
+        sequences=rows.sequences(),
+        events=rows.events(),
+        recordings=rows.recordings(),
+    )
+    of_study = None if dataset.startswith(SYNTHETIC_PREFIX) else interpreted.known
+    counts = count_rows((each.candidate.subset for each in measured), of_study)
+    report = ImportReport(
+        dataset=dataset,
+        folder=out,
+        info=info,
+        shape=interpreted.entries.shape,
+        fields=interpreted.fields,
+        unmapped=interpreted.unmapped,
+        inferences=inferences + _round_trip(exported, info),
+        problems=tuple(interpreted.found.problems),
+        counts=counts,
+        warnings=(*reading.conclusions.warnings, *count_warnings(counts), *_strangers(interpreted.files)),
+    )
+    report.write()
+    return report
+
+
+def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]:
+    """Read every sequence once; with ``on_error="fail"`` none may be missing then."""
+    found, shift = interpreted.found, int(options.first_frame_is_previous)
+    rate = interpreted.fps if interpreted.primed.in_seconds else 1.0
+    primed_frame = dict[int, int]()
+    for candidate in found.candidates:
+        primed = candidate.primed * rate - interpreted.primed.base
+        whole = interpreted.primed.in_seconds or candidate.primed == round(candidate.primed)
+        if not whole or not shift <= round(primed) < candidate.n_frames or candidate.n_frames < 2 + shift:
+            last = candidate.n_frames - 1
+            message = f"primed frame: expected one of the frames (0 to the last), found {candidate.primed:g} of {last}"
+            found.report(candidate.entry.key, message)
+        else:
+            primed_frame[candidate.index] = round(primed)
+    found.candidates = [each for each in found.candidates if each.index in primed_frame]
+    measured = survey(found, primed_frame)
+    found.candidates = [each.candidate for each in measured]
+    if options.on_error == "fail" and found.left_out:
+        key, reason = next(iter(found.left_out.items()))
+        more = f" (and {len(found.left_out) - 1} more sequences)" if len(found.left_out) > 1 else ""
+        raise InputFileError(
+            interpreted.files.folder, f"sequence {key}", expected="a complete sequence", found=reason + more
+        )
+    require_some(found, interpreted.files)
+    return measured
+
+
+def _conclude(interpreted: Interpreted, measured: list[Measured], options: ImportOptions) -> Conclusions:
+    conclusions = conclude(str(interpreted.files.folder), measured)
+    previous = (
+        Inference("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
+        if options.first_frame_is_previous
+        else Inference("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
+    )
+    return replace(conclusions, inferences=(*conclusions.inferences, previous))
+
+
+def _reading(
+    dataset: str, manifest: Manifest, interpreted: Interpreted, conclusions: Conclusions, options: ImportOptions
+) -> Reading:
+    return Reading(
+        dataset=dataset,
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        texts=load_protocol().text,
+        mapping=interpreted.mapping,
+        unmapped=interpreted.unmapped,
+        fps=interpreted.fps,
+        primed=interpreted.primed,
+        conclusions=conclusions,
+        first_frame_is_previous=options.first_frame_is_previous,
+    )
+
+
+def _as_exported(reading: Reading, measured: list[Measured]) -> Reading:
+    """Where every entry has our own block, frames need no inference."""
+    blocks = [reading.block(each.candidate) for each in measured]
+    stated = [block for block in blocks if block is not None]
+    if len(stated) < len(blocks):
+        return reading
+    is_known = all(block.goal_frame != UNKNOWN for block in stated)
+    goal_frame = "as the motions" if is_known else UNKNOWN
+    motion_frame = " and ".join(sorted({block.motion_frame for block in stated}))
+    evidence = "stated by the prbench block of every entry"
+    known = {
+        "goal_frame": Inference("goal_frame", goal_frame, "certain" if is_known else "unknown", evidence),
+        "motion_frame": Inference("motion_frame", motion_frame, "certain", evidence),
+    }
+    inferences = tuple(known.get(each.name, each) for each in reading.conclusions.inferences)
+    conclusions = replace(reading.conclusions, goal_frame=goal_frame, inferences=inferences)
+    return replace(reading, conclusions=conclusions)
+
+
+def _round_trip(exported: Mapping[str, Any] | None, info: DatasetInfo) -> tuple[Inference, ...]:
+    """Whether the table is the one that our exporter wrote."""
+    if exported is None:
+        return ()
+    kinds = ("identity_digest", "content_digest")
+    same = [kind.replace("_", " ") for kind in kinds if exported.get(kind) == getattr(info, kind)]
+    if len(same) == len(kinds):
+        return (Inference("exported_table", "unchanged", "certain", "both digests are those of the exported table"),)
+    found = f"of the digests agree: {', '.join(same) or 'none'}"
+    return (Inference("exported_table", "not the same", "certain", found),)
+
+
+def _strangers(files: DatasetFiles) -> tuple[str, ...]:
+    if not files.strangers:
+        return ()
+    shown = ", ".join(files.strangers[:5]) + (", …" if len(files.strangers) > 5 else "")
+    return (f"{len(files.strangers)} files are no arrays of sequences: {shown}.",)

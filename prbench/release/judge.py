@@ -1,0 +1,127 @@
+"""From measurements to conclusions: unit, frames, skeleton (formats/pr-release.md, section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from prbench.errors import InputFileError
+from prbench.release.inferences import Inference
+from prbench.release.known import load_known
+from prbench.release.survey import GOAL_FRAMES, Measured, mean_bones
+
+UNKNOWN = "unknown"
+_UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001}
+
+
+@dataclass(frozen=True)
+class Conclusions:
+    """How the arrays of one dataset are to be read."""
+
+    metres: float
+    """Length of the release's unit."""
+    is_canonical: bool
+    """Motions are canonical already, nearly all of them."""
+    goal_frame: str
+    """One of the survey's frames, or ``unknown``."""
+    inferences: tuple[Inference, ...]
+    warnings: tuple[str, ...]
+
+
+def conclude(where: str, measured: Sequence[Measured]) -> Conclusions:
+    """Judge the measurements of all sequences of one dataset.
+
+    Raises:
+        InputFileError: if the motions are too small or too large for people in metres, centimetres or millimetres.
+    """
+    metres, unit = _unit(where, measured)
+    is_canonical, canonical = _canonical(measured, metres)
+    goal_frame, goal = _goal_frame(measured, metres)
+    gaze, warnings = _gaze(measured, metres, goal_frame)
+    inferences = (unit, canonical, goal, _skeleton(measured, metres), gaze)
+    return Conclusions(metres, is_canonical, goal_frame, inferences, warnings)
+
+
+def _unit(where: str, measured: Sequence[Measured]) -> tuple[float, Inference]:
+    bounds = load_known().pelvis_to_head
+    median = float(np.median([each.pelvis_to_head for each in measured]))
+    for name, metres in _UNITS.items():
+        if bounds.lowest <= median * metres <= bounds.highest:
+            certainty = "likely" if metres == 1.0 else "assumed"
+            evidence = f"median distance from pelvis to head: {median:.3g}"
+            return metres, Inference("units", name, certainty, evidence)
+    raise InputFileError(
+        where,
+        "motions",
+        expected=f"a median distance from pelvis to head of {bounds.lowest:g} to {bounds.highest:g} m (or the same in"
+        " centimetres or millimetres)",
+        found=f"{median:.3g}",
+        remedy="Check the joint order: 22 joints in the order of HumanML3D, y up.",
+    )
+
+
+def is_canonical_already(measured: Measured, metres: float) -> bool:
+    """Whether the canonical frame of a motion is the frame that it is given in."""
+    rules = load_known().canonical
+    world_from_canonical = measured.world_from_canonical
+    yaw = np.degrees(np.arctan2(world_from_canonical[0, 2], world_from_canonical[0, 0]))
+    offset = np.abs(world_from_canonical[:3, 3]).max() * metres
+    return bool(offset <= rules.position and abs(yaw) <= rules.yaw_deg)
+
+
+def _canonical(measured: Sequence[Measured], metres: float) -> tuple[bool, Inference]:
+    share = float(np.mean([is_canonical_already(each, metres) for each in measured]))
+    evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
+    if share >= load_known().canonical.agreeing:
+        return True, Inference("motion_frame", "canonical", "certain" if share == 1 else "likely", evidence)
+    certainty = "certain" if share < 0.05 else "likely"
+    return False, Inference("motion_frame", "world (canonicalised here)", certainty, evidence)
+
+
+def _goal_frame(measured: Sequence[Measured], metres: float) -> tuple[str, Inference]:
+    limit = load_known().goal.wrist_distance
+    medians = np.median([each.goal_to_wrist for each in measured], axis=0) * metres
+    tried = ", ".join(f"{name} {median:.2f} m" for name, median in zip(GOAL_FRAMES, medians))
+    evidence = f"median distance of goal and nearer wrist in the last frame: {tried}"
+    best = 0 if medians[0] < limit else int(medians.argmin())
+    if medians[best] >= limit:
+        return UNKNOWN, Inference("goal_frame", UNKNOWN, "unknown", f"{evidence}; none below {limit:g} m")
+    return GOAL_FRAMES[best], Inference("goal_frame", GOAL_FRAMES[best], "likely", evidence)
+
+
+def _skeleton(measured: Sequence[Measured], metres: float) -> Inference:
+    """Whether all sequences share the lengths of one skeleton."""
+    spread = float(mean_bones(measured).std(axis=0).max()) * metres
+    change = float(np.median([each.bone_change for each in measured])) * metres
+    evidence = (
+        f"largest standard deviation of a bone: {spread * 1000:.2f} mm over the sequences,"
+        f" {change * 1000:.2f} mm within one (median)"
+    )
+    if len(measured) < 2:
+        return Inference("skeleton", UNKNOWN, "unknown", "a single sequence cannot tell")
+    uniform = spread <= load_known().skeleton.uniform
+    return Inference("skeleton", "uniform" if uniform else "people's own bones", "likely", evidence)
+
+
+def _gaze(measured: Sequence[Measured], metres: float, goal_frame: str) -> tuple[Inference, tuple[str, ...]]:
+    """How often the gaze passes the goal at the primed frame: a check on frame, base and rate together."""
+    rules = load_known().goal
+    rays = [each.gaze_ray for each in measured if each.gaze_ray is not None]
+    if not rays:
+        return Inference("gaze_on_goal", UNKNOWN, "unknown", "no valid gaze at any primed frame"), (
+            "No sequence has a valid gaze at its primed frame.",
+        )
+    shares = (np.array(rays) * metres <= rules.gaze_distance).mean(axis=0)
+    place = 0 if goal_frame == UNKNOWN else GOAL_FRAMES.index(goal_frame)
+    share = float(shares[place])
+    evidence = f"gaze ray from the head joint within {rules.gaze_distance:g} m of the goal at the primed frame"
+    counted = f"{share:.1%} of {len(rays)} sequences"
+    if share >= rules.gaze_share:
+        return Inference("gaze_on_goal", counted, "likely", evidence), ()
+    warning = (
+        f"The gaze meets the goal at the primed frame in {share:.0%} of the sequences only (expected: a clear"
+        " majority). Frame, base of the primed frames, or rate is probably wrong."
+    )
+    return Inference("gaze_on_goal", counted, "unknown", evidence), (warning,)

@@ -1,0 +1,133 @@
+"""Where things lie in a release: one folder a dataset, files numbered by sequence; never outside its root."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import InputFileError
+from prbench.release.known import dataset_of
+
+TARGETS = "target_information.json"
+MOTIONS = "motions"
+GAZES = "gazes"
+FURTHER = "further"
+"""Folder of what only this toolkit writes: arrays that the layout has no place for."""
+EXPORT_RECORD = "prbench_export.json"
+"""Written beside the targets by our exporter: which table it was, under which terms."""
+
+_ENDS = re.compile(r"^\D+|\D+$")
+
+
+@dataclass(frozen=True)
+class DatasetFiles:
+    """The files of one dataset's folder."""
+
+    folder: Path
+    dataset: str
+    motions: dict[int, Path]
+    gazes: dict[int, Path]
+    further: dict[int, Path]
+    strangers: tuple[str, ...]
+    """Names in ``motions`` and ``gazes`` that are no array of a sequence."""
+
+    @property
+    def targets(self) -> Path:
+        """``target_information.json``."""
+        return self.folder / TARGETS
+
+
+def index_of(key: str) -> int | None:
+    """The number of a sequence key or file name (``motions/0000000012.npy``, ``seq_12``, ``12``), or None."""
+    name = re.split(r"[/\\]", key.strip())[-1].removesuffix(".npy")
+    digits = _ENDS.sub("", name)
+    return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
+
+
+def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Path]]:
+    """Dataset folders of a release, by name.
+
+    Args:
+        root: The release, or the folder of one dataset.
+        dataset: Only this dataset; says also what ``root`` is if it is a dataset's folder of unknown name.
+
+    Raises:
+        InputFileError: if there is none, or a folder's name leads out of the root.
+    """
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="the folder of a release", found="no folder")
+    if (root / TARGETS).exists() or (root / MOTIONS).is_dir():
+        name = dataset or dataset_of(root.resolve().name)
+        if name is None:
+            raise InputFileError(
+                root,
+                "",
+                expected="a folder that is named after its dataset",
+                found=root.name,
+                remedy="Say which it is: --dataset NAME",
+            )
+        return [(name, root)]
+    found = []
+    for folder in sorted(root.iterdir()):
+        name = dataset_of(folder.name)
+        if folder.is_dir() and name is not None and dataset in (None, name):
+            _require_inside(root, folder)
+            found.append((name, folder))
+    if not found:
+        wanted = f"a folder of {dataset}" if dataset else "folders HD-EPIC, MoGaze, HOT3D, ADT or GIMO"
+        names = ", ".join(sorted(path.name for path in root.iterdir())[:8]) or "nothing"
+        raise InputFileError(root, "", expected=wanted, found=names)
+    return found
+
+
+def list_files(folder: Path, dataset: str) -> DatasetFiles:
+    """The arrays of one dataset's folder by the number in their names.
+
+    Raises:
+        InputFileError: if two files have one number, or a file leads out of the folder.
+    """
+    strangers: list[str] = []
+    return DatasetFiles(
+        folder,
+        dataset,
+        _numbered(folder, MOTIONS, ".npy", strangers),
+        _numbered(folder, GAZES, ".npy", strangers),
+        _numbered(folder, FURTHER, ".npz", strangers),
+        tuple(strangers),
+    )
+
+
+def _numbered(root: Path, name: str, suffix: str, strangers: list[str]) -> dict[int, Path]:
+    folder, found = root / name, dict[int, Path]()
+    if not folder.is_dir():
+        return found
+    _require_inside(root, folder)
+    with os.scandir(folder) as listed:
+        entries = sorted(listed, key=lambda entry: entry.name)
+    for entry in entries:
+        path = Path(entry.path)
+        index = index_of(path.stem)
+        if entry.is_symlink():
+            _require_inside(root, path)
+        if path.suffix != suffix or index is None or not entry.is_file():
+            strangers.append(f"{name}/{entry.name}")
+            continue
+        if index in found:
+            raise InputFileError(
+                folder, f"sequence {index}", expected="one file", found=f"{found[index].name} and {entry.name}"
+            )
+        found[index] = path
+    return found
+
+
+def _require_inside(root: Path, path: Path) -> None:
+    if not path.resolve().is_relative_to(root.resolve()):
+        raise InputFileError(
+            path,
+            "",
+            expected="a path inside the release",
+            found="a link that leads out of it",
+            remedy="Copy what it points to into the release.",
+        )

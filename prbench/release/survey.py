@@ -1,0 +1,142 @@
+"""The first reading of all arrays: what has to be measured before anything can be converted.
+
+A few numbers are kept of each sequence, so that memory does not grow with the motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.errors import InputFileError
+from prbench.metrics.ray_track import ray_distance
+from prbench.release.arrays import parse_array
+from prbench.release.candidates import Candidate, Found
+from prbench.release.known import load_known
+from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
+from prbench.storage import bytes_digest
+
+Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""(x, y, z) -> (x, z, -y): from a frame with z up to one with y up."""
+GOAL_FRAMES = ("as the motions", "z up", "canonical", "canonical, z up")
+"""Frames in which goals may be given, in the order in which they are tried."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is kept of one sequence; lengths in the release's unit."""
+
+    candidate: Candidate
+    digest: str
+    """Of the bytes of its files."""
+    pelvis_to_head: float
+    bones: Float[np.ndarray, " bones"]
+    """Median over frames."""
+    bone_change: float
+    """Largest standard deviation of a bone over the frames."""
+    world_from_canonical: Float[np.ndarray, "4 4"]
+    goal_to_wrist: Float[np.ndarray, " frames_tried"]
+    """Distance of goal and nearer wrist in the last frame, for each of :data:`GOAL_FRAMES`."""
+    gaze_valid: int
+    """Frames whose gaze is usable."""
+    gaze_ray: Float[np.ndarray, " frames_tried"] | None
+    """Distance of the goal from the gaze ray at the primed frame, for each of :data:`GOAL_FRAMES`."""
+
+
+def survey(found: Found, primed_frame: dict[int, int]) -> list[Measured]:
+    """Read every candidate once; what cannot be used is reported in ``found``.
+
+    Args:
+        found: Candidates; problems are added.
+        primed_frame: Frame of the prime, from 0, by number of the sequence.
+    """
+    measured = []
+    for candidate in found.candidates:
+        result = _measure(candidate, primed_frame[candidate.index], found)
+        if result is not None:
+            measured.append(result)
+    return measured
+
+
+def _measure(candidate: Candidate, primed: int, found: Found) -> Measured | None:
+    key = candidate.entry.key
+    try:
+        content = candidate.motion.read_bytes()
+        joints = parse_array(candidate.motion, content).astype(np.float64)
+        gaze_content = b"" if candidate.gaze is None else candidate.gaze.read_bytes()
+        gaze = None if candidate.gaze is None else parse_array(candidate.gaze, gaze_content)
+        further = b"" if candidate.further is None else candidate.further.read_bytes()
+    except (InputFileError, OSError) as error:
+        found.report(key, f"cannot be read: {error}")
+        return None
+    broken = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
+    if broken.size:
+        found.report(key, "motion: expected finite numbers, found NaN or infinity")
+        return None
+    try:
+        world_from_canonical = canonical_frame(joints)
+    except ValueError:
+        found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")
+        return None
+    goals = goals_in_every_frame(candidate.goal.location, world_from_canonical)
+    directions, valid = clean_gaze(gaze, len(joints))
+    _report_gaze(key, directions, valid, gaze is not None, found)
+    lengths = bone_lengths(joints)
+    ray = None
+    if valid[primed]:
+        head = joints[primed, Joint.HEAD]
+        ray = np.array([ray_distance(head[None], directions[primed][None], goal[None])[0] for goal in goals])
+    return Measured(
+        candidate=candidate,
+        digest=bytes_digest(content + gaze_content + further),
+        pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
+        bones=np.median(lengths, axis=0),
+        bone_change=float(lengths.std(axis=0).max()),
+        world_from_canonical=world_from_canonical,
+        goal_to_wrist=np.linalg.norm(goals[:, None] - joints[-1, WRISTS], axis=-1).min(axis=1),
+        gaze_valid=int(valid.sum()),
+        gaze_ray=ray,
+    )
+
+
+def goals_in_every_frame(
+    goal: Float[np.ndarray, "3"], world_from_canonical: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "tried 3"]:
+    """The goal in the frame of the motions, for each of :data:`GOAL_FRAMES` that it may have been given in."""
+    return np.stack([transform_points(goal_transform(name, world_from_canonical), goal) for name in GOAL_FRAMES])
+
+
+def goal_transform(frame: str, world_from_canonical: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """From one of :data:`GOAL_FRAMES` into the frame of the motions."""
+    axes = Z_UP if frame.endswith("z up") else np.eye(4)
+    return world_from_canonical @ axes if frame.startswith("canonical") else axes
+
+
+def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Unit directions, and where they can be trusted; a missing last frame is invalid, one too many is cut off.
+
+    NaN, zero and lengths far from 1 are invalid; lengths near 1 are made exact.
+    """
+    directions = np.full((n_frames, 3), np.nan)
+    if gaze is not None:
+        rows = min(n_frames, len(gaze))
+        directions[:rows] = gaze[:rows]
+    length = np.linalg.norm(directions, axis=1)
+    valid = np.abs(length - 1) <= load_known().gaze.renormalised_tolerance
+    unit = np.abs(length - 1) <= load_known().gaze.unit_tolerance
+    scale = np.where(valid & ~unit, length, 1.0)[:, None]
+    return np.where(valid[:, None], directions / scale, [0.0, 0.0, 1.0]), valid
+
+
+def _report_gaze(key: str, directions: np.ndarray, valid: np.ndarray, present: bool, found: Found) -> None:
+    if present and not valid.any():
+        found.report(key, "gaze: no frame has a unit vector", left_out=False)
+    assert np.isfinite(directions).all()
+
+
+def mean_bones(measured: Iterable[Measured]) -> Float[np.ndarray, "sequences bones"]:
+    """Bone lengths of all sequences, one row each, in the order of the skeleton's bones."""
+    return np.array([each.bones for each in measured]).reshape(-1, len(BONES))

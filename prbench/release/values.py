@@ -1,0 +1,131 @@
+"""Values of ``target_information.json`` in the many forms that people write them in; None for what is no such value."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+SUBSETS = {
+    "train": "train", "training": "train", "tr": "train",
+    "test": "test", "testing": "test", "te": "test",
+    "val": "validation", "validation": "validation",
+}  # fmt: skip
+_ACTION_WORDS = {
+    "pick": "pick", "grab": "pick", "take": "pick",
+    "put": "put", "place": "put", "drop": "put",
+}  # fmt: skip
+_PICKS = re.compile(r"\b(pick|grab|take|taking|took|lift|fetch)", re.IGNORECASE)
+_PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
+_HANDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A goal, in whatever frame and unit the release has it."""
+
+    location: Float[np.ndarray, "3"]
+    box: Float[np.ndarray, "2 3"] | None
+    """Lower and upper corner, where the release gives a box."""
+
+
+def parse_goal(value: Any) -> Goal | None:
+    """A point (list, nested list, text, ``{x, y, z}``) or a box (six numbers, ``{min, max}``), whose centre counts."""
+    if isinstance(value, dict):
+        named = {str(name).lower(): part for name, part in value.items()}
+        if {"min", "max"} <= set(named):
+            value = [named["min"], named["max"]]
+        elif {"x", "y", "z"} <= set(named):
+            value = [named["x"], named["y"], named["z"]]
+        else:
+            return None
+    numbers = _numbers(value)
+    if numbers is None or numbers.size not in (3, 6):
+        return None
+    if numbers.size == 3:
+        return Goal(numbers, None)
+    box = numbers.reshape(2, 3)
+    return Goal(box.mean(axis=0), box)
+
+
+def _numbers(value: Any) -> np.ndarray | None:
+    """All finite numbers of a list, nested list or text; None if there is anything else in it."""
+    if isinstance(value, str):
+        value = re.split(r"[\s,;]+", value.strip(" ()[]{}\t\n"))
+    if not isinstance(value, list | tuple):
+        return None
+    flat = list[float]()
+    for part in value:
+        inner = _numbers(part) if isinstance(part, list | tuple) else None
+        number = None if isinstance(part, list | tuple) else parse_number(part)
+        if inner is None and number is None:
+            return None
+        flat += [number] if inner is None and number is not None else list(inner if inner is not None else ())
+    return np.array(flat, dtype=np.float64)
+
+
+def parse_number(value: Any) -> float | None:
+    """A finite number, also written as text; truth values are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def parse_text(value: Any) -> str | None:
+    """A sentence: text with a space in it; of a list of such the first."""
+    if isinstance(value, list) and value:
+        return parse_text(value[0])
+    return value.strip() if isinstance(value, str) and " " in value.strip() else None
+
+
+def parse_subset(value: Any, field: str = "") -> str | None:
+    """``train``, ``test`` or ``validation``; truth values where the field's name says of what they are the truth."""
+    if isinstance(value, str):
+        named = SUBSETS.get(value.strip().lower())
+        if named is not None or value.strip().lower() not in ("0", "1", "true", "false"):
+            return named
+        value = value.strip().lower() in ("1", "true")
+    if isinstance(value, bool) or value in (0, 1):
+        name = field.lower()
+        if ("train" in name) != ("test" in name):
+            is_train = bool(value) == ("train" in name)
+            return "train" if is_train else "test"
+    return None
+
+
+def parse_action(value: Any, field: str = "") -> str | None:
+    """``pick`` or ``put``, from a word, or from 0/1 where the field's name says of what."""
+    if isinstance(value, str):
+        word = value.strip().lower()
+        return next((action for start, action in _ACTION_WORDS.items() if word.startswith(start)), None)
+    if isinstance(value, bool) or value in (0, 1):
+        name = field.lower()
+        if ("pick" in name) != ("put" in name):
+            return "pick" if bool(value) == ("pick" in name) else "put"
+    return None
+
+
+def action_of_text(text: str) -> str | None:
+    """``pick`` or ``put`` as a prompt says it; None where it says both or neither."""
+    picks, puts = bool(_PICKS.search(text)), bool(_PUTS.search(text))
+    return None if picks == puts else "pick" if picks else "put"
+
+
+def parse_hand(value: Any) -> str | None:
+    """``left`` or ``right``."""
+    return _HANDS.get(value.strip().lower()) if isinstance(value, str) else None
+
+
+def parse_name(value: Any) -> str | None:
+    """A name or id as text."""
+    if isinstance(value, bool) or not isinstance(value, str | int):
+        return None
+    return str(value).strip() or None
