@@ -17,6 +17,7 @@ from prbench.synthetic.sensors.errors import Switches
 LAYOUT_MODULES: dict[str, str] = {
     "adt": "prbench.synthetic.layouts.adt",
     "gimo": "prbench.synthetic.layouts.gimo",
+    "hd-epic": "prbench.synthetic.layouts.hd_epic",
     "hot3d": "prbench.synthetic.layouts.hot3d",
     "mogaze": "prbench.synthetic.layouts.mogaze",
 }

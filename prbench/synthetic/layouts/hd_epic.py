@@ -1,0 +1,228 @@
+"""Native files of HD-EPIC (``formats/hd-epic.md``): archives by video, annotations for all videos together."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tempfile
+import zipfile
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from prbench.formats import aria_mps as mps
+from prbench.formats import egoallo as ego
+from prbench.formats import hd_epic
+from prbench.manifests import load_manifest
+from prbench.recording import Recording
+from prbench.recording.from_egoallo import body_from_outputs
+from prbench.recording.from_hd_epic import recording_from_hd_epic
+from prbench.storage import atomic_path, write_json
+from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.layouts.aria_mps import write_mps
+from prbench.synthetic.layouts.csv_files import write_csv
+from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.sensors import hd_epic as sensors
+from prbench.synthetic.sensors.egoallo import invented_smplh
+from prbench.synthetic.sensors.errors import Switches
+
+SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
+GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
+_UNORDERED = 8  # one in so many objects lists its tracks backwards
+_COMPRESSION = 1
+_CREATED = (2000, 1, 1, 0, 0, 0)
+
+
+class HdEpicLayout:
+    """See :class:`prbench.synthetic.layouts.Layout`."""
+
+    def sense(
+        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
+    ) -> sensors.SensedVideo:
+        """Glasses, bodies and annotations."""
+        return sensors.sense(performance, noise=noise, switches=switches)
+
+    def recording(self, readings: sensors.SensedVideo) -> Recording:
+        """The streams of one synthetic video."""
+        video = readings.readings
+        assert isinstance(video.glasses, mps.MpsReadings)
+        seen = dataclasses.replace(
+            video, glasses=mps.thinned(video.glasses), body=body_from_outputs(readings.bodies, invented_smplh())
+        )
+        return recording_from_hd_epic(seen, load_manifest("hd-epic"), dataset="synthetic-hd-epic")
+
+    def write(self, readings: sensors.SensedVideo, root: Path) -> None:
+        """Archives and time file of one video, its bodies, and its share of the annotations."""
+        write_video(readings.readings, root / hd_epic.DATA_FOLDER)
+        video = readings.readings.video
+        write_outputs(readings.bodies, root / ego.POSES_FOLDER / video / ego.OUTPUT_FOLDER)
+        write_json(root / SHARED_PARTS / f"{video}.json", _share(readings.readings))
+
+    def finish(self, root: Path) -> None:
+        """Annotations and SLAM maps of all videos, and the invented body model."""
+        parts = [_SHARE.decode(path.read_bytes()) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
+        annotations = root / hd_epic.ANNOTATIONS_FOLDER
+        movements = annotations / hd_epic.MOVEMENTS_FOLDER
+        write_json(movements / hd_epic.ASSOCIATIONS_FILE, {part.video: part.associations for part in parts})
+        write_json(movements / hd_epic.MASKS_FILE, {part.video: part.masks for part in parts})
+        priming = annotations / hd_epic.PRIMING_FOLDERS[0] / hd_epic.PRIMING_FILE
+        write_json(priming, {part.video: part.priming for part in parts})
+        for participant in {part.participant for part in parts}:
+            numbers = {
+                f"{participant}/{part.video}.vrs": slam_number(part.video)
+                for part in parts
+                if part.participant == participant
+            }
+            multi = root / hd_epic.DATA_FOLDER / hd_epic.MPS_FOLDER / participant / hd_epic.MULTI_SLAM_FOLDER
+            write_json(multi / hd_epic.SLAM_MAP_FILE, numbers)
+        write_smplh_model(root / ego.MODEL_FILE)
+
+    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
+        """What people annotate; places are points."""
+        return sensors.known_events(performance)
+
+    def clock_start(self, performance: Performance) -> float:
+        """Device time of the first instant, seconds."""
+        return sensors.clock_start_us(performance) / 1e6
+
+    def object_id(self, object_id: str) -> str:
+        """Id of the association: sixteen hexadecimal digits."""
+        return sensors.association_id(object_id)
+
+    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+        """Yaw and pitch, radians."""
+        return sensors.gaze_bias(performance, noise=noise, switches=switches)
+
+
+LAYOUT = HdEpicLayout()
+
+
+class _Share(msgspec.Struct):
+    """What one video adds to the annotations."""
+
+    video: str
+    participant: str
+    associations: dict[str, Any]
+    masks: dict[str, Any]
+    priming: dict[str, Any]
+
+
+_SHARE = msgspec.json.Decoder(_Share)
+
+
+def slam_number(video: str) -> str:
+    """Number of the SLAM archive that holds an invented video: its own, at the end of its name."""
+    return str(int(video.rpartition("_")[2]))
+
+
+def write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
+    """Write the files of one video below the folder ``HD-EPIC``.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    assert isinstance(readings.glasses, mps.MpsReadings)
+    own = data / hd_epic.VIDEOS_FOLDER / readings.participant_id
+    write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", _time_columns(readings.clock))
+    write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", _log(readings.clock))
+    base, number = data / hd_epic.MPS_FOLDER / readings.participant_id, slam_number(readings.video)
+    _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, SLAM_ROLES)
+    name = f"mps_{readings.video}_vrs"
+    _write_archive(base / hd_epic.GAZE_FOLDER / f"{name}.zip", name, readings.glasses, GAZE_ROLES)
+
+
+def _write_archive(path: Path, folder: str, readings: mps.MpsReadings, roles: Collection[str]) -> None:
+    """MPS files in a zip archive; equal contents give equal bytes."""
+    with tempfile.TemporaryDirectory() as unpacked:
+        write_mps(readings, Path(unpacked), only=roles)
+        with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+            for file in sorted(each for each in Path(unpacked).rglob("*") if each.is_file()):
+                entry = zipfile.ZipInfo(f"{folder}/{file.relative_to(unpacked).as_posix()}", _CREATED)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, file.read_bytes(), compresslevel=_COMPRESSION)
+
+
+def _time_columns(clock: hd_epic.VideoClock) -> dict[str, object]:
+    return {
+        hd_epic.MP4_TIME: np.arange(len(clock.device_ns)) * 1e9 / hd_epic.FPS,
+        hd_epic.RELATIVE_TIME: clock.device_ns - clock.device_ns[0],
+        hd_epic.DEVICE_TIME: clock.device_ns,
+    }
+
+
+def _log(clock: hd_epic.VideoClock) -> dict[str, int]:
+    first, last = int(clock.device_ns[0]), int(clock.device_ns[-1])
+    skipped = int((np.diff(clock.device_ns) > 1.5e9 / hd_epic.FPS).sum())
+    return {
+        "num_mp4_frames": len(clock.device_ns),
+        "down_sampling_factor_": 1,
+        "num_skipped_frames": skipped,
+        "num_duplicated_frames_": clock.repeats,
+        "num_invalid_frames_": 0,
+        "first_video_timestamp_ns": first,
+        "end_video_timestamp_ns": last,
+        "video_duration_ns": last - first,
+    }
+
+
+def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
+    masks = {mask.mask_id: mask for track in readings.tracks for mask in track.masks}
+    return {
+        "video": readings.video,
+        "participant": readings.participant_id,
+        "associations": _associations(readings),
+        "masks": {key: _mask(mask) for key, mask in masks.items()},
+        "priming": _priming(readings.priming or ()),
+    }
+
+
+def _associations(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
+    objects: dict[str, list[hd_epic.ObjectTrack]] = {}
+    for track in readings.tracks:
+        objects.setdefault(track.object_id, []).append(track)
+    return {
+        key: {
+            "name": tracks[0].name,
+            "tracks": [
+                {
+                    "track_id": track.track_id,
+                    "time_segment": [track.start, track.end],
+                    "masks": [mask.mask_id for mask in track.masks],
+                }
+                for track in (tracks[::-1] if hashlib.sha256(key.encode()).digest()[0] % _UNORDERED == 0 else tracks)
+            ],
+        }
+        for key, tracks in objects.items()
+    }
+
+
+def _mask(mask: hd_epic.ObjectMask) -> dict[str, object]:
+    return {
+        "frame_number": mask.frame,
+        "3d_location": None if mask.location is None else mask.location.tolist(),
+        "bbox": None if mask.box_px is None else mask.box_px.tolist(),
+        "fixture": mask.fixture or hd_epic.NO_FIXTURE,
+    }
+
+
+def _priming(sides: Collection[hd_epic.PublishedSide]) -> dict[str, dict[str, object]]:
+    objects: dict[str, dict[str, object]] = {}
+    for side in sides:
+        number, _, name = side.key.partition("/")
+        primed = side.frame_primed >= 0
+        objects.setdefault(number, {})[name] = {
+            "frame": side.frame,
+            "3d_location": [] if side.location is None else side.location.tolist(),
+            "prime_stats": {
+                "prime_window_start": max(side.frame - 300, 0),
+                "frame_primed": side.frame_primed,
+                "gaze_point": side.location.tolist() if primed and side.location is not None else [],
+                "dist_to_cam": -1,
+                "prime_gap": (side.frame - side.frame_primed) / hd_epic.FPS if primed else -1,
+            },
+        }
+    return objects
