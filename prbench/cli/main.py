@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import prbench
 from prbench.cli import (
     adapters,
+    build_corpus,
     build_dataset,
     datasets,
     diff,
@@ -28,6 +29,7 @@ _COMMANDS = (
     run,
     inspect,
     build_dataset,
+    build_corpus,
     datasets,
     stats,
     diff,

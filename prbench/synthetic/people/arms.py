@@ -147,18 +147,42 @@ def _offset_from_shoulder(plan: Plan, trunk: Trunk, hand: int, offset: tuple[flo
     return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, scaled)
 
 
-def pose_arms(body: Body, flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) -> Arms:
-    """Elbows by two-bone kinematics with a pole that follows the direction of the arm.
+def elbow_poles(flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 2 3"]:
+    """Where the elbows point, in the chest's frame; follows the direction of the arm.
 
     A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip.
     """
-    elbows, reached, hinges = [], [], []
+    poles = []
     for hand in (0, 1):
-        shoulder, side = trunk.shoulders[hand], (1.0 if hand == 0 else -1.0)
-        upward = unit(wrists[:, hand] - shoulder)[:, 1]
+        side = 1.0 if hand == 0 else -1.0
+        upward = unit(wrists[:, hand] - trunk.shoulders[hand])[:, 1]
         raised = minimum_jerk((upward + 0.3) / 0.8)
-        pole = np.stack([side * (flare + 0.6 * raised), np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1)
-        pole = turn(trunk.yaws[3], trunk.pitches[3], pole)
+        outward = side * (flare + 0.6 * raised)
+        poles.append(np.stack([outward, np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1))
+    return np.stack(poles, axis=1)
+
+
+def pose_arms(
+    body: Body,
+    flare: float,
+    trunk: Trunk,
+    wrists: Float[np.ndarray, "n 2 3"],
+    poles: Float[np.ndarray, "n 2 3"] | None = None,
+) -> Arms:
+    """Elbows by two-bone kinematics.
+
+    Args:
+        body: Bone lengths.
+        flare: How far the elbows stand out.
+        trunk: Shoulders and chest.
+        wrists: Wanted wrists.
+        poles: Where the elbows point, chest frame; :func:`elbow_poles` if None.
+    """
+    elbows, reached, hinges = [], [], []
+    poles = elbow_poles(flare, trunk, wrists) if poles is None else poles
+    for hand in (0, 1):
+        shoulder = trunk.shoulders[hand]
+        pole = turn(trunk.yaws[3], trunk.pitches[3], poles[:, hand])
         elbow, wrist = two_bone(shoulder, wrists[:, hand], (body.upper_arm, body.forearm), pole, _ARM_LIMIT)
         elbows.append(elbow)
         reached.append(wrist)

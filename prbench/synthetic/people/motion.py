@@ -85,7 +85,7 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
             break
         postures = _corrected(plan, postures, misses, trunk, times)
         trunk, arms, misses = act(postures)
-    return _assemble(plan, base, feet, trunk, head, arms, times, gaze_plan, misses)
+    return assemble(plan, base, feet, trunk, head, arms, times, gaze_plan, misses)
 
 
 def _rough_eye(plan: Plan, trunk: Trunk) -> np.ndarray:
@@ -124,7 +124,7 @@ def _corrected(
     return postures
 
 
-def _assemble(
+def assemble(
     plan: Plan,
     base: BasePath,
     feet: Feet,
@@ -135,6 +135,7 @@ def _assemble(
     gaze_plan: GazePlan,
     misses: tuple[float, ...],
 ) -> Motion:
+    """The whole body from its parts: legs below the hips, neck and head above the chest, hands at the wrists."""
     body, habits = plan.person.body, plan.person.habits
     legs = pose_legs(body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
     neck_yaw = trunk.yaws[3] + habits.neck_share * (head.yaw - trunk.yaws[3])

@@ -1,0 +1,97 @@
+"""Build a corpus: read recordings group by group, keep each group as a part, and merge the parts into one table.
+
+A build that is killed goes on where it stopped; what comes out has the same bytes for any number of workers, whether it
+was interrupted or not.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.corpora.job import CorpusJob
+from prbench.corpora.options import CorpusOptions
+from prbench.corpora.provenance import describe
+from prbench.corpora.sources import corpus_for, find_groups
+from prbench.engine import Engine, InProcess
+from prbench.manifests import digest_of, load_protocol
+from prbench.sequences import parts
+from prbench.sequences.corpus import CorpusRecord
+from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
+from prbench.sequences.corpus_schema import CORPUS_TABLES
+from prbench.sequences.corpus_table import write_corpus
+from prbench.storage import remove_leftovers, require_replaceable, text_digest
+
+_IN_PROCESS = InProcess()
+_DEFAULTS = CorpusOptions()
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished recordings, all of them, and what was finished last."""
+
+
+@dataclass(frozen=True)
+class CorpusReport:
+    """What a build made."""
+
+    folder: Path
+    info: CorpusInfo
+    records: tuple[CorpusRecord, ...]
+    reused: int
+    """Recordings taken over from an interrupted build."""
+
+
+def build_corpus(
+    name: str,
+    root: Path | None,
+    out: Path,
+    *,
+    options: CorpusOptions = _DEFAULTS,
+    engine: Engine = _IN_PROCESS,
+    progress: Progress | None = None,
+) -> CorpusReport:
+    """Build a corpus.
+
+    Args:
+        name: ``nymeria``, ``humanml3d`` or ``synthetic``.
+        root: The dataset's folder; None for ``synthetic``.
+        out: Folder of the new corpus; an earlier corpus there is replaced when everything is ready.
+        options: What to read, and how to cut it.
+        engine: Where recordings are worked on.
+        progress: Called after each group of recordings, in order.
+
+    Raises:
+        UsageError: for an unknown corpus or option.
+        InputFileError: if there is nothing to read.
+        StorageError: if ``out`` cannot be written or holds something else.
+    """
+    out = out.expanduser().absolute()
+    require_replaceable(out, CORPUS_FILE, kind="corpus")
+    corpus = corpus_for(name)
+    described = corpus.described(options)
+    groups = find_groups(corpus, root, options)
+    job = CorpusJob(
+        _settings(described, "" if corpus.manifest is None else digest_of(corpus.manifest)),
+        options.on_error == "fail",
+        parts.work_folder(out),
+    )
+    remove_leftovers(out)
+    finished, done, total = [], 0, sum(len(group.recordings) for group in groups)
+    for part in engine.map(job, groups):
+        finished.append(part)
+        done += len(part.receipt.records)
+        if progress is not None:
+            progress(done, total, part.receipt.name)
+    dataset = groups[0].recordings[0].belonging.dataset
+    info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
+    folders = [part.folder for part in finished]
+    info = write_corpus(out, info, {table: parts.read_batches(folders, table) for table in CORPUS_TABLES})
+    shutil.rmtree(parts.work_folder(out), ignore_errors=True)
+    records = tuple(record for part in finished for record in part.receipt.records)
+    return CorpusReport(out, info, records, sum(len(part.receipt.records) for part in finished if part.reused))
+
+
+def _settings(described: dict[str, str], manifest_digest: str) -> str:
+    chosen = [text for item in sorted(described.items()) for text in item]
+    return text_digest(manifest_digest, load_protocol().digest, *chosen)

@@ -1,0 +1,145 @@
+"""Captioned parts of a motion as clips: each caption placed, or left out with a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from prbench.corpora.cutting import cut_motion
+from prbench.corpora.humanml3d.texts import TextLine
+from prbench.corpora.options import ClipLimits
+from prbench.corpora.sources import Belonging
+from prbench.formats import humanml3d as layout
+from prbench.manifests import Manifest
+from prbench.sequences.corpus import Annotation, Caption, Clip
+
+_WHOLE, _PART = "caption", "sub_caption"
+
+
+def clips_of(
+    belonging: Belonging,
+    joints: Float[np.ndarray, "frames 22 3"],
+    lines: Sequence[TextLine],
+    limits: ClipLimits,
+    manifest: Manifest,
+) -> tuple[tuple[Clip, ...], tuple[Annotation, ...]]:
+    """Clips of one motion, and what became of every caption.
+
+    Captions of the same part of the motion share a clip; parts are cut at 20 frames a second as the official loader
+    does, ``motion[int(from * 20) : int(to * 20)]``.
+
+    Args:
+        belonging: Whose clips they are.
+        joints: Of the whole motion, metres, Y up.
+        lines: Captions in file order.
+        limits: Lengths of clips.
+        manifest: Of the dataset.
+    """
+    clips, annotations = [], []
+    for (start, end), members in _by_span(lines, len(joints) / layout.RATE).items():
+        kind = _WHOLE if members[0][1].is_whole else _PART
+        name = f"{belonging.dataset}/{belonging.recording_id}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}"
+        sequence_id = f"{name}/{manifest.body.pose_source}"
+        captions = tuple(dict.fromkeys(Caption(line.text, kind, line.tokens) for _, line in members if line.text))
+        first = int(start * layout.RATE)
+        available = min(int(end * layout.RATE), len(joints)) - first
+        outcome, value, threshold = _fate(captions, start, end, available, limits)
+        if outcome == "clip":
+            n_frames = min(available, limits.longest)
+            clip = _clip(
+                sequence_id, belonging, kind, captions, joints, first, n_frames, (start, end), limits, manifest
+            )
+            outcome = "no_heading" if clip is None else "clip"
+            clips += [] if clip is None else [clip]
+        seen: set[str] = set()
+        for number, line in members:
+            own = "no_text" if not line.text else "duplicate" if line.text in seen else outcome
+            seen.add(line.text)
+            decided = own == outcome
+            annotations.append(
+                Annotation(
+                    annotation_id=f"{belonging.dataset}/{belonging.recording_id}/{number}",
+                    recording_id=belonging.recording_id,
+                    sequence_id=sequence_id if own == "clip" else None,
+                    kind=kind,
+                    text=line.text,
+                    text_start=start,
+                    text_end=end,
+                    outcome=own,
+                    value=value if decided else None,
+                    threshold=threshold if decided else None,
+                )
+            )
+    return tuple(clips), tuple(annotations)
+
+
+def _by_span(lines: Sequence[TextLine], duration: float) -> dict[tuple[float, float], list[tuple[int, TextLine]]]:
+    """Lines of one span together, whole motions first."""
+    spans: dict[tuple[float, float], list[tuple[int, TextLine]]] = {}
+    for number, line in sorted(enumerate(lines, start=1), key=lambda item: (not item[1].is_whole, item[0])):
+        spans.setdefault((0.0, duration) if line.is_whole else (line.start, line.end), []).append((number, line))
+    return spans
+
+
+def _fate(
+    captions: tuple[Caption, ...], start: float, end: float, available: int, limits: ClipLimits
+) -> tuple[str, float | None, float | None]:
+    if not captions:
+        return "no_text", None, None
+    if end <= start:
+        return "end_before_start", end - start, 0.0
+    if available <= 0 or start < 0.0:
+        return "outside_motion", float(available) / limits.fps, 0.0
+    if available < limits.shortest:
+        return "too_short", available / limits.fps, limits.shortest / limits.fps
+    return "clip", None, None
+
+
+def _clip(
+    sequence_id: str,
+    belonging: Belonging,
+    kind: str,
+    captions: tuple[Caption, ...],
+    joints: np.ndarray,
+    first: int,
+    n_frames: int,
+    span: tuple[float, float],
+    limits: ClipLimits,
+    manifest: Manifest,
+) -> Clip | None:
+    try:
+        motion = cut_motion(joints, first, 1, n_frames)
+    except ValueError:
+        return None
+    start = first / layout.RATE
+    return Clip(
+        sequence_id=sequence_id,
+        dataset=belonging.dataset,
+        recording_id=belonging.recording_id,
+        participant_id=belonging.participant_id,
+        split=belonging.split,
+        split_group=belonging.split_group,
+        kind=kind,
+        captions=captions,
+        fps=limits.fps,
+        n_frames=n_frames,
+        start_time=start,
+        end_time=start + n_frames / limits.fps,
+        text_start=span[0],
+        text_end=span[1],
+        cut=span[1] * layout.RATE - first >= n_frames + 1,
+        mirrored=belonging.recording_id.startswith(layout.MIRROR_PREFIX),
+        clock_method="same",
+        clock_offset=0.0,
+        clock_quality=None,
+        approximate=False,
+        pose_source=manifest.body.pose_source,
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        joints=motion.joints,
+        previous_joints=motion.previous_joints,
+        previous_source=motion.previous_source,
+        next_joints=motion.next_joints,
+        next_source=motion.next_source,
+        world_from_canonical=motion.world_from_canonical,
+    )

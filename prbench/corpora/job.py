@@ -1,0 +1,138 @@
+"""The unit of work of a corpus build: a group of recordings read and kept as one part."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from prbench.corpora.sources import CorpusRecording, ReadRecording, RecordingGroup
+from prbench.errors import PrbenchError
+from prbench.sequences import parts
+from prbench.sequences.corpus import CorpusRecord, annotation_batch, clip_batch, corpus_recording_batch
+from prbench.storage import text_digest
+
+
+class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
+    """What a finished part tells without opening its tables."""
+
+    name: str
+    input_digest: str
+    records: tuple[CorpusRecord, ...]
+    clips: int
+    captions: int
+    approximate_clips: int
+    frames: int
+
+
+@dataclass(frozen=True)
+class FinishedGroup:
+    """A part and where it lies."""
+
+    folder: Path
+    receipt: GroupReceipt
+    reused: bool
+    """Whether an earlier, interrupted build had made it."""
+
+
+@dataclass(frozen=True)
+class CorpusJob:
+    """Reads the recordings of a group and writes their part, unless that part is there already."""
+
+    settings: str
+    """Digest of everything but the input that decides what comes out."""
+    stop_on_error: bool
+    work: Path
+
+    def __call__(self, group: RecordingGroup) -> FinishedGroup:
+        """Make the part of one group."""
+        try:
+            digest = group.input_digest()
+        except OSError as error:
+            digest = text_digest("unreadable", type(error).__name__)
+        folder = parts.part_folder(self.work, group.name, digest, self._settings_of(group))
+        entries = parts.read_receipt(folder)
+        if entries is not None:
+            receipt = msgspec.convert(entries, GroupReceipt)
+            if all(record.status != "failed" for record in receipt.records):  # a failure may have passed: try again
+                return FinishedGroup(folder, receipt, reused=True)
+        return FinishedGroup(folder, self._write(folder, group, digest), reused=False)
+
+    def _settings_of(self, group: RecordingGroup) -> str:
+        """Splits, participants and reasons to skip come from files that the recordings share, or from the manifest."""
+        known = [
+            text
+            for recording in group.recordings
+            for text in (*map(str, vars(recording.belonging).values()), recording.skip_reason or "")
+        ]
+        return text_digest(self.settings, *known)
+
+    def _write(self, folder: Path, group: RecordingGroup, digest: str) -> GroupReceipt:
+        done = [self._read(recording) for recording in group.recordings]
+        clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
+        batches = {
+            "clips": clip_batch(clips),
+            "annotations": annotation_batch(row for read, _ in done for row in read.annotations),
+            "recordings": corpus_recording_batch(record for _, record in done),
+        }
+        receipt = GroupReceipt(
+            name=group.name,
+            input_digest=digest,
+            records=tuple(record for _, record in done),
+            clips=len(clips),
+            captions=sum(len(clip.captions) for clip in clips),
+            approximate_clips=sum(clip.approximate for clip in clips),
+            frames=sum(clip.n_frames for clip in clips),
+        )
+        parts.write_part(folder, batches, msgspec.to_builtins(receipt))
+        return receipt
+
+    def _read(self, recording: CorpusRecording) -> tuple[ReadRecording, CorpusRecord]:
+        if recording.skip_reason is not None:
+            return _left_out(recording, "skipped", recording.skip_reason)
+        try:
+            read = recording.read()
+        except Exception as error:
+            # Whatever one recording does, the others go on; its message reaches the user with the build's report.
+            return self._failed(recording, error)
+        outcomes = Counter(row.outcome for row in read.annotations)
+        return read, _record(recording, read, outcomes, "read", read.message)
+
+    def _failed(self, recording: CorpusRecording, error: Exception) -> tuple[ReadRecording, CorpusRecord]:
+        known = isinstance(error, PrbenchError)
+        name = recording.belonging.recording_id
+        if self.stop_on_error:
+            if known:
+                raise error
+            raise PrbenchError(f"{name}: unexpected {type(error).__name__}: {error}") from error
+        message = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+        return _left_out(recording, "failed", recording.without_places(message))
+
+
+def _left_out(
+    recording: CorpusRecording, status: Literal["failed", "skipped"], message: str
+) -> tuple[ReadRecording, CorpusRecord]:
+    nothing = ReadRecording((), (), 0.0, clock_method="none")
+    return nothing, _record(recording, nothing, Counter(), status, message)
+
+
+def _record(
+    recording: CorpusRecording, read: ReadRecording, outcomes: Counter[str], status: str, message: str
+) -> CorpusRecord:
+    belonging = recording.belonging
+    return CorpusRecord(
+        recording_id=belonging.recording_id,
+        participant_id=belonging.participant_id,
+        split=belonging.split,
+        split_group=belonging.split_group,
+        duration=read.duration,
+        outcomes=dict(outcomes),
+        clock_method=read.clock_method,
+        clock_quality=read.clock_quality,
+        status=status,
+        message=message,
+        measured=dict(read.measured),
+    )

@@ -1,0 +1,5 @@
+"""Nymeria and NymeriaPlus: suit motion and narrations (``formats/nymeria.md``)."""
+
+from prbench.corpora.nymeria.source import CORPUS
+
+__all__ = ["CORPUS"]

@@ -1,0 +1,265 @@
+"""Nymeria as a corpus: one recording a sequence."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from prbench.corpora.nymeria.body import BodyMotion, suit_motion
+from prbench.corpora.nymeria.clips import clips_of
+from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_by_starts, offset_from_file
+from prbench.corpora.nymeria.find import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences
+from prbench.corpora.nymeria.narrations import read_narrations
+from prbench.corpora.nymeria.smpl import read_smpl_fit, smpl_motion
+from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
+from prbench.corpora.options import ClipLimits, CorpusOptions
+from prbench.corpora.sources import Belonging, ReadRecording
+from prbench.corpora.splits import split_by_participant
+from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.formats import nymeria
+from prbench.formats.nymeria import Narration, NymeriaRecording
+from prbench.manifests import Manifest, load_manifest
+from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, described_options, read_synthetic_tree
+from prbench.readers.aria_mps import read_trajectory
+from prbench.readers.options import ReaderOptions, parse_options
+from prbench.storage import file_digest, read_json, text_digest
+
+
+class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Choices about Nymeria."""
+
+    mapping: str = "anatomical"
+    """Which suit segment becomes which joint: ``anatomical``, or one of the manifest's other mappings (``named``)."""
+    body: Literal["xsens", "smpl"] = "xsens"
+    """The suit, or the fit of the Plus release (needs ``smpl_model``)."""
+    smpl_model: Path | None = None
+    """The user's SMPL neutral model as ``.npz``."""
+    kinds: str = "atomic_action,motion_narration"
+    """Which texts become clips."""
+    start_alignment: bool = True
+    """Whether texts may be placed by aligning starts where nothing better works; such clips are marked."""
+
+    @property
+    def chosen_kinds(self) -> tuple[str, ...]:
+        """Kinds of text, in the order of the manifest."""
+        given = tuple(kind.strip() for kind in self.kinds.split(","))
+        unknown = [kind for kind in given if kind not in nymeria.NARRATION_FILES]
+        if unknown:
+            known = ", ".join(nymeria.NARRATION_FILES)
+            raise UsageError(f"unknown kind of text '{unknown[0]}'; known ones are: {known}.")
+        return tuple(kind for kind in nymeria.NARRATION_FILES if kind in given)
+
+    def joint_mapping(self, manifest: Manifest) -> tuple[str, ...]:
+        """Segment of each joint."""
+        mappings = {"anatomical": manifest.body.joint_mapping, **manifest.body.other_mappings}
+        if self.mapping not in mappings:
+            raise UsageError(f"unknown mapping '{self.mapping}'; known ones are: {', '.join(mappings)}.")
+        return mappings[self.mapping]
+
+
+@dataclass(frozen=True)
+class NymeriaSource:
+    """One sequence (see :class:`prbench.corpora.sources.CorpusRecording`)."""
+
+    root: Path
+    found: RecordingFiles
+    belonging: Belonging
+    skip_reason: str | None
+    options: NymeriaOptions
+    limits: ClipLimits
+
+    @property
+    def size(self) -> int:
+        """Bytes of all input files."""
+        return sum(file.size for file in self.found.files)
+
+    def input_digest(self) -> str:
+        """Roles, names and contents of the files."""
+        files = self.found.files
+        return text_digest(
+            self.found.recording_id, *(text for f in files for text in (f.role, f.path.name, file_digest(f.path)))
+        )
+
+    def without_places(self, message: str) -> str:
+        """A message without the folders of this machine."""
+        root = self.root.expanduser().resolve()
+        for folder in (root, root.parent):
+            message = message.replace(f"{folder}{os.sep}", "")
+        return message
+
+    def read(self) -> ReadRecording:
+        """Read motion and texts, bring them onto one clock, and cut clips.
+
+        Raises:
+            InputFileError: if a file does not hold what its format promises.
+        """
+        narrations = self._narrations()
+        path = self.found.require(SUIT, f"body/{nymeria.SUIT_FILE}")
+        clean = clean_suit(read_suit(path), self._manifest.thresholds, path=path)
+        offset, messages = self._offset(clean, narrations)
+        read = recording_clips(
+            self.belonging, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
+        )
+        message = "; ".join(part for part in (*messages, read.message) if part)
+        return ReadRecording(
+            read.clips,
+            read.annotations,
+            read.duration,
+            read.clock_method,
+            read.clock_quality,
+            self.without_places(message),
+            read.measured,
+        )
+
+    @cached_property
+    def _manifest(self) -> Manifest:
+        return load_manifest("nymeria")
+
+    def _narrations(self) -> tuple[Narration, ...]:
+        kinds = [kind for kind in self.options.chosen_kinds if self.found.path(kind) is not None]
+        return tuple(row for kind in kinds for row in read_narrations(self.found.require(kind, kind), kind))
+
+    def _body(self, clean: CleanSuit) -> BodyMotion:
+        manifest, thresholds = self._manifest, self._manifest.thresholds
+        if self.options.body == "xsens":
+            name = manifest.body.pose_source
+            return suit_motion(
+                clean,
+                self.options.joint_mapping(manifest),
+                name if self.options.mapping == "anatomical" else f"{name}-{self.options.mapping}",
+                manifest.body.head_tilt_deg,
+                thresholds,
+                path=self.found.require(SUIT, nymeria.SUIT_FILE),
+            )
+        assert self.options.smpl_model is not None  # checked before anything is read
+        path = self.found.require(SMPL, f"body/{nymeria.SMPL_FILE}")
+        pieces = read_smpl_fit(
+            path,
+            self.options.smpl_model.expanduser(),
+            tolerance=thresholds["clock_tolerance"],
+            shortest=thresholds["shortest_piece"],
+        )
+        other = manifest.other_bodies["smpl"]
+        return smpl_motion(pieces, other.pose_source, other.head_tilt_deg)
+
+    def _offset(
+        self, clean: CleanSuit, narrations: tuple[Narration, ...]
+    ) -> tuple[ClockOffset | None, tuple[str, ...]]:
+        """The first way that works, and why the others did not."""
+        if not narrations:
+            return None, ("no texts of the chosen kinds",)
+        path = self.found.path(OFFSET)
+        if path is not None and (offset := offset_from_file(path, self.found.recording_id)) is not None:
+            return offset, ()
+        thresholds, messages = self._manifest.thresholds, []
+        path = self.found.path(TRAJECTORY)
+        if path is not None:
+            try:
+                trajectory = read_trajectory(path)
+                offset, why = offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
+            except InputFileError as error:  # texts may still be placed by their starts
+                offset, why = None, str(error)
+            if offset is not None:
+                return offset, ()
+            messages.append(why)
+        if not self.options.start_alignment:
+            return None, (*messages, "no way to the suit's clock, and start alignment is switched off")
+        offset, why = offset_by_starts(narrations, clean, thresholds)
+        return offset, tuple(part for part in (*messages, why) if part)
+
+
+def recording_clips(
+    belonging: Belonging,
+    body: BodyMotion,
+    narrations: tuple[Narration, ...],
+    offset: ClockOffset | None,
+    limits: ClipLimits,
+    thresholds: dict[str, float],
+) -> ReadRecording:
+    """Clips and the fate of every text; used for files and for recordings that were never written."""
+    clips, annotations = clips_of(belonging, body, narrations, offset, limits, thresholds)
+    duration = sum(len(piece.joints) / piece.rate for piece in body.pieces)
+    return ReadRecording(
+        clips,
+        annotations,
+        duration,
+        clock_method="none" if offset is None else offset.method,
+        clock_quality=None if offset is None else offset.quality,
+        message="; ".join(body.messages),
+        measured=body.measured + (() if offset is None else (("clock_offset_s", f"{offset.seconds:.6f}"),)),
+    )
+
+
+class NymeriaCorpus:
+    """See :class:`prbench.corpora.sources.Corpus`."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """Of Nymeria."""
+        return load_manifest("nymeria")
+
+    def described(self, options: CorpusOptions) -> dict[str, str]:
+        """Rate, lengths, and the options of :class:`NymeriaOptions`."""
+        chosen = self._options(options)
+        limits = ClipLimits.of(options, self.manifest.thresholds)
+        return {
+            "fps": f"{limits.fps:g}",
+            "max_frames": str(limits.longest),
+            **{f"reader.{name}": text for name, text in described_options(chosen).items()},
+        }
+
+    def find(self, root: Path | None, options: CorpusOptions) -> tuple[NymeriaSource, ...]:
+        """All sequences below a folder."""
+        if root is None:
+            raise UsageError("--root DIR is needed: your copy of Nymeria.")
+        chosen, limits = self._options(options), ClipLimits.of(options, self.manifest.thresholds)
+        tree = read_synthetic_tree(root.expanduser())
+        dataset = f"{SYNTHETIC_PREFIX}nymeria" if tree else "nymeria"
+        sources = []
+        for found in find_sequences(root, dataset):
+            name = found.recording_id
+            participant = _participant(found)
+            split = (tree.split.get(name) if tree else None) or split_by_participant(self.manifest, participant)
+            belonging = Belonging(dataset, name, participant, split, participant)
+            sources.append(NymeriaSource(root, found, belonging, self.manifest.why_bad(name), chosen, limits))
+        return tuple(sources)
+
+    def group_of(self, recording_id: str) -> str:
+        """Every sequence is worked on alone."""
+        return recording_id
+
+    def _options(self, options: CorpusOptions) -> NymeriaOptions:
+        chosen = parse_options(NymeriaOptions, dict(options.source), dataset="nymeria")
+        _ = chosen.chosen_kinds, chosen.joint_mapping(self.manifest)
+        if (nymeria.SUIT_RATE / options.rate) % 1.0 > 1e-9:
+            raise UsageError(f"--fps must divide the suit's 240 Hz (20, 24, 30, 40 …), found {options.rate:g}.")
+        if chosen.body == "smpl" and chosen.smpl_model is None:
+            raise UsageError("body=smpl needs --option smpl_model=FILE: your SMPL neutral model as .npz.")
+        return chosen
+
+
+CORPUS = NymeriaCorpus()
+
+
+def _participant(found: RecordingFiles) -> str:
+    """The wearer's invented name: from the sequence's name, else from the metadata where they tell it.
+
+    The name comes first because every copy has it: a copy without metadata must not move anybody to another split.
+    """
+    if nymeria.SEQUENCE_NAME.fullmatch(found.recording_id):
+        return nymeria.participant_of(found.recording_id)
+    path = found.path(METADATA)
+    if path is not None:
+        try:
+            metadata = read_json(path)
+        except PrbenchError:
+            metadata = None  # optional file: the sequence's name tells the same
+        if isinstance(metadata, dict) and isinstance(metadata.get("fake_name"), str) and metadata["fake_name"]:
+            return metadata["fake_name"]
+    return nymeria.participant_of(found.recording_id)
+
+
+__all__ = ["CORPUS", "NymeriaOptions", "NymeriaRecording", "NymeriaSource", "recording_clips"]
