@@ -1,0 +1,137 @@
+"""BVH files: hierarchy and motion, as any program writes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.errors import InputFileError
+from prbench.formats.bvh import POSITION_CHANNELS, ROTATION_CHANNELS, BvhJoint, BvhMotion
+from prbench.readers.files import missing_file
+
+_CHANNELS = {name.lower(): name for name in (*POSITION_CHANNELS, *ROTATION_CHANNELS)}
+
+
+def read_bvh(path: Path) -> BvhMotion:
+    """Read one BVH file: any order of channels, any number of them a joint.
+
+    Raises:
+        InputFileError: if the file is missing, its hierarchy is broken, a channel is unknown, or the numbers of the
+            motion do not fill the frames that it announces.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(path, "", expected="a BVH text file", found="other bytes") from error
+    hierarchy, found, motion = text.partition("MOTION")
+    if not found or "HIERARCHY" not in hierarchy:
+        raise InputFileError(path, "", expected="the sections HIERARCHY and MOTION", found=f"'{text[:40].strip()}'")
+    joints = _Hierarchy(path, hierarchy.split()[1:]).parse()
+    frame_time, values = _motion(path, motion, sum(len(joint.channels) for joint in joints))
+    return BvhMotion(joints, frame_time, values)
+
+
+@dataclass
+class _Hierarchy:
+    """Reads words one after the other; braces keep the stack of joints."""
+
+    path: Path
+    words: list[str]
+    place: int = 0
+    joints: list[BvhJoint] = field(default_factory=list)
+
+    def parse(self) -> tuple[BvhJoint, ...]:
+        stack: list[int] = []
+        name, is_end = "", False
+        while self.place < len(self.words):
+            word = self._next()
+            if word in ("ROOT", "JOINT"):
+                name, is_end = self._name(), False
+            elif word == "End":
+                self._next()
+                is_end = True
+            elif word == "{":
+                parent = next((index for index in reversed(stack) if index >= 0), -1)
+                if is_end:
+                    stack.append(-1)
+                else:
+                    self.joints.append(BvhJoint(name, parent, (0.0, 0.0, 0.0), ()))
+                    stack.append(len(self.joints) - 1)
+            elif word == "}":
+                if not stack:
+                    raise self._broken("a joint", "a closing brace")
+                stack.pop()
+            elif word == "OFFSET":
+                x, y, z = (self._number() for _ in range(3))
+                self._change(stack, offset=(x, y, z))
+            elif word == "CHANNELS":
+                count = int(self._number())
+                self._change(stack, channels=tuple(self._channel() for _ in range(count)))
+            else:
+                raise self._broken("JOINT, OFFSET, CHANNELS or a brace", f"'{word}'")
+        if stack or not self.joints:
+            raise self._broken("closed braces around at least one joint", f"{len(stack)} that are open")
+        return tuple(self.joints)
+
+    def _change(self, stack: list[int], **values: object) -> None:
+        if not stack:
+            raise self._broken("an opening brace", "a value outside of any joint")
+        if stack[-1] >= 0:
+            joint = self.joints[stack[-1]]
+            self.joints[stack[-1]] = BvhJoint(**{**vars(joint), **values})  # type: ignore[arg-type]
+
+    def _name(self) -> str:
+        """All words up to the opening brace: some programs put spaces into names."""
+        parts = []
+        while self.place < len(self.words) and self.words[self.place] != "{":
+            parts.append(self._next())
+        return " ".join(parts)
+
+    def _channel(self) -> str:
+        word = self._next()
+        if word.lower() not in _CHANNELS:
+            raise self._broken("a channel such as Xposition or Zrotation", f"'{word}'")
+        return _CHANNELS[word.lower()]
+
+    def _number(self) -> float:
+        word = self._next()
+        try:
+            return float(word)
+        except ValueError as error:
+            raise self._broken("a number", f"'{word}'") from error
+
+    def _next(self) -> str:
+        if self.place >= len(self.words):
+            raise self._broken("more of the hierarchy", "its end")
+        self.place += 1
+        return self.words[self.place - 1]
+
+    def _broken(self, expected: str, found: str) -> InputFileError:
+        last = self.joints[-1].name if self.joints else "the root"
+        return InputFileError(self.path, f"HIERARCHY, at {last}", expected=expected, found=found)
+
+
+def _motion(path: Path, text: str, width: int) -> tuple[float, Float[np.ndarray, "n c"]]:
+    """Frame time and one row a frame."""
+    header, _, rest = text.partition("Frame Time:")
+    words = header.split()
+    seconds, _, numbers = rest.lstrip().partition("\n")
+    try:
+        count, frame_time = int(words[-1]), float(seconds)
+        values = np.array([float(word) for word in numbers.split()])
+    except (ValueError, IndexError) as error:
+        raise InputFileError(path, "MOTION", expected="frames of numbers", found=str(error)) from error
+    if frame_time <= 0 or count * width != values.size or count == 0:
+        raise InputFileError(
+            path,
+            "MOTION",
+            expected=f"{count} frames of {width} numbers, more than 0 s apart",
+            found=f"{values.size} numbers, {frame_time} s apart",
+            remedy="The file is cut; copy it again.",
+        )
+    return frame_time, values.reshape(count, width)

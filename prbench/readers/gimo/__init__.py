@@ -1,0 +1,46 @@
+"""Reader of GIMO (``formats/gimo.md``): every segment of ``dataset.csv`` is a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import RecordingUnusable
+from prbench.manifests import load_manifest
+from prbench.readers.found import RecordingFiles
+from prbench.readers.gimo.options import GimoOptions
+from prbench.readers.gimo.readings import read_readings
+from prbench.readers.gimo.segments import find_segments
+from prbench.recording import Recording
+from prbench.recording.from_gimo import recording_from_gimo
+
+__all__ = ["READER", "GimoOptions", "GimoReader", "find_segments", "read_readings"]
+
+
+@dataclass(frozen=True)
+class GimoReader:
+    """See :class:`prbench.readers.Reader`."""
+
+    dataset: str = "gimo"
+    options: GimoOptions = GimoOptions()  # noqa: RUF009 (frozen)
+
+    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+        """See :func:`find_segments`."""
+        return find_segments(root, self.options)
+
+    def read(self, found: RecordingFiles) -> Recording:
+        """Read one segment; also one that a build leaves out because no event is known."""
+        manifest = load_manifest("gimo")
+        reason = manifest.why_bad(found.recording_id)
+        if reason:
+            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        return recording_from_gimo(
+            read_readings(found, manifest, self.options),
+            manifest,
+            dataset=found.dataset,
+            target=self.options.target,
+            gaze_origin=self.options.gaze_origin,
+        )
+
+
+READER = GimoReader()

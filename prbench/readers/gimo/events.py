@@ -1,0 +1,172 @@
+"""The user's annotation of pick events: a small CSV that prbench defines (``docs/gimo-events.md``).
+
+The dataset says neither when something is picked up nor where; *Prime and Reach* annotated that by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from prbench.errors import InputFileError
+from prbench.formats import gimo
+from prbench.readers.gimo.dataset_csv import Row, read_lines
+
+SegmentKey = tuple[str, str, int, int]
+
+_REQUIRED = tuple(name for name in gimo.EVENT_COLUMNS if name != "hand")
+_ACTIONS, _HANDS = ("pick", "put"), ("left", "right", "")
+_YES, _NO = ("yes", "y", "true", "1", "x"), ("no", "n", "false", "0", "")
+
+
+@dataclass(frozen=True)
+class EventRow:
+    """One line of the table."""
+
+    line: int
+    segment: SegmentKey
+    event_frame: int | None
+    """None on a line that says no to a proposal without a frame."""
+    action: str
+    hand: gimo.Hand | None
+    confirmed: bool
+    """Whether a person stands behind it: lines that nobody confirmed are no events."""
+
+
+@dataclass(frozen=True)
+class SegmentEvents:
+    """What is known about the picks of one segment."""
+
+    events: tuple[gimo.EventFrame, ...]
+    remarks: tuple[str, ...] = ()
+    reason: str | None = None
+    """Why there are none."""
+
+
+def read_events(path: Path) -> tuple[EventRow, ...]:
+    """All lines of an events table.
+
+    Raises:
+        InputFileError: naming line and column: for a missing column, a value that is no frame number, an action other
+            than pick and put, a hand other than left, right and nothing, a frame outside of its segment, or a
+            ``confirmed`` that is neither yes nor no.
+    """
+    lines = list(read_lines(path))
+    header = lines[0][1] if lines else []
+    missing = [name for name in _REQUIRED if name not in header]
+    if missing:
+        raise InputFileError(
+            path,
+            "header",
+            expected=f"a column '{missing[0]}'",
+            found=f"the columns {', '.join(header) or '(none)'}",
+            remedy=f"The columns are {', '.join(gimo.EVENT_COLUMNS)}; `prbench candidates gimo` writes such a file.",
+        )
+    return tuple(_row(path, line, dict(zip(header, cells, strict=False))) for line, cells in lines[1:])
+
+
+def events_of(row: Row, table: Sequence[EventRow], *, hints: bool) -> SegmentEvents:
+    """The picks of one segment: those of the table where it names the segment, else the hint of ``dataset.csv``."""
+    segment = row.segment
+    mine = [event for event in table if event.segment == segment.key]
+    if not mine:
+        if hints and segment.hint is not None:
+            return SegmentEvents((gimo.EventFrame(segment.hint, None, "hint"),))
+        return SegmentEvents((), (), "no event is annotated for it")
+    puts = [event for event in mine if event.confirmed and event.action == "put"]
+    picks = [event for event in mine if event.confirmed and event.action == "pick" and event.event_frame is not None]
+    remarks = tuple(f"line {event.line} of the events names a put, GIMO has none: left out" for event in puts)
+    if not picks:
+        waiting = sum(not event.confirmed for event in mine)
+        reason = f"none of its {waiting} proposed events is confirmed" if waiting else "only puts are annotated for it"
+        return SegmentEvents((), remarks, reason)
+    frames: dict[int, gimo.Hand | None] = {cast(int, event.event_frame): event.hand for event in picks}
+    return SegmentEvents(tuple(gimo.EventFrame(frame, hand) for frame, hand in sorted(frames.items())), remarks)
+
+
+def require_one_split(path: Path, rows: Sequence[Row], table: Sequence[EventRow]) -> None:
+    """Refuse an event that stands in both splits: overlapping segments of one sequence, one test and one not.
+
+    Raises:
+        InputFileError: naming both lines.
+    """
+    segments = {row.segment.key: row.segment for row in rows}
+    seen: dict[tuple[str, str, int], tuple[int, bool]] = {}
+    for event in table:
+        segment = segments.get(event.segment)
+        if segment is None or not event.confirmed or event.event_frame is None:
+            continue
+        is_test = segment.training == gimo.TEST
+        line, was_test = seen.setdefault((segment.scene, segment.sequence, event.event_frame), (event.line, is_test))
+        if was_test != is_test:
+            raise InputFileError(
+                path,
+                f"line {event.line}",
+                expected="an event in one split only",
+                found=f"frame {event.event_frame} of {segment.sequence} in a training and in a test segment"
+                f" (the other is line {line})",
+                remedy="Remove one of the two lines.",
+            )
+
+
+def hints_in_both_splits(rows: Sequence[Row]) -> frozenset[SegmentKey]:
+    """Segments whose hint is also a frame of a segment of the other split that has the same hint."""
+    splits: dict[tuple[str, str, int], dict[bool, list[SegmentKey]]] = {}
+    for row in rows:
+        segment = row.segment
+        if segment.hint is not None:
+            place = splits.setdefault((segment.scene, segment.sequence, segment.hint), {})
+            place.setdefault(segment.training == gimo.TEST, []).append(segment.key)
+    return frozenset(key for place in splits.values() if len(place) == 2 for keys in place.values() for key in keys)
+
+
+def unknown_segments(rows: Sequence[Row], table: Sequence[EventRow]) -> tuple[EventRow, ...]:
+    """Lines of the events table about segments that ``dataset.csv`` does not list."""
+    known = {row.segment.key for row in rows}
+    return tuple(event for event in table if event.segment not in known)
+
+
+def _row(path: Path, line: int, cells: Mapping[str, str]) -> EventRow:
+    start, end = (_frame(path, line, name, cells.get(name, "")) for name in ("start_frame", "end_frame"))
+    confirmed = _confirmed(path, line, cells)
+    text = cells.get("event_frame", "")
+    frame = None if not text and not confirmed else _frame(path, line, "event_frame", text)
+    if frame is not None and not start <= frame <= end:
+        raise _wrong(path, line, "event_frame", f"a frame from {start} to {end}", str(frame))
+    action, hand = cells.get("action", "").lower(), cells.get("hand", "").lower()
+    if action not in _ACTIONS and confirmed:
+        raise _wrong(path, line, "action", "pick or put", f"'{action}'")
+    if hand not in _HANDS:
+        raise _wrong(path, line, "hand", "left, right, or nothing", f"'{hand}'")
+    return EventRow(
+        line=line,
+        segment=(cells.get("scene", ""), cells.get("sequence_path", ""), start, end),
+        event_frame=frame,
+        action=action,
+        hand=cast(gimo.Hand, hand) if hand else None,
+        confirmed=confirmed,
+    )
+
+
+def _confirmed(path: Path, line: int, cells: Mapping[str, str]) -> bool:
+    """Without the column every line counts; with it, only those that say yes."""
+    if gimo.CONFIRMED_COLUMN not in cells:
+        return True
+    text = cells[gimo.CONFIRMED_COLUMN].lower()
+    if text not in (*_YES, *_NO):
+        raise _wrong(path, line, gimo.CONFIRMED_COLUMN, "yes, no, or nothing (not looked at yet)", f"'{text}'")
+    return text in _YES
+
+
+def _frame(path: Path, line: int, name: str, text: str) -> int:
+    if not text.isdigit():
+        raise _wrong(path, line, name, "a frame number", f"'{text}'")
+    return int(text)
+
+
+def _wrong(path: Path, line: int, column: str, expected: str, found: str) -> InputFileError:
+    return InputFileError(
+        path, f"line {line}, column '{column}'", expected=expected, found=found, remedy="Correct the line."
+    )

@@ -1,0 +1,210 @@
+"""Where the files of GIMO segments lie (``formats/gimo.md`` section 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from prbench.errors import InputFileError
+from prbench.formats import gimo
+from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.gimo.dataset_csv import Row, read_segments
+from prbench.readers.gimo.events import (
+    EventRow,
+    events_of,
+    hints_in_both_splits,
+    read_events,
+    require_one_split,
+)
+from prbench.readers.gimo.options import GimoOptions
+from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, SyntheticTree, read_synthetic_tree
+from prbench.storage import inside
+
+TABLE, EVENTS, TRANSFORM, NORM, SKELETON = "table", "events", "transform", "norm", "skeleton"
+POSE, MESH, CONE, CENTRE = "pose:", "mesh:", "gaze:", "gaze centre:"
+"""Beginnings of the roles of files of one frame; the frame number follows."""
+STREAM, VIDEO, HOLOLENS_TRANSFORM, SCENE_MESH = "hololens stream", "hololens video", "hololens transform", "scene mesh"
+
+Split = Literal["train", "test"]
+
+
+def find_segments(root: Path, options: GimoOptions) -> tuple[RecordingFiles, ...]:
+    """Every segment of ``dataset.csv`` with its files; those that cannot be built carry the reason.
+
+    Raises:
+        InputFileError: if there is no readable ``dataset.csv``, none of its sequences is there (listing them), or the
+            table of events is damaged or has an event in both splits.
+    """
+    root = root.expanduser().resolve()
+    if not root.is_dir():
+        raise InputFileError(root, "", expected="a folder of GIMO", found="no such folder")
+    rows = read_segments(root / gimo.TABLE_FILE)
+    table, events_path = _events(root, options)
+    require_one_split(events_path, rows, table)
+    search = _Search(root, options, read_synthetic_tree(root), rows, table, events_path)
+    found = tuple(sorted((search.segment(row) for row in rows), key=lambda recording: recording.recording_id))
+    if all(not search.is_there(row) for row in rows):
+        names = sorted({f"{row.segment.scene}/{row.segment.sequence}" for row in rows})
+        raise InputFileError(
+            root,
+            "",
+            expected=f"folders of the sequences that {gimo.TABLE_FILE} lists",
+            found=f"none of the {len(names)}: {', '.join(names)}",
+            remedy="Unpack the scenes beside the table.",
+        )
+    return found
+
+
+def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Path]:
+    path = root / gimo.EVENTS_FILE if options.events is None else options.events.expanduser()
+    wanted = options.events is not None or path.is_file()
+    return (read_events(path) if wanted else ()), path
+
+
+def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
+    """The row of ``dataset.csv`` that a recording stands for, and all rows.
+
+    Raises:
+        InputFileError: if the table has changed since the search.
+    """
+    path = found.require(TABLE, gimo.TABLE_FILE)
+    rows = read_segments(path)
+    row = next((row for row in rows if found.recording_id in _names(row)), None)
+    if row is None:
+        raise InputFileError(path, "", expected=f"the segment {found.recording_id}", found="a table without it")
+    return row, rows
+
+
+def _names(row: Row) -> tuple[str, str]:
+    """Ids under which a row can be known: its own, and in synthetic trees the name of its sequence."""
+    return row.segment.name, row.segment.sequence
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """The files of one sequence, listed once for all its segments."""
+
+    path: Path
+
+    @cached_property
+    def poses(self) -> dict[str, dict[int, Path]]:
+        return _by_frame(self.path / gimo.POSE_FOLDER)
+
+    @cached_property
+    def gaze(self) -> dict[str, dict[int, Path]]:
+        return _by_frame(self.path / gimo.GAZE_FOLDER)
+
+
+def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
+    """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
+    found: dict[str, dict[int, Path]] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        stem = path.stem.removesuffix(gimo.GAZE_CENTRE_SUFFIX)
+        if stem.isdigit():
+            found.setdefault(path.name.removeprefix(stem), {})[int(stem)] = path
+    return found
+
+
+def unnumbered(folder: Path) -> list[str]:
+    """Names of files that have no frame number and so are left out."""
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [path.name for path in paths if not path.stem.removesuffix(gimo.GAZE_CENTRE_SUFFIX).isdigit()]
+
+
+class _Search:
+    """One search through a root, with what it has listed so far."""
+
+    def __init__(
+        self,
+        root: Path,
+        options: GimoOptions,
+        tree: SyntheticTree | None,
+        rows: Sequence[Row],
+        table: Sequence[EventRow],
+        events_path: Path,
+    ) -> None:
+        self._root, self._options, self._tree, self._table = root, options, tree, table
+        self._events_path = events_path
+        self._folders: dict[Path, _Folder] = {}
+        self._in_both = hints_in_both_splits(rows)
+
+    def is_there(self, row: Row) -> bool:
+        """Whether the row's sequence is on the disk."""
+        return self._folder(row).path.is_dir()
+
+    def segment(self, row: Row) -> RecordingFiles:
+        """One row with its files."""
+        segment, folder = row.segment, self._folder(row)
+        in_tree = self._tree is not None and segment.sequence in self._tree.split
+        return RecordingFiles(
+            dataset="gimo" if self._tree is None else f"{SYNTHETIC_PREFIX}gimo",
+            recording_id=segment.sequence if in_tree else segment.name,
+            folder=folder.path,
+            files=tuple(self._files(segment, folder)),
+            split="test" if segment.training == gimo.TEST else "train",
+            skip_reason=self._skip_reason(row),
+        )
+
+    def _folder(self, row: Row) -> _Folder:
+        path = inside(self._root, f"{row.segment.scene}/{row.segment.sequence}")
+        return self._folders.setdefault(path, _Folder(path))
+
+    def _skip_reason(self, row: Row) -> str | None:
+        segment = row.segment
+        if not self.is_there(row):
+            return f"{segment.scene}/{segment.sequence}: its folder is missing; unpack or download it"
+        if segment.training == gimo.TRAIN_LATER and self._options.training_2 == "drop":
+            return "training = 2, left out by the option training_2"
+        known = events_of(row, self._table, hints=self._options.hints)
+        if any(event.source == "hint" for event in known.events) and segment.key in self._in_both:
+            return f"its hinted event (frame {segment.hint}) also stands in a segment of the other split"
+        return None if known.reason is None else f"{segment.name}: {known.reason}"
+
+    def _files(self, segment: gimo.Segment, folder: _Folder) -> list[InputFile]:
+        scene = self._root / segment.scene / gimo.SCENE_FOLDER
+        paths = {TABLE: self._root / gimo.TABLE_FILE, EVENTS: self._events_path, NORM: scene / gimo.NORM_FILE}
+        paths[TRANSFORM] = _transform_file(folder.path, segment.transformation)
+        paths |= _per_frame(POSE, folder.poses.get(".pkl", {}), segment)
+        paths |= _per_frame(CONE, folder.gaze.get(".ply", {}), segment)
+        paths |= _per_frame(CENTRE, folder.gaze.get(f"{gimo.GAZE_CENTRE_SUFFIX}.ply", {}), segment)
+        routes = self._options.routes()
+        if routes[0] == "mesh" or (routes[0] == "smplx" and not folder.poses.get(".pkl")):
+            paths |= _per_frame(MESH, folder.poses.get(".obj", {}), segment)
+        if "bvh" in routes:
+            paths[SKELETON] = folder.path / gimo.SKELETON_FILE
+        paths |= _hololens_files(folder.path)
+        if self._options.meshes:
+            mesh = next((scene / name for name in gimo.SCENE_MESHES if (scene / name).is_file()), None)
+            paths |= {} if mesh is None else {SCENE_MESH: mesh}
+        return [input_file(role, path) for role, path in paths.items() if path.is_file()]
+
+
+def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
+    wanted = range(segment.start_frame, segment.end_frame + 1)
+    return {f"{role}{frame}": files[frame] for frame in wanted if frame in files}
+
+
+def _transform_file(folder: Path, name: str) -> Path:
+    """The file that a row names; some copies of the table leave out the ending."""
+    path = inside(folder, name)
+    return path if path.suffix == ".json" else path.with_name(f"{path.name}.json")
+
+
+def _hololens_files(folder: Path) -> dict[str, Path]:
+    """The recorder's files, where exactly one of each is there."""
+    if not folder.is_dir():
+        return {}
+    found = {
+        STREAM: sorted(folder.glob(f"*{gimo.HOLOLENS_SUFFIX}")),
+        VIDEO: sorted(folder.glob(f"*{gimo.VIDEO_SUFFIX}")),
+        HOLOLENS_TRANSFORM: [folder / name for name in gimo.HOLOLENS_TRANSFORM_FILES if (folder / name).is_file()],
+    }
+    return {role: paths[0] for role, paths in found.items() if paths}
+
+
+def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
+    """Files of one kind by frame."""
+    return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}

@@ -1,0 +1,261 @@
+"""The sensors of GIMO: an inertial suit with a fitted body, and HoloLens 2 gaze on a scanned room.
+
+Source: ``methods/synthetic-recordings.md`` sections 8 (rows "gimo") and 14. The learned pose decoder cannot be
+imitated, so the fitted parameters hold root and translation only, and limbs come from the suit's skeleton (route C).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from prbench.formats import gimo
+from prbench.formats.aria_mps import gaze_angles, gaze_directions_cpf
+from prbench.formats.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
+from prbench.randomness import named_generator
+from prbench.rays import slab_test
+from prbench.skeleton import PARENTS, Joint, invert_rigid, transform_points
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.timelines import interpolate, slerp
+
+SKELETON_RATE = 60.0
+"""Frames of the suit a second."""
+TRANSFORMATION = "transform_info_0.json"
+ACTIVITY = "take object"
+
+_FIRST_FRAMES = 300  # of the video, before the segment
+_SKELETON_LEAD = (20, 90)  # frames of the suit before the segment: its clock is its own
+_GAZE_BIAS = _GAZE_JITTER = np.deg2rad(1.0) / np.sqrt(2)  # per axis
+_GAZE_LOSS = 0.25
+_ROOT_NOISE, _ANGLE_NOISE = 1e-3, 0.1  # m, degrees
+_SCALE = (0.98, 1.06)
+_CEILING, _BEHIND_FURNITURE = 2.6, 0.3  # m
+_CENTIMETRES = 100.0
+_DECIMALS = 6
+_EULER = ("Yrotation", "Xrotation", "Zrotation")
+
+SKELETON_NAMES = (
+    "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
+    "LeftToeBase", "RightToeBase", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm",
+    "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
+)  # fmt: skip
+
+
+def _depth_first(joint: int = 0) -> tuple[int, ...]:
+    below = [child for child, parent in enumerate(PARENTS) if parent == joint]
+    return (joint, *(each for child in below for each in _depth_first(child)))
+
+
+DEPTH_FIRST = _depth_first()
+"""The 22 joints in the order in which a BVH file lists them."""
+
+
+def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> gimo.GimoReadings:
+    """What the sensors of a GIMO segment say about a performance.
+
+    Args:
+        performance: The truth; any rate, usually 120 Hz.
+        noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+    """
+    switches = switches or Switches()
+    segment, transform = segment_of(performance), scene_transform(performance)
+    body_from_room = invert_rigid(transform.room_from_body())
+    return gimo.GimoReadings(
+        recording_id=performance.recording_id,
+        segment=segment,
+        transform=transform,
+        body=gimo.LocalSkeleton(
+            _sense_skeleton(performance, body_from_room, noise, switches),
+            _sense_poses(performance, segment, body_from_room, noise, switches),
+        ),
+        gaze=_sense_gaze(performance, segment, transform, noise, switches),
+        events=tuple(gimo.EventFrame(event_frame(performance, event), event.hand) for event in picks(performance)),
+    )
+
+
+def segment_of(performance: Performance) -> gimo.Segment:
+    """The row of ``dataset.csv``: the whole performance is one segment."""
+    start = first_frame(performance)
+    known = [event_frame(performance, event) for event in picks(performance)]
+    train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
+    return gimo.Segment(
+        scene=performance.room_id,
+        sequence=performance.recording_id,
+        start_frame=start,
+        end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
+        transformation=TRANSFORMATION,
+        training=gimo.TEST if performance.split == "test" else train,
+        activity=ACTIVITY,
+        hint=known[0] if known and performance.index % 2 else None,
+    )
+
+
+def first_frame(performance: Performance) -> int:
+    """Video frame of the performance's first instant: the segment was cut out of a longer video."""
+    return int(sensor_generator(performance, "clock").integers(_FIRST_FRAMES))
+
+
+def event_frame(performance: Performance, event: TrueEvent) -> int:
+    """The frame that an annotator would name."""
+    since = event.event_time - float(performance.times[0])
+    return first_frame(performance) + round(since * gimo.FRAME_RATE)
+
+
+def picks(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
+    others = ("not_an_event", "excluded_category", "other_wearer")
+    return tuple(event for event in performance.events if event.action == "pick" and event.expected not in others)
+
+
+def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+    """The recording's constant gaze error, yaw and pitch, radians."""
+    bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
+    yaw, pitch = bias * strength(switches.gaze_bias, noise)
+    return float(yaw), float(pitch)
+
+
+def scene_transform(performance: Performance) -> gimo.SceneTransform:
+    """How the suit and the scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
+    room = named_generator(
+        "prbench-synth",
+        GENERATOR_VERSION,
+        performance.seed,
+        performance.preset,
+        performance.world,
+        "room",
+        performance.room_id,
+        "scan",
+    )
+    scale = float(np.round(room.uniform(*_SCALE), 4))
+    room_from_scene = np.eye(4)
+    room_from_scene[:3, :3] = Rotation.from_rotvec(room.normal(size=3)).as_matrix()
+    room_from_scene[:3, 3] = room.uniform(-2.0, 2.0, 3)
+    own = sensor_generator(performance, "suit-frame")
+    room_from_body = np.eye(4)
+    room_from_body[:3, :3] = Rotation.from_euler("y", own.uniform(-np.pi, np.pi)).as_matrix()
+    room_from_body[[0, 2], 3] = own.uniform(-2.0, 2.0, 2)
+    scene_from_body = invert_rigid(room_from_scene) @ room_from_body
+    for matrix in (room_from_scene, scene_from_body):
+        matrix[:3, 3] *= scale
+    return gimo.SceneTransform(scale, scene_from_body, room_from_scene)
+
+
+def looked_at(
+    performance: Performance,
+    origin: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
+
+    Args:
+        performance: Whose room.
+        origin: Inside the room, metres.
+        direction: Unit vectors.
+    """
+    boxes = performance.objects
+    places = np.concatenate([[motion.position[0] for motion in boxes], origin])
+    margin = np.array([_BEHIND_FURNITURE, 0.0, _BEHIND_FURNITURE])
+    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    low[1], high[1] = 0.0, max(float(high[1]), _CEILING)
+    room = slab_test(origin, direction, low[None], high[None])
+    distance = room.far[:, 0]
+    for motion in boxes:
+        turned = Rotation.from_quat(motion.rotation[0], scalar_first=True).inv()
+        half = motion.half_extents[None]
+        hits = slab_test(turned.apply(origin - motion.position[0]), turned.apply(direction), -half, half)
+        seen = hits.hit[:, 0] & (hits.near[:, 0] > 0)
+        distance = np.where(seen, np.minimum(distance, hits.near[:, 0]), distance)
+    return origin + distance[:, None] * direction
+
+
+def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.ndarray, " n"]:
+    """Performance seconds of the segment's frames."""
+    return performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
+
+
+def _sense_poses(
+    performance: Performance,
+    segment: gimo.Segment,
+    body_from_room: Float[np.ndarray, "4 4"],
+    noise: float,
+    switches: Switches,
+) -> gimo.SmplxPoses:
+    times = _frame_seconds(performance, segment)
+    pelvis = transform_points(
+        body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
+    )
+    rng, scale = sensor_generator(performance, "fit-noise"), strength(switches.body_noise, noise)
+    pelvis = pelvis + rng.normal(0.0, _ROOT_NOISE, pelvis.shape) * scale
+    turned = Rotation.from_quat(
+        slerp(performance.times, performance.rotations[:, Joint.PELVIS], times), scalar_first=True
+    )
+    orient = (Rotation.from_matrix(body_from_room[:3, :3]) * turned).as_rotvec()
+    return gimo.SmplxPoses(
+        frames=segment.frames,
+        orient=orient.astype(np.float32),
+        trans=(pelvis - np.array(gimo.REST_PELVIS)).astype(np.float32),
+        latent=np.zeros((len(times), gimo.N_LATENT), dtype=np.float32),
+    )
+
+
+def _sense_skeleton(
+    performance: Performance, body_from_room: Float[np.ndarray, "4 4"], noise: float, switches: Switches
+) -> BvhMotion:
+    """The suit's own file: centimetres, starting earlier than the segment with the first pose held."""
+    lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
+    n = int((performance.duration + 1e-9) * SKELETON_RATE) + 1
+    times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / SKELETON_RATE
+    turned = [
+        Rotation.from_matrix(body_from_room[:3, :3])
+        * Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
+        for joint in range(len(PARENTS))
+    ]
+    hips = transform_points(body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times))
+    columns = [hips * _CENTIMETRES]
+    for joint in DEPTH_FIRST:
+        parent = PARENTS[joint]
+        local = turned[joint] if parent < 0 else turned[parent].inv() * turned[joint]
+        columns.append(local.as_euler("YXZ", degrees=True))
+    values = np.concatenate(columns, axis=1)
+    rng, scale = sensor_generator(performance, "suit-noise"), strength(switches.body_noise, noise)
+    size = np.full(values.shape[1], _ANGLE_NOISE)
+    size[:3] = _ROOT_NOISE * _CENTIMETRES
+    values += rng.normal(0.0, 1.0, values.shape) * size * scale
+    return BvhMotion(_hierarchy(performance), 1.0 / SKELETON_RATE, np.round(values, _DECIMALS))
+
+
+def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
+    """Joints as a BVH file lists them: each with everything below it before its next sibling."""
+    joints = []
+    for joint in DEPTH_FIRST:
+        parent = PARENTS[joint]
+        if parent < 0:
+            joints.append(BvhJoint(SKELETON_NAMES[joint], -1, (0.0, 0.0, 0.0), (*POSITION_CHANNELS, *_EULER)))
+            continue
+        apart = performance.joints[0, joint] - performance.joints[0, parent]
+        own = Rotation.from_quat(performance.rotations[0, parent], scalar_first=True).inv().apply(apart)
+        x, y, z = np.round(own * _CENTIMETRES, _DECIMALS).tolist()
+        joints.append(BvhJoint(SKELETON_NAMES[joint], DEPTH_FIRST.index(parent), (x, y, z), _EULER))
+    return tuple(joints)
+
+
+def _sense_gaze(
+    performance: Performance, segment: gimo.Segment, transform: gimo.SceneTransform, noise: float, switches: Switches
+) -> gimo.GazePoints:
+    times = _frame_seconds(performance, segment)
+    n = len(times)
+    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
+    eye = interpolate(performance.times, performance.eye, times)
+    gaze = interpolate(performance.times, performance.gaze, times)
+    angles = np.column_stack(gaze_angles(head.inv().apply(gaze / np.linalg.norm(gaze, axis=1, keepdims=True))))
+    angles += gaze_bias(performance, noise=noise, switches=switches)
+    jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, (n, 2))
+    angles += jitter * strength(switches.gaze_jitter, noise)
+    points = looked_at(performance, eye, head.apply(gaze_directions_cpf(angles[:, 0], angles[:, 1])))
+    lost = sensor_generator(performance, "gaze-losses").random(n) < _GAZE_LOSS * strength(switches.gaze_losses, noise)
+    scan_from_room = np.linalg.inv(transform.room_from_scan())
+    return gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost])
