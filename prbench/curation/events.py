@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.curation.contact import contact_streams, nearest_hand
 from prbench.curation.gaps import LONGEST_SURE_GAP
-from prbench.curation.in_hand import Holding, contact_streams, find_holdings, nearest_hand
+from prbench.curation.in_hand import Holding, find_holdings
 from prbench.curation.rest import Departure
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording

@@ -8,17 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.curation.contact import close_to, contact_distance, contact_streams, require_surfaces
 from prbench.curation.gaps import placed_in_gap
 from prbench.curation.masks import held_segments
 from prbench.curation.rest import Departure, Track, find_departure, windowed_speed
 from prbench.manifests import InHandRule
 from prbench.recording import HandStream, ObjectTrack, Recording
-from prbench.recording.streams import Side
-from prbench.timelines import covered, interpolate
-
-LONGEST_HAND_GAP = 1.0
-"""Seconds; hand samples further apart are not interpolated. Long enough that a holding survives the stretches of
-implausible poses that a noisy suit gives: who holds something before and after holds it in between."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,11 @@ def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
 
     Slides shorter than ``rule.smallest_displacement`` are nudges and left out. Without a stream of the rule's contact
     point on the wearer's hands nothing can be said, and nothing is found.
+
+    Raises:
+        UsageError: for a rule about surfaces where no object has one.
     """
+    require_surfaces(recording, rule)
     hands = contact_streams(recording, rule)
     if not recording.hand_streams(rule.contact):
         return []
@@ -50,56 +49,6 @@ def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
         if track.movable and _moves(track, rule):
             found.extend(_holdings_of(track, hands, rule))
     return found
-
-
-def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream, ...]:
-    """The contact points of the rule: the wearer's, then everybody else's."""
-    others = (hand for person in recording.other_people for hand in person.hands if hand.contact == rule.contact)
-    return (*recording.hand_streams(rule.contact), *others)
-
-
-def contact_distance(
-    hand: HandStream,
-    track: ObjectTrack,
-    rule: InHandRule,
-    times: Float[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
-    rotation: Float[np.ndarray, "n 4"],
-) -> Float[np.ndarray, " n"]:
-    """Distance of the hand's nearest contact point to the object at given poses, metres; inf where unmeasured.
-
-    Args:
-        hand: Contact points of one hand.
-        track: The object, for its box.
-        rule: Whether the oriented box or the origin counts.
-        times: Seconds, any order.
-        position: Position of the object at ``times``.
-        rotation: Its orientation, w x y z.
-    """
-    measured = covered(hand.times, hand.valid, times, max_gap=LONGEST_HAND_GAP)
-    if not measured.any():
-        return np.full(len(times), np.inf)
-    points = interpolate(hand.times[hand.valid], hand.points[hand.valid], times)  # (n, k, 3)
-    offset = points - position[:, None]
-    if rule.target == "oriented_box":
-        object_from_world = Rotation.from_quat(rotation, scalar_first=True).as_matrix().transpose(0, 2, 1)
-        local = np.einsum("nij,nkj->nki", object_from_world, offset)
-        offset = np.maximum(np.maximum(track.box_min - local, local - track.box_max), 0.0)
-    return np.where(measured, np.linalg.norm(offset, axis=-1).min(axis=1), np.inf)
-
-
-def nearest_hand(
-    hands: tuple[HandStream, ...], track: ObjectTrack, rule: InHandRule, time: float, pose: Departure
-) -> tuple[Side | None, float]:
-    """The side of the hand nearest to an object at one instant, and its distance; (None, inf) if none is measured."""
-    at = np.array([time])
-    distances = [
-        float(contact_distance(hand, track, rule, at, pose.position[None], pose.rotation[None])[0]) for hand in hands
-    ]
-    if not distances or not np.isfinite(min(distances)):
-        return None, float("inf")
-    nearest = int(np.argmin(distances))
-    return hands[nearest].side, distances[nearest]
 
 
 def _moves(track: ObjectTrack, rule: InHandRule) -> bool:
@@ -123,7 +72,7 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
     distances = [
         contact_distance(hand, track, rule, samples.times, samples.position, samples.rotation) for hand in hands
     ]
-    close = np.min(distances, axis=0) < rule.distance
+    close = np.any([close_to(distance, samples.times, rule) for distance in distances], axis=0)
     moving = samples.speed > rule.moving_speed
     still = samples.speed < rule.moving_speed / 2
     staying = close | ~still  # what never came to rest was not put down

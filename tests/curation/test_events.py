@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.curation.contact import contact_distance
 from prbench.curation.events import find_events
-from prbench.curation.in_hand import contact_distance
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, HandStream, Recording
 from tests.curation.scenes import (

@@ -19,15 +19,18 @@ from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts.glb import glb_bytes
+from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import aria_gaze
 from prbench.synthetic.sensors import hot3d as sensors
+from prbench.synthetic.sensors.aria_mps import GAZE_RATE
 from prbench.synthetic.sensors.errors import Switches
 
 HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]
 _OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
 """Files that a recording has and curation does not read; all true."""
+_OF_AN_EVENT = ("sequence", "not_primed", "too_short", "minimum_movement")
 _UNSET = 255.0
 """Of the hand model's unused tables of joints."""
 
@@ -55,8 +58,13 @@ class Hot3dLayout:
         finish(root)
 
     def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """All of them."""
-        return performance.events
+        """All of them; whether a prime is certain depends on the ten gaze samples a second."""
+        return tuple(
+            seen_again(event, performance, event.box_min, event.box_max, gaze_period=1.0 / GAZE_RATE)
+            if event.expected in _OF_AN_EVENT
+            else event
+            for event in performance.events
+        )
 
     def clock_start(self, performance: Performance) -> float:
         """Time of the ground truth's clock at the first instant, seconds."""
