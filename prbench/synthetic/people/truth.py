@@ -197,6 +197,8 @@ def _is_marginal(
         return bool(almost.any() or len(begins))
     settled = times[start] + 2 * gaze_period
     brief = bool(np.any((ends - begins) * step < 2 * gaze_period)) and begins[0] < start
+    own_end = int(ends[int(np.searchsorted(begins, start))])
+    brief = brief or bool((own_end - start) * step < gaze_period)
     distinct = bool(almost[: max(start - int(0.1 / step), 0)].any())
     at_border = times[start] < event_time - WINDOW + gaze_period or settled > event_time
     look = slice(start, min(start + max(2, int(2 * gaze_period / step)), len(times)))
