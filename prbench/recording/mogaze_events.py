@@ -74,15 +74,14 @@ def carries_of(
         reason = _why_bad(segment, labels, n_frames)
         if reason:
             remarks.append(f"segment {segment.start} to {segment.end} ({segment.label}) is left out: {reason}")
-        if segment.end <= segment.start:
-            continue
-        if segment.label == previous:
+        elif segment.label == previous:
             merged += 1
-        if kept and segment.label == previous == kept[-1].label:
-            kept[-1] = Carry(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
-        elif segment.label != NULL_LABEL and not reason:
+            if segment.label != NULL_LABEL:
+                kept[-1] = Carry(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
+        elif segment.label != NULL_LABEL:
             kept.append(Carry(segment.start, segment.end, segment.label))
-        previous = segment.label
+        if segment.end > segment.start:  # an empty one separates nothing
+            previous = segment.label if not reason else ""
     if merged:
         remarks.append(f"{merged} segments with the label of the one before them are merged with it")
     if kept and kept[0].start <= 0:

@@ -93,7 +93,7 @@ def test_the_whole_way_from_run_to_leaderboard_and_score(data, tmp_path, capsys,
         (["synthesize", "adt"], 2, "--out DIR is needed"),
         (["synthesize"], 2, "name a layout"),
         (["synthesize", "adt", "--size", "large", "--out", "{tmp}/x"], 2, "large"),
-        (["synthesize", "mogaze", "--out", "{tmp}/x"], 2, "adt"),
+        (["synthesize", "unheard-of", "--out", "{tmp}/x"], 2, "adt"),
     ],
 )
 def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message, data, tmp_path, capsys):

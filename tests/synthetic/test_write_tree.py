@@ -145,7 +145,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path) -> None:
     ("arguments", "words"),
     [
         ({"size": "large"}, "in memory"),
-        ({"preset": "mogaze"}, "no native files"),
+        ({"preset": "unheard-of"}, "no native files"),
         ({"recordings": 0}, "at least one"),
     ],
     ids=["large", "preset without files", "none"],

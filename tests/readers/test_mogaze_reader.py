@@ -1,0 +1,295 @@
+"""Reading MoGaze's folder: what is found, how bodies get names and boxes, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from prbench.curation import BuildOptions, build_dataset
+from prbench.errors import InputFileError, RecordingUnusable, UsageError
+from prbench.formats import mogaze
+from prbench.formats.mogaze_body import STATE_COLUMNS
+from prbench.readers import reader_for
+from prbench.readers.mogaze.scene import find_mesh, read_mesh, read_scene
+from prbench.recording import Recording
+from prbench.synthetic.layouts.mogaze import box_mesh, write
+from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, body, still_life
+
+NAMES = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
+
+
+def _scene(folder: Path, meshes: dict[int, str], names: dict[int, str] = NAMES) -> None:
+    lines = ["<scene>"]
+    for key, name in names.items():
+        lines.append(f'<body id="{key}" name="{name}"><color>1 0 0 0</color>')
+        lines += [f'<meshfile src="{meshes[key]}"/>'] if key in meshes else []
+        lines.append("</body>")
+    (folder / "scene.xml").write_text("\n".join([*lines, "</scene>"]))
+
+
+@pytest.fixture
+def root(tmp_path) -> Path:
+    """One recording with a scene, and a mesh of the cup alone."""
+    folder = tmp_path / "mogaze"
+    write(still_life(), folder)
+    (folder / "meshfiles").mkdir()
+    (folder / "meshfiles" / "cup.obj").write_text(box_mesh(np.array([-0.1, -0.2, -0.3]), np.array([0.1, 0.2, 0.4])))
+    _scene(folder, {CUP: "mogaze/meshfiles/cup.obj", PLATE: "mogaze/meshfiles/plate.obj"})
+    return folder
+
+
+def _read(root: Path, **options: str) -> Recording:
+    reader = reader_for("mogaze", options)
+    (found,) = reader.find(root)
+    return reader.read(found)
+
+
+def _change(root: Path, part: str, name: str, rows: np.ndarray) -> None:
+    with h5py.File(root / f"p1_1_{part}.hdf5", "r+") as file:
+        kept = dict(file[name].attrs)
+        del file[name]
+        file.create_dataset(name, data=rows).attrs.update(kept)
+
+
+def test_a_recording_in_its_folder_above_it_or_by_one_of_its_files(root) -> None:
+    reader = reader_for("mogaze")
+    (found,) = reader.find(root)
+    assert (found.recording_id, found.dataset, found.skip_reason) == ("p1_1", "mogaze", None)
+    assert {file.role for file in found.files} == {*mogaze.PARTS, "scene", "mesh:meshfiles/cup.obj"}
+    assert reader.find(root.parent) == reader.find(root)
+    assert reader.find(root / "p1_1_gaze_data.hdf5") == reader.find(root)
+    assert _read(root).participant_id == "p1"
+
+
+def test_stray_files_are_no_recordings(root) -> None:
+    for name in ("p7_1_objects.hdf5", "p7_1_objects.csv", "p1_1_instructions.csv", "p1_1_human_data.hdf5.part"):
+        (root / name).write_bytes(b"")
+    assert [found.recording_id for found in reader_for("mogaze").find(root)] == ["p1_1"]
+
+
+def test_a_folder_without_recordings_is_told_what_was_looked_for(tmp_path) -> None:
+    (tmp_path / "readme.txt").write_text("")
+    with pytest.raises(InputFileError, match=r"p1_1_human_data\.hdf5.*readme\.txt"):
+        reader_for("mogaze").find(tmp_path)
+    with pytest.raises(InputFileError, match="no such folder"):
+        reader_for("mogaze").find(tmp_path / "nowhere")
+
+
+def test_boxes_come_from_meshes_then_from_the_table_then_are_points(root) -> None:
+    _scene(root, {CUP: "mogaze/meshfiles/cup.obj"}, NAMES | {TABLE: "spaceship"})
+    recording = _read(root)
+    cup, plate, ship = (recording.object(str(key)) for key in (CUP, PLATE, TABLE))
+    assert (cup.box_min.tolist(), cup.box_max.tolist()) == ([-0.1, -0.2, -0.3], [0.1, 0.2, 0.4])
+    assert (plate.box_min.tolist(), plate.box_max.tolist()) == ([-0.092, -0.092, 0.0], [0.092, 0.092, 0.007])
+    assert ship.box_min.tolist() == ship.box_max.tolist() == [0.0, 0.0, 0.0]
+    assert recording.messages == ("no mesh and no known size, so a point instead of a box: spaceship",)
+
+
+def test_meshes_are_occluders_on_request_and_move_with_their_object(root) -> None:
+    assert _read(root).occluders == ()
+    (cup,) = _read(root, meshes="true").occluders
+    assert (cup.name, cup.object_id, cup.vertices.shape, cup.faces.shape) == ("cup_red", str(CUP), (8, 3), (12, 3))
+
+
+@pytest.mark.parametrize(
+    ("source", "place"),
+    [
+        ("mogaze/meshfiles/cup.obj", "mogaze/meshfiles/cup.obj"),
+        ("meshfiles/cup.obj", "mogaze/meshfiles/cup.obj"),
+        ("other_name/cup.obj", "mogaze/meshfiles/cup.obj"),
+        ("..\\elsewhere\\cup.obj", "mogaze/meshfiles/cup.obj"),
+        ("../secret.obj", None),
+        ("secret.obj", None),
+        ("{root}/secret.obj", None),
+        ("mogaze/meshfiles/jug.obj", None),
+    ],
+)
+def test_where_a_mesh_is_looked_for_and_that_no_path_leads_out(root, source, place) -> None:
+    (root.parent / "secret.obj").write_text(box_mesh(np.zeros(3), np.ones(3)))
+    found = find_mesh(root, source.format(root=root.parent))
+    assert found == (None if place is None else root.parent / place)
+
+
+def test_a_link_out_of_the_folder_is_not_followed(root) -> None:
+    (root.parent / "secret.obj").write_text(box_mesh(np.zeros(3), np.ones(3)))
+    (root / "meshfiles" / "jug.obj").symlink_to(root.parent / "secret.obj")
+    assert find_mesh(root, "mogaze/meshfiles/jug.obj") is None
+
+
+def test_a_mesh_is_read_again_after_it_changed(root) -> None:
+    path = root / "meshfiles" / "cup.obj"
+    assert read_mesh(path)[0].max() == 0.4
+    path.write_text(box_mesh(np.zeros(3), np.full(3, 0.125)))
+    assert read_mesh(path)[0].max() == 0.125
+
+
+@pytest.mark.parametrize("content", ["", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 x 0\nf 1 2 3\n"])
+def test_a_file_that_is_no_mesh_is_refused(root, content) -> None:
+    (root / "meshfiles" / "cup.obj").write_text(content)
+    with pytest.raises(InputFileError, match=r"cup\.obj.*triangles"):
+        _read(root)
+
+
+def test_without_a_scene_the_sixteen_bodies_are_named_in_the_order_of_their_keys(root) -> None:
+    (root / "scene.xml").unlink()
+    readings = still_life()
+    goggles = next(each for each in readings.bodies if each.body_id == GOGGLES)
+    ids = sorted(range(3, 19), key=str)  # 10 11 … 18 3 4 … 9: as HDF5 lists them
+    bodies = [body(key, "", np.full((N, 3), key / 10), (0.1, 0.1, 0.1)) for key in ids]
+    bodies[6] = replace(goggles, body_id=ids[6])
+    write(replace(readings, bodies=tuple(bodies)), root)
+    recording = _read(root)
+    names = {track.object_id: track.name for track in recording.objects}
+    assert names[str(ids[0])] == "table"
+    assert names[str(ids[1])] == "cup_red"
+    assert names[str(ids[15])] == "blue_chair"
+    assert recording.objects[-1].box_max is not None
+    assert any("order of their keys" in message for message in recording.messages)
+
+
+def test_a_body_without_a_name_keeps_its_number(root) -> None:
+    _scene(root, {}, {key: name for key, name in NAMES.items() if key != PLATE})
+    assert _read(root).object(str(PLATE)).name == f"body_{PLATE}"
+
+
+def test_a_scene_that_knows_bodies_that_were_not_tracked_changes_nothing(root) -> None:
+    before = _read(root)
+    _scene(root, {CUP: "mogaze/meshfiles/cup.obj"}, NAMES | {99: "blue_chair"})
+    assert [track.name for track in _read(root).objects] == [track.name for track in before.objects]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<scene><body", "XML"),
+        ('<scene><body id="x" name="cup"/></scene>', "id 'x'"),
+        ('<scene><body id="4"/></scene>', "name ''"),
+    ],
+)
+def test_a_damaged_scene_is_refused_when_a_recording_is_read(root, text, words) -> None:
+    (root / "scene.xml").write_text(text)
+    (found,) = reader_for("mogaze").find(root)
+    with pytest.raises(InputFileError, match=words):
+        reader_for("mogaze").read(found)
+
+
+def test_names_may_be_bytes_or_text_and_columns_in_any_order(root) -> None:
+    before = _read(root)
+    order = np.arange(66)[::-1]
+    with h5py.File(root / "p1_1_human_data.hdf5", "r+") as file:
+        entry = file["data"]
+        assert isinstance(entry, h5py.Dataset)
+        entry[...] = np.array(entry)[:, order]
+        names = [STATE_COLUMNS[index] for index in order]
+        entry.attrs.create("description", names, dtype=h5py.string_dtype())
+    after = _read(root)
+    assert before.body is not None
+    assert after.body is not None
+    assert np.array_equal(before.body.joints, after.body.joints)
+
+
+@pytest.mark.parametrize("part", mogaze.PARTS)
+def test_each_of_the_four_files_is_needed(root, part) -> None:
+    (root / f"p1_1_{part}.hdf5").unlink()
+    with pytest.raises(InputFileError, match=f"p1_1_{part}"):
+        _read(root)
+
+
+@pytest.mark.parametrize("part", mogaze.PARTS)
+def test_a_truncated_file_is_named(root, part) -> None:
+    path = root / f"p1_1_{part}.hdf5"
+    path.write_bytes(path.read_bytes()[:700])
+    with pytest.raises(InputFileError, match=f"p1_1_{part}.*complete HDF5 file"):
+        _read(root)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "rows", "words"),
+    [
+        ("human_data", "data", np.zeros((N, 65)), "at least 66 numbers, found shape"),
+        ("human_data", "data", np.zeros((N, 67)), "a name for each of the 67 columns"),
+        ("gaze_data", "gaze", np.zeros((N, 5)), "at least 6 numbers"),
+        ("gaze_data", "gaze", np.zeros((N - 30, 7)), "440 frames of gaze_data, 480"),
+        ("object_data", f"bodies/body {CUP}", np.zeros((N, 6)), "at least 7 numbers"),
+        ("segmentations", "segments", np.zeros((3, 3)), "start, end and label"),
+    ],
+)
+def test_tables_of_another_shape_are_refused(root, part, name, rows, words) -> None:
+    _change(root, part, name, rows)
+    with pytest.raises(InputFileError, match=words):
+        _read(root)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "attribute", "value", "words"),
+    [
+        ("human_data", "data", "description", None, "'description'"),
+        ("human_data", "data", "keys_fixed", np.array([b"lHipTransX"]), "'headTransY' and .* more"),
+        ("gaze_data", "gaze", "calibration", None, "'calibration'"),
+        ("gaze_data", "gaze", "calibration", np.zeros(4), "a quaternion of length 1"),
+    ],
+)
+def test_missing_and_impossible_attributes_are_refused(root, part, name, attribute, value, words) -> None:
+    with h5py.File(root / f"p1_1_{part}.hdf5", "r+") as file:
+        del file[name].attrs[attribute]
+        if value is not None:
+            file[name].attrs[attribute] = value
+    with pytest.raises(InputFileError, match=words):
+        _read(root)
+
+
+def test_a_column_that_is_missing_is_named(root) -> None:
+    names = ["somethingElse" if name == "lKneeRotX" else name for name in STATE_COLUMNS]
+    with h5py.File(root / "p1_1_human_data.hdf5", "r+") as file:
+        file["data"].attrs["description"] = np.array(names, dtype="S")
+    with pytest.raises(InputFileError, match="'lKneeRotX'"):
+        _read(root)
+
+
+def test_streams_are_cut_to_the_shortest_with_a_word_beyond_two_frames(root) -> None:
+    recording = _read(root)  # the gaze file has one row more, as in the release
+    assert (len(recording.gaze.times), recording.messages) == (N, ())
+    _change(root, "object_data", f"bodies/body {CUP}", np.tile((0, 0, 0, 0, 0, 0, 1.0), (N - 3, 1)))
+    recording = _read(root)
+    assert len(recording.gaze.times) == len(recording.objects[0].times) == N - 3
+    assert recording.messages[0] == f"cut to {N - 3} frames of object_data, body {CUP}; gaze_data has {N + 1}"
+
+
+def _copy_as(root: Path, name: str) -> None:
+    for part in mogaze.PARTS:
+        shutil.copy(root / f"p1_1_{part}.hdf5", root / f"{name}_{part}.hdf5")
+
+
+def test_recordings_with_known_defects_are_skipped_with_their_reason(root, tmp_path) -> None:
+    _copy_as(root, "p3_1")
+    _copy_as(root, "p7_2")
+    (root / "p3_1_gaze_data.hdf5").unlink()
+    report = build_dataset("mogaze", root, tmp_path / "table")
+    assert {record.recording_id: record.status for record in report.records} == {
+        "p1_1": "read", "p3_1": "skipped", "p7_2": "skipped",
+    }  # fmt: skip
+    assert "not recorded" in report.records[1].message
+    assert "include_excluded" in report.records[2].message
+    kept = BuildOptions(reader=(("include_excluded", "true"),))
+    report = build_dataset("mogaze", root, tmp_path / "table", options=kept)
+    assert [record.status for record in report.records] == ["read", "skipped", "read"]
+    assert report.info.options["reader.include_excluded"] == "true"
+    (found,) = (found for found in reader_for("mogaze").find(root) if found.recording_id == "p3_1")
+    with pytest.raises(RecordingUnusable, match="not recorded"):
+        reader_for("mogaze").read(found)
+
+
+def test_options_reach_the_recording(root) -> None:
+    assert any("'named'" in text for text in _read(root, joint_mapping="named").messages)
+    assert any("player" in text for text in _read(root, legacy_gaze="true").messages)
+    with pytest.raises(UsageError, match="Did you mean 'legacy_gaze'"):
+        reader_for("mogaze", {"legacy_gase": "true"})
+
+
+def test_scene_of_the_layout_is_read_back(root) -> None:
+    assert {key: entry.name for key, entry in read_scene(root / "scene.xml").items()} == NAMES
