@@ -6,7 +6,17 @@ head poses of the recording and gives what comes back to :func:`prbench.recordin
 
 from __future__ import annotations
 
+from prbench.readers.egoallo.belonging import check_output
 from prbench.readers.egoallo.bodies import NO_OUTPUTS, read_bodies
 from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE, find_model, find_outputs, poses_folder
 
-__all__ = ["MODEL_ROLE", "NO_OUTPUTS", "OUTPUT_ROLE", "find_model", "find_outputs", "poses_folder", "read_bodies"]
+__all__ = [
+    "MODEL_ROLE",
+    "NO_OUTPUTS",
+    "OUTPUT_ROLE",
+    "check_output",
+    "find_model",
+    "find_outputs",
+    "poses_folder",
+    "read_bodies",
+]

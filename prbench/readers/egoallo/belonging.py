@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
 from prbench.formats import egoallo as ego
 from prbench.formats.aria_mps import LONGEST_POSE_STEP
+from prbench.readers.egoallo.outputs import JointsOnly, read_output
 from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint
 from prbench.timelines import covered, interpolate
@@ -17,20 +18,43 @@ from prbench.timelines import covered, interpolate
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
 
 
-def require_belongs(path: Path, window: ego.BodyWindow, head: Float[np.ndarray, "t 3"] | None, cpf: PoseStream) -> None:
+def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
+    """Read an output and check that it belongs to a recording; no body model is needed.
+
+    Args:
+        path: The output.
+        cpf: See :func:`require_belongs`.
+
+    Returns:
+        Its times, nanoseconds on the device clock.
+
+    Raises:
+        InputFileError: if the output is damaged, or belongs to another recording.
+    """
+    output = read_output(path)
+    if isinstance(output, JointsOnly):
+        require_belongs(path, output.time_ns, output.joints[:, Joint.HEAD].astype(np.float64), cpf, exact=False)
+    else:
+        require_belongs(path, output.time_ns, output.world_from_cpf[:, 4:].astype(np.float64), cpf, exact=True)
+    return output.time_ns
+
+
+def require_belongs(
+    path: Path, time_ns: Int[np.ndarray, " t"], points: Float[np.ndarray, "t 3"], cpf: PoseStream, *, exact: bool
+) -> None:
     """Refuse an output of another recording: the head pose is an input of EgoAllo and must come back.
 
     Args:
         path: The output, for the message.
-        window: Its frames.
-        head: Central pupil frame in the output; None where the file holds joints only, whose head joint is then
-            compared, with a wider limit.
-        cpf: The recording's, in the world that the output is in, device seconds.
+        time_ns: Its times on the device clock.
+        points: The central pupil frame in the output, or its head joint.
+        cpf: The recording's central pupil frame, in the world that the output is in, device seconds.
+        exact: Whether ``points`` are the central pupil frame; the limit for head joints is wider.
 
     Raises:
         InputFileError: if no frame falls into the tracked time, or the median distance is above 5 cm.
     """
-    times = window.time_ns / 1e9
+    times = time_ns / 1e9
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
     if not posed.any():
         raise InputFileError(
@@ -42,13 +66,12 @@ def require_belongs(path: Path, window: ego.BodyWindow, head: Float[np.ndarray, 
         )
     usable = cpf.valid if cpf.valid.any() else np.ones_like(cpf.valid)
     expected = interpolate(cpf.times[usable], cpf.position[usable], times[posed])
-    points = window.joints[:, Joint.HEAD] if head is None else head
-    limit = ego.LARGEST_HEAD_ERROR if head is None else ego.LARGEST_CPF_ERROR
+    limit = ego.LARGEST_CPF_ERROR if exact else ego.LARGEST_HEAD_ERROR
     distance = float(np.median(np.linalg.norm(points[posed] - expected, axis=1)))
     if not distance <= limit:
         raise InputFileError(
             path,
-            ego.JOINTS if head is None else ego.WORLD_FROM_CPF,
+            ego.WORLD_FROM_CPF if exact else ego.JOINTS,
             expected=f"head poses of this recording at the same times, to {limit * 100:.0f} cm",
             found=f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world",
             remedy=_REMEDY,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from prbench.formats import egoallo as ego
 from prbench.readers.egoallo.belonging import require_belongs
 from prbench.readers.egoallo.joints import read_window
@@ -9,6 +11,7 @@ from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
 from prbench.readers.found import RecordingFiles
 from prbench.recording.from_egoallo import NO_OUTPUTS, joined_windows
 from prbench.recording.streams import PoseStream
+from prbench.skeleton import Joint
 
 __all__ = ["NO_OUTPUTS", "read_bodies"]
 
@@ -33,6 +36,7 @@ def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | 
     windows = []
     for path in outputs:
         window, head = read_window(path, model)
-        require_belongs(path, window, head, cpf)
+        points = window.joints[:, Joint.HEAD].astype(np.float64) if head is None else head
+        require_belongs(path, window.time_ns, points, cpf, exact=head is not None)
         windows.append(window)
     return joined_windows(windows)

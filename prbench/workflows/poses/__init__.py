@@ -1,0 +1,8 @@
+"""EgoAllo as a step: which recordings lack a body, and how to make one (``formats/egoallo.md``)."""
+
+from prbench.workflows.poses.config import PosesConfig, read_config
+from prbench.workflows.poses.instructions import instructions
+from prbench.workflows.poses.make import Outcome, make_poses
+from prbench.workflows.poses.states import PoseState, pose_states
+
+__all__ = ["Outcome", "PoseState", "PosesConfig", "instructions", "make_poses", "pose_states", "read_config"]

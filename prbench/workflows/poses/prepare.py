@@ -1,0 +1,205 @@
+"""Write one recording as EgoAllo wants to see it: one folder, plain files, Z up, 1 kHz."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+from jaxtyping import Float
+
+from prbench.errors import InputFileError
+from prbench.formats import adt
+from prbench.formats import aria_mps as mps
+from prbench.formats import egoallo as ego
+from prbench.readers.aria_mps import AriaTrajectory, Source, read_first_calibration, read_trajectory
+from prbench.readers.zipped import opened
+from prbench.recording import PoseStream
+from prbench.recording.adt_for_egoallo import prepared_trajectory
+from prbench.recording.from_adt import ASSUMED_SIZE
+from prbench.recording.from_aria import part_poses
+from prbench.storage import atomic_path
+from prbench.workflows.poses.inputs import POINT_FILES, Inputs
+
+_FPS = 30.0
+_POINT_COLUMNS = ("uid", "graph_uid", "px_world", "py_world", "pz_world", "inv_dist_std", "dist_std")
+_GRAVITY = 9.81
+_FLOOR_POINTS, _FLOOR_EDGE = 40, 4.0  # a grid of so many by so many points over so many metres
+_SURE = (1e-6, 1e-4)  # inv_dist_std, dist_std: below the strictest limits
+_UNUSED = tuple(f"{what}_{axis}_device" for what in ("device_linear_velocity", "angular_velocity") for axis in "xyz")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A folder for EgoAllo's ``--traj-root``."""
+
+    folder: Path
+    trajectory: Path
+    frames: int
+    """Output frames that cover the whole recording."""
+    has_wrists: bool
+
+    @property
+    def outputs(self) -> Path:
+        """Where EgoAllo writes."""
+        return self.folder / ego.OUTPUT_FOLDER
+
+
+def guidance_mode(prepared: Prepared) -> str:
+    """EgoAllo's ``--guidance-mode``: by tracked wrists where there are some, as the study does, else by feet alone."""
+    return "aria_wrist_only" if prepared.has_wrists else "no_hands"
+
+
+def prepare(inputs: Inputs, folder: Path) -> Prepared:
+    """Write a recording's inputs into a folder; large files are linked, not copied, where that is possible.
+
+    Raises:
+        InputFileError: for a damaged input, or a trajectory too short or too slow for EgoAllo.
+        StorageError: if the folder cannot be written.
+    """
+    trajectory = source_trajectory(inputs)
+    place = folder / mps.SLAM_FOLDER / mps.TRAJECTORY_FILE
+    if inputs.y_up or trajectory.left_out:
+        write_trajectory(place, trajectory)
+    else:
+        _bring(inputs.trajectory, place)
+    points = folder / mps.SLAM_FOLDER / POINT_FILES[0]
+    if inputs.y_up:
+        _write_turned_points(inputs.points, points)
+    elif inputs.points is not None:
+        _bring(inputs.points, points)
+    if inputs.wrists is not None:
+        _bring(inputs.wrists, folder / mps.HAND_FOLDER / mps.WRISTS_FILE)
+    if inputs.vrs is not None:
+        _bring(inputs.vrs, folder / inputs.vrs.name)
+    return Prepared(folder, place, _frames(inputs, trajectory), inputs.wrists is not None)
+
+
+def source_trajectory(inputs: Inputs) -> AriaTrajectory:
+    """The poses that EgoAllo is given: the recording's own, ADT's turned and at 1 kHz.
+
+    Raises:
+        InputFileError: if the trajectory is damaged.
+    """
+    trajectory = read_trajectory(inputs.trajectory)
+    if not inputs.y_up:
+        return trajectory
+    poses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
+    return prepared_trajectory(poses)
+
+
+def head_poses(inputs: Inputs, trajectory: AriaTrajectory) -> PoseStream:
+    """Central pupil frame in the world of EgoAllo's outputs, device seconds."""
+    size = ASSUMED_SIZE if inputs.y_up else "DVT-S"
+    if inputs.calibration is not None:
+        size = read_first_calibration(inputs.calibration).size
+    valid = np.ones(len(trajectory.time_us), dtype=bool)
+    device = PoseStream(trajectory.time_us / 1e6, trajectory.position, trajectory.rotation, valid)
+    return part_poses(device, mps.device_from_cpf(size))
+
+
+def write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
+    """Write ``closed_loop_trajectory.csv`` (``formats/aria-mps.md`` section 3).
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    n = len(trajectory.time_us)
+    rotation = dict(zip(mps.ROTATION_COLUMNS, trajectory.rotation.T, strict=True))
+    scalar_last = (*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0])
+    columns = {
+        mps.GRAPH_COLUMN: np.full(n, trajectory.graph_uids[0]),
+        mps.TIME_COLUMN: trajectory.time_us,
+        "utc_timestamp_ns": np.full(n, -1),
+        **dict(zip(mps.POSITION_COLUMNS, trajectory.position.T, strict=True)),
+        **{name: rotation[name] for name in scalar_last},
+        **dict.fromkeys(_UNUSED, np.zeros(n)),
+        **dict(zip(mps.GRAVITY_COLUMNS, np.tile(-_GRAVITY * trajectory.up, (n, 1)).T, strict=True)),
+        mps.QUALITY_COLUMN: trajectory.quality,
+    }
+    with atomic_path(path) as temporary:
+        _write_csv(temporary, columns)
+
+
+def _frames(inputs: Inputs, trajectory: AriaTrajectory) -> int:
+    """Frames of an output for the whole recording: EgoAllo's own sampling, less the first pose.
+
+    Raises:
+        InputFileError: if its rule would take no pose at all, or fewer than two.
+    """
+    n = len(trajectory.time_us)
+    seconds = float(trajectory.time_us[-1] - trajectory.time_us[0]) / 1e6
+    step = int(n / seconds // _FPS) if seconds > 0 else 0
+    frames = math.ceil(n / step) - 1 if step else 0
+    if frames < 1:
+        raise InputFileError(
+            inputs.found.folder,
+            "trajectory",
+            expected=f"a trajectory of more than {_FPS:.0f} poses a second and of at least two output frames",
+            found=f"{n} poses in {seconds:.3f} s",
+            remedy="EgoAllo takes every int(rate / 30)-th pose and would take none.",
+        )
+    return frames
+
+
+def _bring(source: Source, place: Path) -> None:
+    """Make a file appear in the folder: a link to a plain one, the unpacked member of an archive."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if not isinstance(source, Path):
+        with atomic_path(place) as temporary, opened(source) as packed, open(temporary, "wb") as plain:
+            shutil.copyfileobj(packed, plain)
+        return
+    for link in (os.symlink, os.link):
+        try:
+            link(source.absolute(), place)
+        except OSError:
+            continue
+        return
+    shutil.copyfile(source, place)
+
+
+def _write_turned_points(source: Source | None, place: Path) -> None:
+    """ADT's points with Z up; without any, a flat floor at height 0, where ADT's scenes have it."""
+    if source is None:
+        x, y = np.meshgrid(*2 * [np.linspace(-_FLOOR_EDGE, _FLOOR_EDGE, _FLOOR_POINTS)])
+        table = _point_table(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+    else:
+        with opened(source) as packed, gzip.open(packed, "rb") as plain:
+            table = _turned(source, plain.read())
+    with atomic_path(place) as temporary, gzip.open(temporary, "wb", compresslevel=1) as file:
+        file.write((",".join(table.column_names) + "\n").encode())
+        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
+        pyarrow.csv.write_csv(table, pa.PythonFile(file, mode="w"), options)
+
+
+def _turned(source: Source, content: bytes) -> pa.Table:
+    try:
+        table = pyarrow.csv.read_csv(pa.BufferReader(content))
+        x, y, z = (table[name] for name in _POINT_COLUMNS[2:5])
+    except (pa.ArrowInvalid, KeyError) as error:
+        raise InputFileError(
+            str(source), "", expected="points with px_world, py_world, pz_world", found=str(error).splitlines()[0]
+        ) from error
+    below = pa.array(-z.to_numpy())
+    for name, values in zip(_POINT_COLUMNS[2:5], (x, below, y), strict=True):
+        table = table.set_column(table.column_names.index(name), name, values)
+    return table
+
+
+def _point_table(points: Float[np.ndarray, "n 3"]) -> pa.Table:
+    n = len(points)
+    values = (np.arange(n), np.full(n, "floor"), *points.T, *(np.full(n, sure) for sure in _SURE))
+    return pa.table(dict(zip(_POINT_COLUMNS, values, strict=True)))
+
+
+def _write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    with open(path, "wb") as file:
+        file.write((",".join(columns) + "\n").encode())
+        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
+        pyarrow.csv.write_csv(pa.table(columns), file, options)

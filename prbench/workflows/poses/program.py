@@ -1,0 +1,110 @@
+"""Run a foreign program: with a log, a time limit, and nothing left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import StorageError, UsageError
+
+_GRACE = 5.0  # seconds between asking a program to end and ending it
+_TAIL_BYTES, _TAIL_LINES = 4096, 3
+_UNPRINTABLE = re.compile(r"[^\x20-\x7e]+")
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a program ended."""
+
+    code: int | None
+    """Exit code; None if it ran out of time."""
+    log: Path
+
+    @property
+    def problem(self) -> str:
+        """What went wrong, with the last words of the log; empty if nothing."""
+        if self.code == 0:
+            return ""
+        how = "ran out of time" if self.code is None else f"ended with exit code {self.code}"
+        return f"{how}{last_words(self.log)}; its log is {self.log}"
+
+
+def run_program(
+    command: Sequence[str], *, folder: Path, environment: Mapping[str, str], log: Path, timeout: float
+) -> Ended:
+    """Run a program without a shell, everything it prints into a log, and end it when its time is up.
+
+    Args:
+        command: Program and arguments.
+        folder: Where it runs.
+        environment: Added to this process's environment.
+        log: Overwritten.
+        timeout: Seconds.
+
+    Raises:
+        UsageError: if it cannot be started.
+        StorageError: if the log cannot be written.
+    """
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        output = open(log, "wb")  # noqa: SIM115 (closed by the with below)
+    except OSError as error:
+        raise StorageError(f"{log}: cannot be written ({error.strerror}). Choose another folder.") from error
+    with output:
+        try:
+            process = subprocess.Popen(
+                list(command),
+                cwd=folder,
+                env={**os.environ, **environment},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=os.name == "posix",
+            )
+        except OSError as error:
+            raise UsageError(
+                f"cannot start {command[0]} in {folder}: {error.strerror}."
+                " Check python, folder and command in the config."
+            ) from error
+        try:
+            return Ended(process.wait(timeout), log)
+        except subprocess.TimeoutExpired:
+            return Ended(None, log)
+        finally:
+            _end(process)
+
+
+def last_words(log: Path) -> str:
+    """The last lines of a log that can be printed, whatever else it holds; empty if there are none."""
+    with open(log, "rb") as file:
+        file.seek(0, 2)
+        file.seek(max(file.tell() - _TAIL_BYTES, 0))
+        text = file.read().decode("utf-8", errors="replace")
+    lines = [_UNPRINTABLE.sub(" ", line).strip()[-160:] for line in text.splitlines()]
+    kept = [line for line in lines if line][-_TAIL_LINES:]
+    return f" ('{' / '.join(kept)}')" if kept else ""
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the program and what it started; nothing to do where it has ended and has no children."""
+    _signal(process, signal.SIGTERM)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_GRACE)
+    if process.poll() is None or os.name == "posix":
+        _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))
+    process.wait()
+
+
+def _signal(process: subprocess.Popen[bytes], number: int) -> None:
+    """To the whole group where there are groups, so that children of the program end too."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        if os.name == "posix":
+            os.killpg(process.pid, number)
+        elif process.poll() is None:
+            process.terminate()
