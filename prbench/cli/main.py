@@ -23,6 +23,7 @@ from prbench.cli import (
     score,
     stats,
     synthesize,
+    validate,
 )
 from prbench.errors import PrbenchError
 
@@ -41,6 +42,7 @@ _COMMANDS = (
     leaderboard,
     release,
     adapters,
+    validate,
 )
 
 _EXAMPLES = """\

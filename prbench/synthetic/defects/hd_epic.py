@@ -1,0 +1,214 @@
+"""What real copies of HD-EPIC suffer from (``formats/hd-epic.md`` section 7)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from prbench.formats import aria_mps as mps
+from prbench.formats import egoallo as ego
+from prbench.formats import hd_epic
+from prbench.storage import write_json
+from prbench.synthetic.defects import Defect
+
+_GAZE_FILE = "general_eye_gaze.csv"
+_Rows = list[dict[str, str]]
+
+
+def _only(root: Path, pattern: str) -> Path:
+    found = sorted((root / hd_epic.DATA_FOLDER).glob(pattern))
+    assert len(found) == 1, f"{pattern} matches {len(found)} files"
+    return found[0]
+
+
+def _time_file(root: Path, video: str) -> Path:
+    return _only(root, f"{hd_epic.VIDEOS_FOLDER}/*/{video}{hd_epic.TIME_SUFFIX}")
+
+
+def _gaze_archive(root: Path, video: str) -> Path:
+    return _only(root, f"{hd_epic.MPS_FOLDER}/*/{hd_epic.GAZE_FOLDER}/mps_{video}_vrs.zip")
+
+
+def _slam_archive(root: Path, video: str) -> Path:
+    """The archive that the participant's map names."""
+    for path in sorted((root / hd_epic.DATA_FOLDER).glob(f"{hd_epic.MPS_FOLDER}/*/*/*/{hd_epic.SLAM_MAP_FILE}")):
+        for key, number in json.loads(path.read_text()).items():
+            if key.endswith(f"/{video}.vrs"):
+                return path.with_name(f"{number}.zip")
+    raise AssertionError(f"no map names {video}")
+
+
+def _annotations(root: Path, name: str) -> Path:
+    return root / hd_epic.ANNOTATIONS_FOLDER / hd_epic.MOVEMENTS_FOLDER / name
+
+
+def _change_json(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    write_json(path, content)
+
+
+def _change_member(archive: Path, name: str, change: Callable[[_Rows], _Rows]) -> None:
+    """Change the rows of one CSV file inside an archive."""
+    with zipfile.ZipFile(archive) as opened:
+        contents = {entry: opened.read(entry) for entry in opened.namelist()}
+    member = next(entry for entry in contents if entry.endswith(f"/{name}"))
+    lines = contents[member].decode().splitlines()
+    header = lines[0].split(",")
+    rows = change([dict(zip(header, line.split(","), strict=True)) for line in lines[1:]])
+    text = "\n".join([lines[0], *(",".join(row[column] for column in header) for row in rows)]) + "\n"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as written:
+        for entry, content in contents.items():
+            written.writestr(entry, text.encode() if entry == member else content)
+
+
+def _missing_time(root: Path, video: str) -> None:
+    _time_file(root, video).unlink()
+
+
+def _missing_slam(root: Path, video: str) -> None:
+    _slam_archive(root, video).unlink()
+
+
+def _missing_gaze(root: Path, video: str) -> None:
+    _gaze_archive(root, video).unlink()
+
+
+def _truncated_archive(root: Path, video: str) -> None:
+    path = _slam_archive(root, video)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def _truncated_time(root: Path, video: str) -> None:
+    path = _time_file(root, video)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[: len(lines) // 2]) + "\n")
+
+
+def _swapped_clock(root: Path, video: str) -> None:
+    """Microseconds where the column says nanoseconds."""
+    path = _time_file(root, video)
+    header, *lines = path.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    path.write_text("\n".join([header, *(f"{a},{b},{int(c) // 1000}" for a, b, c in cells)]) + "\n")
+
+
+def _nan_gaze(root: Path, video: str) -> None:
+    angles = (mps.LEFT_YAW, mps.RIGHT_YAW, mps.PITCH)
+    _change_member(
+        _gaze_archive(root, video),
+        _GAZE_FILE,
+        lambda rows: [row | dict.fromkeys(angles, "nan") for row in rows],
+    )
+
+
+def _lost_hands(root: Path, video: str) -> None:
+    confidences = {f"{side}_tracking_confidence": "-1" for side in ("left", "right")}
+    _change_member(_gaze_archive(root, video), mps.WRISTS_FILE, lambda rows: [row | confidences for row in rows])
+
+
+def _slam_gap(root: Path, video: str) -> None:
+    _change_member(
+        _slam_archive(root, video), mps.TRAJECTORY_FILE, lambda rows: rows[: len(rows) // 3] + rows[len(rows) // 2 :]
+    )
+
+
+def _lost_poses(root: Path, video: str) -> None:
+    lost = {mps.GRAPH_COLUMN: mps.UNDEFINED_GRAPH}
+    _change_member(
+        _slam_archive(root, video),
+        mps.TRAJECTORY_FILE,
+        lambda rows: [row | (lost if number < len(rows) // 10 else {}) for number, row in enumerate(rows)],
+    )
+
+
+def _duplicated_rows(root: Path, video: str) -> None:
+    _change_member(
+        _gaze_archive(root, video),
+        _GAZE_FILE,
+        lambda rows: [*rows[: len(rows) // 2], *rows[len(rows) // 2 - 1 :]],
+    )
+
+
+def _missing_association(root: Path, video: str) -> None:
+    _change_json(_annotations(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(video))
+
+
+def _missing_masks(root: Path, video: str) -> None:
+    _change_json(_annotations(root, hd_epic.MASKS_FILE), lambda content: content.pop(video))
+
+
+def _null_points(root: Path, video: str) -> None:
+    def forget(content: dict[str, Any]) -> None:
+        for mask in content[video].values():
+            mask["3d_location"] = None
+
+    _change_json(_annotations(root, hd_epic.MASKS_FILE), forget)
+
+
+def _missing_bodies(root: Path, video: str) -> None:
+    shutil.rmtree(root / ego.POSES_FOLDER / video)
+
+
+def _foreign_bodies(root: Path, video: str) -> None:
+    """Another video's outputs, copied here."""
+    others = [path for path in sorted((root / ego.POSES_FOLDER).iterdir()) if path.name != video]
+    _missing_bodies(root, video)
+    shutil.copytree(others[0], root / ego.POSES_FOLDER / video)
+
+
+def _other_alignment(root: Path, video: str) -> None:
+    """No multi-recording SLAM, but an archive of an unknown layout."""
+    path = _slam_archive(root, video)
+    target = path.parents[2] / hd_epic.OTHER_SLAM_FOLDER / f"{video}.zip"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink()
+    with zipfile.ZipFile(target, "w") as archive:
+        archive.writestr(f"{video}/images.txt", "# Image list with two lines of data per image\n")
+    _change_json(
+        path.with_name(hd_epic.SLAM_MAP_FILE), lambda content: content.pop(f"{path.parents[2].name}/{video}.vrs")
+    )
+
+
+def _unpacked(root: Path, video: str) -> None:
+    """What users do with archives."""
+    for path in (_slam_archive(root, video), _gaze_archive(root, video)):
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(path.parent)
+        path.unlink()
+
+
+def _readme_spelling(root: Path, video: str) -> None:  # noqa: ARG001 (all videos share the file)
+    annotations = root / hd_epic.ANNOTATIONS_FOLDER
+    (annotations / hd_epic.PRIMING_FOLDERS[0]).rename(annotations / hd_epic.PRIMING_FOLDERS[1])
+
+
+DEFECTS = (
+    Defect("missing-time", "the time csv of the video is not there", _missing_time, "failed", hd_epic.TIME_SUFFIX),
+    Defect("missing-slam", "a download by video: gaze without SLAM", _missing_slam, "failed", "SLAM zip"),
+    Defect("missing-gaze", "GAZE_HAND of the video is not there", _missing_gaze, "failed", "Download GAZE_HAND"),
+    Defect("truncated-archive", "the SLAM archive is cut off", _truncated_archive, "failed", "zip archive"),
+    Defect("truncated-time", "the time csv ends in the middle", _truncated_time, "read", "it may be truncated"),
+    Defect("swapped-clock", "device times in microseconds", _swapped_clock, "failed", "streams do not overlap"),
+    Defect("nan-gaze", "no gaze angle is a number", _nan_gaze, "read", "no valid gaze"),
+    Defect("lost-hands", "no hand is ever tracked", _lost_hands, "read", ""),
+    Defect("slam-gap", "a part of the trajectory is missing", _slam_gap, "read", ""),
+    Defect("lost-poses", "poses that belong to no world", _lost_poses, "read", "are left out"),
+    Defect("duplicated-rows", "a gaze row is there twice", _duplicated_rows, "failed", "repeated"),
+    Defect("missing-association", "assoc_info.json lacks the video", _missing_association, "failed", "no such key"),
+    Defect("missing-masks", "mask_info.json lacks the video", _missing_masks, "read", "have no mask"),
+    Defect("null-points", "masks without 3d_location", _null_points, "read", "without 3d_location"),
+    Defect("missing-bodies", "no EgoAllo outputs", _missing_bodies, "read", "no EgoAllo outputs"),
+    Defect(
+        "foreign-bodies", "EgoAllo outputs of another video", _foreign_bodies, "failed", "belongs to another recording"
+    ),
+    Defect("other-alignment", "aligned by other means than SLAM", _other_alignment, "skipped", "by other means"),
+    Defect("unpacked", "archives unpacked to folders", _unpacked, "read", ""),
+    Defect("readme-spelling", "the priming folder as the README spells it", _readme_spelling, "read", ""),
+)
+"""What can be done to one video of a synthetic tree."""
