@@ -57,6 +57,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         help="go on without a recording that cannot be read and name it (default), or fail at once",
     )
     parser.add_argument(
+        "--poses",
+        metavar="SOURCE",
+        help="where bodies come from, for example egoallo in place of ADT's suit; short for --option poses=SOURCE",
+    )
+    parser.add_argument(
         "--option",
         type=key_value,
         action="append",
@@ -142,9 +147,13 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
         ),
         recordings=arguments.recordings,
         limit=arguments.limit,
-        reader=tuple(sorted(dict(arguments.option).items())),
+        reader=tuple(sorted((dict(arguments.option) | _poses(arguments)).items())),
         on_error=arguments.on_error,
     )
+
+
+def _poses(arguments: argparse.Namespace) -> dict[str, str]:
+    return {} if arguments.poses is None else {"poses": arguments.poses}
 
 
 def _print_plan(plan: BuildPlan, workers: int) -> None:
