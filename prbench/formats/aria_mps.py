@@ -203,21 +203,36 @@ class MpsReadings:
 def wanted_times_us(
     gaze_us: Int[np.ndarray, " n"], first_us: int, last_us: int, rate: float = POSE_RATE
 ) -> Int[np.ndarray, " m"]:
-    """Times at which poses of the glasses are needed: the gaze times, a regular grid, and both ends.
+    """Times around which poses of the glasses are needed: the gaze times and a regular grid over the whole trajectory.
 
     Args:
         gaze_us: Gaze times, microseconds on the device clock; those outside of the trajectory do not count.
         first_us: First time of the trajectory, where the grid begins.
-        last_us: Its last time.
+        last_us: Its last time; the grid ends there or less than one step later.
         rate: Of the grid, Hz.
 
     Returns:
         Sorted, without repetition.
     """
-    steps = np.arange(int((last_us - first_us) * rate / 1e6) + 2)
-    grid = first_us + np.rint(steps * (1e6 / rate)).astype(np.int64)
-    times = np.concatenate([gaze_us[gaze_us >= first_us], grid])
-    return np.append(np.unique(times[times < last_us]), last_us)
+    inside = gaze_us[(gaze_us >= first_us) & (gaze_us <= last_us)]
+    grid = grid_times_us(first_us, first_us, last_us, rate)
+    return np.unique(np.concatenate([inside, grid]))
+
+
+def grid_times_us(first_us: int, from_us: int, until_us: int, rate: float = POSE_RATE) -> Int[np.ndarray, " m"]:
+    """A stretch of the regular grid that begins at ``first_us``.
+
+    Args:
+        first_us: Microseconds.
+        from_us: The stretch begins with the last grid time that is not later.
+        until_us: It ends with the first one that is not earlier.
+        rate: Hz.
+    """
+    before, after = (int((time_us - first_us) * rate / 1e6) for time_us in (from_us, until_us))
+    steps = np.arange(max(before - 1, 0), after + 3)
+    times = first_us + np.rint(steps * (1e6 / rate)).astype(np.int64)
+    first, last = np.searchsorted(times, from_us, side="right"), np.searchsorted(times, until_us)
+    return times[max(int(first) - 1, 0) : int(last) + 1]
 
 
 def rows_around(time_us: Int[np.ndarray, " n"], wanted_us: Int[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:

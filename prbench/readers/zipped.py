@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import cast
 
 from prbench.errors import InputFileError
 from prbench.readers.found import InputFile
@@ -67,7 +67,7 @@ def archive_members(archive: Path) -> dict[str, int]:
 
 
 @contextmanager
-def opened(source: Source) -> Iterator[BinaryIO]:
+def opened(source: Source) -> Iterator[io.BufferedIOBase]:
     """The bytes of a source as a stream; a damaged archive becomes an error that says what to do.
 
     Raises:
@@ -87,10 +87,10 @@ def opened(source: Source) -> Iterator[BinaryIO]:
             raise _damaged(source, error) from error
 
 
-def _opened_member(source: ZippedFile, stack: ExitStack) -> BinaryIO:
+def _opened_member(source: ZippedFile, stack: ExitStack) -> io.BufferedIOBase:
     try:
         archive = stack.enter_context(zipfile.ZipFile(source.archive))
-        return cast(BinaryIO, stack.enter_context(archive.open(source.member)))
+        return cast(io.BufferedIOBase, stack.enter_context(archive.open(source.member)))
     except KeyError as error:
         raise InputFileError(source.archive, "", expected=f"the file {source.member} in it", found="none") from error
     except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
@@ -114,7 +114,7 @@ class RememberingTail(io.RawIOBase):
 
     LENGTH = 80
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: io.BufferedIOBase) -> None:
         self._stream = stream
         self.tail = b""
 

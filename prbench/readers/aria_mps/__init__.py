@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from prbench.formats.aria_mps import AriaTrajectory
 from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
+from prbench.readers.aria_mps.check import TrajectoryCheck, check_trajectory
 from prbench.readers.aria_mps.find import find_gaze_file, find_mps_files
 from prbench.readers.aria_mps.gaze import read_gaze_angles
 from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
@@ -19,7 +20,9 @@ __all__ = [
     "AriaTrajectory",
     "OnlineCalibration",
     "Source",
+    "TrajectoryCheck",
     "ZippedFile",
+    "check_trajectory",
     "find_gaze_file",
     "find_mps_files",
     "read_first_calibration",

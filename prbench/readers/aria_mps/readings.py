@@ -8,7 +8,8 @@ from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_c
 from prbench.readers.aria_mps.find import is_personalized
 from prbench.readers.aria_mps.gaze import read_gaze_angles
 from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
-from prbench.readers.aria_mps.trajectory import read_trajectory
+from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
+from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.aria_status import read_warnings
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.zipped import source_of
@@ -36,10 +37,11 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
     trajectory_file, gaze_file = (_require(found, role) for role in (mps.TRAJECTORY, mps.GAZE))
     remarks = [*_warnings(found, mps.SLAM_SUMMARY), *_warnings(found, mps.GAZE_SUMMARY)]
     gaze = read_gaze_angles(source_of(gaze_file))
-    trajectory = read_trajectory(source_of(trajectory_file))
+    poses = source_of(trajectory_file)
+    trajectory = read_near(poses, NearGaze(gaze.time_us)) if thin else read_trajectory(poses)
     calibration = _read_calibration(found)
     wrists, hand_remarks = _read_wrists(found)
-    readings = mps.MpsReadings(
+    return mps.MpsReadings(
         trajectory=trajectory,
         gaze=gaze,
         gaze_kind="personalized" if is_personalized(gaze_file) else "general",
@@ -48,7 +50,6 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
         messages=(*remarks, *trajectory.remarks, *hand_remarks),
     )
-    return mps.thinned(readings) if thin else readings
 
 
 def _file(found: RecordingFiles, role: str) -> InputFile | None:

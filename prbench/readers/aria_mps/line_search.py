@@ -1,0 +1,207 @@
+"""Lines of a CSV text found by time, without reading the lines between them.
+
+The time column increases from line to line; beyond that nothing is assumed: neither equal steps nor equal lengths. A
+place is guessed by proportion, checked by the times of the two lines that meet there, and corrected until the wanted
+time lies between two neighbouring lines. All wanted times are searched for together.
+"""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Int, UInt8
+from numpy.lib.stride_tricks import sliding_window_view
+
+NEWLINE, COMMA, QUOTE = b"\n"[0], b","[0], b'"'[0]
+_ANCHOR_STEP = 2**16  # bytes between the lines whose times are looked at first
+_PROPORTIONAL_TURNS = 4  # then the middle is guessed, which always ends
+_MOST_TURNS = 64
+_MOST_DIGITS = 18  # of a time that an int64 can hold
+
+
+class NotSearchable(Exception):
+    """The text is none that can be searched: read it whole, which works or tells what is wrong."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Whole lines of a text: the bytes of ``content`` from ``begin`` to before ``stop``.
+
+    The last line may lack its line break.
+    """
+
+    content: bytearray | mmap.mmap
+    begin: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Some neighbouring pairs of lines, sorted; of a wanted time before the first line both are the first line."""
+
+    first: Int[np.ndarray, " n"]
+    """Where the first line of each pair begins."""
+    second: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class TimedLines:
+    """Lines of a CSV text with an integer column that increases. A line is known by the place where it begins."""
+
+    block: Block
+    column: int
+    """Number of the time column, from 0."""
+    time_ends: int
+    """Bytes of a line in which the time column ends, at most."""
+
+    @cached_property
+    def last(self) -> int:
+        """The last line."""
+        return int(self._before(np.array([self.block.stop]))[0])
+
+    def times(self, lines: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """The times of some lines.
+
+        Raises:
+            NotSearchable: if one is no plain number.
+        """
+        width = min(self.time_ends, len(self._bytes))
+        fitting = np.minimum(lines - self.block.begin, len(self._bytes) - width)  # at the end windows begin earlier
+        window = sliding_window_view(self._bytes, width)[fitting]
+        return _integers(window, *_cell_bounds(window, lines - self.block.begin - fitting, self.column))
+
+    def around(self, wanted: Int[np.ndarray, " n"]) -> Lines:
+        """The lines on both sides of every wanted time: the last before it, the first at or after it.
+
+        Args:
+            wanted: Sorted; none later than the last line. Of a time before the first line only that line counts.
+
+        Raises:
+            NotSearchable: if times do not increase as far as they were looked at, or are no plain numbers.
+        """
+        anchors = self._anchors()
+        anchor_times = self.times(anchors)
+        if (np.diff(anchor_times) <= 0).any():
+            raise NotSearchable("times do not increase")
+        above = np.searchsorted(anchor_times, wanted)
+        if above.size and above[-1] == len(anchors):
+            raise NotSearchable("a time after the last line is wanted")
+        first, second = (np.full(len(wanted), self.block.begin) for _ in range(2))
+        inner = above > 0
+        above = above[inner]
+        bounds = anchors[above - 1], anchor_times[above - 1], anchors[above], anchor_times[above]
+        first[inner], second[inner] = self._close_in(wanted[inner], *bounds)
+        return Lines(first, second)
+
+    def copied(self, lines: Lines) -> bytes:
+        """The text of some lines, each once; neighbours are copied together."""
+        if len(lines.first) == 0:
+            return b""
+        apart = lines.first[1:] > lines.second[:-1]
+        begins = lines.first[np.append(True, apart)]
+        stops = self._at_or_after(lines.second[np.append(apart, True)] + 1)
+        view = memoryview(self.block.content)
+        return b"".join([view[begin:stop] for begin, stop in zip(begins.tolist(), stops.tolist(), strict=True)])
+
+    @cached_property
+    def _bytes(self) -> UInt8[np.ndarray, " size"]:
+        return np.frombuffer(self.block.content, np.uint8, self.block.stop - self.block.begin, self.block.begin)
+
+    def _at_or_after(self, places: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """The first line that begins at or after each place, which lies behind the beginning of the first line."""
+        find, stop = self.block.content.find, self.block.stop
+        return np.array([find(b"\n", place - 1, stop) + 1 or stop for place in places.tolist()], dtype=np.int64)
+
+    def _before(self, lines: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """The line before each line, or before the end; none is the first."""
+        rfind, begin = self.block.content.rfind, self.block.begin
+        found = [rfind(b"\n", begin, line - 1) + 1 for line in lines.tolist()]
+        return np.maximum(np.array(found, dtype=np.int64), begin)
+
+    def _anchors(self) -> Int[np.ndarray, " k"]:
+        """Some lines, the first and the last among them."""
+        between = self._at_or_after(np.arange(self.block.begin + _ANCHOR_STEP, self.last, _ANCHOR_STEP))
+        return np.unique(np.concatenate([[self.block.begin], between, [self.last]]))
+
+    def _close_in(
+        self,
+        wanted: Int[np.ndarray, " n"],
+        low: Int[np.ndarray, " n"],
+        low_time: Int[np.ndarray, " n"],
+        high: Int[np.ndarray, " n"],
+        high_time: Int[np.ndarray, " n"],
+    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """Neighbouring lines around each wanted time, from a line before it and a line at or after it."""
+        first, second, open_ = np.empty_like(low), np.empty_like(low), np.arange(len(low))
+        for turn in range(_MOST_TURNS):
+            if open_.size == 0:
+                return first, second
+            share = (wanted - low_time) / (high_time - low_time) if turn < _PROPORTIONAL_TURNS else 0.5
+            guess = low + np.ceil(share * (high - low)).astype(np.int64)
+            middle = self._at_or_after(np.clip(guess, low + 1, high))
+            beyond = middle >= high
+            middle[beyond] = self._before(high[beyond])
+            middle_time = self.times(middle)
+            early = middle_time < wanted
+            beside = np.empty_like(middle)
+            beside[early], beside[~early] = self._at_or_after(middle[early] + 1), self._before(middle[~early])
+            beside_time = self.times(beside)
+            if ((beside_time > middle_time) != early).any():
+                raise NotSearchable("times do not increase")
+            done = early == (beside_time >= wanted)
+            first[open_[done]] = np.where(early, middle, beside)[done]
+            second[open_[done]] = np.where(early, beside, middle)[done]
+            # Of the others both lines lie on one side of the wanted time; the nearer one is the new bound.
+            low, low_time = np.where(early, beside, low), np.where(early, beside_time, low_time)
+            high, high_time = np.where(early, high, beside), np.where(early, high_time, beside_time)
+            wanted, low, low_time, high, high_time, open_ = (
+                values[~done] for values in (wanted, low, low_time, high, high_time, open_)
+            )
+        raise NotSearchable("the search does not end")
+
+
+def _cell_bounds(
+    window: UInt8[np.ndarray, "n width"], skipped: Int[np.ndarray, " n"], column: int
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """First place of one cell of each line, and the place after its last.
+
+    Args:
+        window: The beginnings of lines.
+        skipped: Where in its window each line begins.
+        column: Which cell, from 0.
+    """
+    n, width = window.shape
+    if n == 0:
+        return skipped, skipped
+    separators = np.flatnonzero((window == COMMA) | (window == NEWLINE))
+    own = np.arange(n) * width
+    number = np.searchsorted(separators, own + skipped) + column  # of the separator that ends the cell
+    if number[-1] >= len(separators) or (separators[number] >= own + width).any():
+        raise NotSearchable("a line lacks the time column")
+    first = separators[number - 1] + 1 - own if column else skipped
+    return first, separators[number] - own
+
+
+def _integers(
+    window: UInt8[np.ndarray, "n width"], first: Int[np.ndarray, " n"], last: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, " n"]:
+    """Plain decimal numbers in the places from ``first`` to before ``last``."""
+    if len(first) == 0:
+        return np.zeros(0, dtype=np.int64)
+    length = last - first
+    if length.min() < 1 or length.max() > _MOST_DIGITS:
+        raise NotSearchable("a time is no number")
+    alike = (first == first[0]).all() and (length == length[0]).all()
+    if alike:
+        digits = window[:, first[0] : last[0]] - ord("0")
+        inside: Bool[np.ndarray, "#n digits"] = np.ones((1, digits.shape[1]), dtype=bool)
+    else:
+        places = last[:, None] - np.arange(int(length.max()), 0, -1)
+        inside = places >= first[:, None]
+        digits = np.take_along_axis(window, np.maximum(places, 0), axis=1) - ord("0")
+    if ((digits > 9) & inside).any():
+        raise NotSearchable("a time is no number")
+    return np.where(inside, digits, 0).astype(np.int64) @ 10 ** np.arange(digits.shape[1] - 1, -1, -1)

@@ -1,0 +1,142 @@
+"""What was parsed from large text files, kept in the user's cache so that the next read is a small binary one.
+
+An entry belongs to one file and is used only while that file is the same: path, size, time of change, and a digest of
+its first and last bytes (of a file in an archive: its checksum and the archive's size and time).
+``PRBENCH_PARSE_CACHE`` switches it off (``off``) or bounds it (megabytes; 2048 by default); the least recently used
+entries go first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import time
+import zipfile
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.ipc
+
+from prbench.errors import StorageError, UsageError
+from prbench.readers.zipped import Source, ZippedFile
+from prbench.storage import atomic_path, cache_folder, text_digest
+
+CACHE_VARIABLE = "PRBENCH_PARSE_CACHE"
+_DEFAULT_MEGABYTES = 2048
+_VERSION = "1"  # of what is kept; raise it when parsing changes
+_FINGERPRINT = b"prbench.fingerprint"
+_EDGE = 65_536  # bytes at the beginning and the end of a file that are compared
+_SETTLED_NS = 2_000_000_000
+"""A file that changed less than this ago may change again without a new time; its content is not kept."""
+
+
+def limit_bytes() -> int:
+    """Most bytes to keep; 0 when the cache is off.
+
+    Raises:
+        UsageError: if ``PRBENCH_PARSE_CACHE`` is neither ``off`` nor a number of megabytes.
+    """
+    setting = os.environ.get(CACHE_VARIABLE, str(_DEFAULT_MEGABYTES)).strip().lower()
+    if setting in ("off", "no", "false"):
+        return 0
+    if not setting.isdecimal():
+        raise UsageError(f"{CACHE_VARIABLE} is '{setting}'; set it to off, or to a number of megabytes.")
+    return int(setting) * 10**6
+
+
+def load_parsed(source: Source, wish: bytes) -> pa.Table | None:
+    """What was parsed from a source before; None if that is not known, or the source or the wish has changed.
+
+    Args:
+        source: A plain file, or one in an archive.
+        wish: What of it was parsed, and how.
+    """
+    if not limit_bytes():
+        return None
+    path = _entry(source)
+    try:
+        with pa.memory_map(str(path)) as mapped:
+            table = pyarrow.ipc.open_file(mapped).read_all()
+        if (table.schema.metadata or {}).get(_FINGERPRINT) != _fingerprint(source, wish):
+            return None
+        os.utime(path)  # used now
+    except (OSError, pa.ArrowInvalid):  # no entry, or a damaged one
+        return None
+    return table
+
+
+def keep_parsed(source: Source, wish: bytes, table: pa.Table) -> None:
+    """Keep what was parsed from a source; where that cannot be written, or the source just changed, nothing is kept.
+
+    Args:
+        source: A plain file, or one in an archive.
+        wish: What of it was parsed, and how.
+        table: The result; its metadata is kept too.
+    """
+    limit = limit_bytes()
+    if not limit or time.time_ns() - _file(source).stat().st_mtime_ns < _SETTLED_NS:
+        return
+    path = _entry(source)
+    marked = table.replace_schema_metadata({**(table.schema.metadata or {}), _FINGERPRINT: _fingerprint(source, wish)})
+    with contextlib.suppress(StorageError):  # a full or read-only disk makes reading slower, never impossible
+        with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), marked.schema) as writer:
+            writer.write_table(marked)
+        _shrink(path.parent, limit)
+
+
+def clear_parse_cache() -> None:
+    """Delete all that is kept."""
+    shutil.rmtree(_folder(), ignore_errors=True)
+
+
+def _folder() -> Path:
+    return cache_folder() / "parsed"
+
+
+def _entry(source: Source) -> Path:
+    member = source.member if isinstance(source, ZippedFile) else ""
+    return _folder() / f"{text_digest(str(_file(source).resolve()), member)[:32]}.arrow"
+
+
+def _file(source: Source) -> Path:
+    return source.archive if isinstance(source, ZippedFile) else source
+
+
+def _fingerprint(source: Source, wish: bytes) -> bytes:
+    status = _file(source).stat()
+    content = _checksum(source) if isinstance(source, ZippedFile) else _edges(source)
+    wished = hashlib.sha256(wish).hexdigest()
+    return text_digest(_VERSION, str(status.st_size), str(status.st_mtime_ns), content, wished).encode()
+
+
+def _checksum(source: ZippedFile) -> str:
+    try:
+        with zipfile.ZipFile(source.archive) as archive:
+            entry = archive.getinfo(source.member)
+    except (KeyError, zipfile.BadZipFile) as error:
+        raise OSError(str(error)) from error
+    return f"{entry.CRC} {entry.file_size}"
+
+
+def _edges(path: Path) -> str:
+    with open(path, "rb") as file:
+        digest = hashlib.sha256(file.read(_EDGE))
+        file.seek(max(path.stat().st_size - _EDGE, 0))
+        digest.update(file.read(_EDGE))
+    return digest.hexdigest()
+
+
+def _shrink(folder: Path, limit: int) -> None:
+    """Delete the least recently used entries until the others fit; another process may do the same."""
+    entries = []
+    for path in folder.glob("*.arrow"):
+        with contextlib.suppress(FileNotFoundError):
+            entries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
+    total = sum(size for _, size, _ in entries)
+    for _, size, path in sorted(entries):
+        if total <= limit:
+            return
+        path.unlink(missing_ok=True)
+        total -= size
