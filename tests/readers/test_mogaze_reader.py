@@ -214,7 +214,7 @@ def test_a_truncated_file_is_named(root, part) -> None:
         ("human_data", "data", np.zeros((N, 65)), "at least 66 numbers, found shape"),
         ("human_data", "data", np.zeros((N, 67)), "a name for each of the 67 columns"),
         ("gaze_data", "gaze", np.zeros((N, 5)), "at least 6 numbers"),
-        ("gaze_data", "gaze", np.zeros((N - 30, 7)), "440 frames of gaze_data, 480"),
+        ("gaze_data", "gaze", np.zeros((N - 40, 7)), "440 frames of gaze_data, 480"),
         ("object_data", f"bodies/body {CUP}", np.zeros((N, 6)), "at least 7 numbers"),
         ("segmentations", "segments", np.zeros((3, 3)), "start, end and label"),
     ],
