@@ -37,15 +37,15 @@ def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEp
     associations, masks = _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS)
     tracks, track_remarks = read_tracks(associations, masks, video)
     priming = found.path(places.PRIMING)
-    glasses = _read_frames(found) if options.source == "intermediate" else _read_mps(found)
-    clock, clock_remarks = _read_clock(found, glasses)
+    frames = _read_frames(found) if options.source == "intermediate" else None
+    clock, clock_remarks = _read_clock(found, frames)
     readings = hd_epic.HdEpicReadings(
         video=video,
         participant_id=participant,
         clock=clock,
         tracks=tracks,
         priming=None if priming is None else read_priming(priming, video),
-        glasses=glasses,
+        glasses=_read_mps(found) if frames is None else frames,
         body=None,
         messages=(*track_remarks, *clock_remarks),
     )
@@ -71,12 +71,12 @@ def _annotation(found: RecordingFiles, role: str) -> Path:
 
 
 def _read_clock(
-    found: RecordingFiles, glasses: MpsReadings | hd_epic.FrameReadings
+    found: RecordingFiles, frames: hd_epic.FrameReadings | None
 ) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
     """From the time file; the intermediate data tell the same time of every frame."""
     path = found.path(places.TIME)
-    if path is None and isinstance(glasses, hd_epic.FrameReadings):
-        return hd_epic.VideoClock(glasses.tracking_ns), ("frame times are those of the intermediate data",)
+    if path is None and frames is not None:
+        return hd_epic.VideoClock(frames.tracking_ns), ("frame times are those of the intermediate data",)
     name = f"{found.recording_id}{hd_epic.TIME_SUFFIX}"
     return read_video_clock(found.require(places.TIME, name), found.path(places.LOG))
 
