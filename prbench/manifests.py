@@ -58,7 +58,10 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     required_files: tuple[str, ...]
     optional_files: tuple[str, ...]
     required_roles: dict[str, str] = {}
-    """Role under which the reader finds each required file (``a|b``: one of the two), and how a user knows it."""
+    """Role under which the reader finds each required file (``a|b``: one of the two, ``a*``: any), and how a user
+    knows it."""
+    wanted_roles: dict[str, str] = {}
+    """The same for files without which a recording is read, and yields less."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
     """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""

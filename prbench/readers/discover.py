@@ -7,6 +7,7 @@ from pathlib import Path
 
 from prbench.errors import InputFileError, PrbenchError
 from prbench.readers import READER_MODULES, Reader, RecordingFiles, read_synthetic_tree, reader_for
+from prbench.readers.synthetic_tree import SYNTHETIC_FILE
 
 
 @dataclass(frozen=True)
@@ -78,15 +79,16 @@ def _ask(reader: Reader, folder: Path) -> FoundDataset | BrokenDataset | None:
     tree = read_synthetic_tree(folder)
     if tree is not None and tree.preset != reader.dataset:
         return None
+    if tree is None and any((below / SYNTHETIC_FILE).is_file() for below in _subfolders(folder)):
+        return None  # a folder of synthetic trees is none itself; each carries its own mark and splits
     try:
         recordings = reader.find(folder)
     except InputFileError as error:
-        # A reader that looked and found nothing names the folder itself; one that stumbled names a file of its own.
-        return (
-            None
-            if error.path in (folder, folder.expanduser().resolve())
-            else BrokenDataset(reader.dataset, folder, str(error))
-        )
+        # A reader that found nothing names the folder, or the file in it that would mark the dataset; one that
+        # stumbled names a file that is there, or one farther down.
+        places = (folder, folder.expanduser().resolve())
+        nothing = error.path in places or (error.path.parent in places and not error.path.exists())
+        return None if nothing else BrokenDataset(reader.dataset, folder, str(error))
     except PrbenchError as error:
         return BrokenDataset(reader.dataset, folder, str(error))
     return FoundDataset(reader.dataset, folder, recordings) if recordings else None

@@ -70,7 +70,7 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
 
 def _missing(found: Sequence[FoundDataset], manifest: Manifest) -> Iterator[str]:
     recordings = [recording for each in found for recording in each.recordings]
-    lacking = Counter(name for recording in recordings for name in missing_files(recording, manifest))
+    lacking = Counter(name for recording in recordings for name in missing_files(recording, manifest.required_roles))
     for name, count in sorted(lacking.items()):
         yield f"{name} is missing in {count} of {len(recordings)} recordings (`prbench inspect` names them)"
 

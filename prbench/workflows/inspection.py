@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import fnmatch
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from prbench.errors import PrbenchError
-from prbench.manifests import Manifest, load_manifest
+from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.discover import BrokenDataset, FoundDataset, discover
 from prbench.readers.integrity import damage
 
-State = Literal["complete", "incomplete", "damaged", "known bad", "unreadable"]
+State = Literal["complete", "incomplete", "damaged", "left out", "unreadable"]
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class Inspection:
 
     @property
     def all_complete(self) -> bool:
-        """Whether nothing is missing, damaged or unreadable; known-bad recordings do not count."""
+        """Whether nothing is missing, damaged or unreadable; recordings that are left out do not count."""
         states = {recording.state for dataset in self.datasets for recording in dataset.recordings}
-        return not self.broken and states <= {"complete", "known bad"}
+        return not self.broken and states <= {"complete", "left out"}
 
 
 def inspect_folder(
@@ -89,16 +90,17 @@ def inspect_folder(
 def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> InspectedRecording:
     manifest = load_manifest(found.dataset)
     size = sum(file.size for file in recording.files)
-    bad = manifest.why_bad(recording.recording_id)
-    if bad is not None:
-        return InspectedRecording(recording.recording_id, "known bad", size, (bad,))
-    missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest))
+    reason = manifest.why_bad(recording.recording_id) or recording.skip_reason
+    if reason:
+        return InspectedRecording(recording.recording_id, "left out", size, (reason,))
+    missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))
+    wanted = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
     damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
     if missing or damaged:
         state: State = "incomplete" if missing else "damaged"
-        return InspectedRecording(recording.recording_id, state, size, missing + damaged)
+        return InspectedRecording(recording.recording_id, state, size, missing + damaged + wanted)
     if not thorough:
-        return InspectedRecording(recording.recording_id, "complete", size, ())
+        return InspectedRecording(recording.recording_id, "complete", size, wanted)
     try:
         messages = reader_for(found.dataset).read(recording).messages
     except PrbenchError as error:
@@ -106,11 +108,11 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     return InspectedRecording(recording.recording_id, "complete", size, messages)
 
 
-def missing_files(recording: RecordingFiles, manifest: Manifest) -> tuple[str, ...]:
-    """Required files that a recording lacks, by the names that the manifest gives them."""
-    roles = {file.role for file in recording.files}
+def missing_files(recording: RecordingFiles, roles: Mapping[str, str]) -> tuple[str, ...]:
+    """Files that a recording lacks, out of those that a manifest requires or wants, by the names it gives them."""
+    present = [file.role for file in recording.files]
     return tuple(
         name
-        for role, name in manifest.required_roles.items()
-        if not any(alternative in roles for alternative in role.split("|"))
+        for patterns, name in roles.items()
+        if not any(fnmatch.filter(present, pattern) for pattern in patterns.split("|"))
     )

@@ -65,11 +65,11 @@ def test_only_a_thorough_look_finds_what_is_wrong_inside(tree) -> None:
     assert "aria_trajectory.csv, line" in remarks[0]
 
 
-def test_a_known_bad_recording_is_said_to_be_one_and_harms_nothing(tree) -> None:
+def test_a_known_bad_recording_is_said_to_be_left_out_and_harms_nothing(tree) -> None:
     first_of(tree).rename(tree / "Apartment_release_clean_seq139_M1292")
     inspection = inspect_folder(tree)
     found = {recording.recording_id: recording for recording in inspection.datasets[0].recordings}
-    assert found["Apartment_release_clean_seq139_M1292"].state == "known bad"
+    assert found["Apartment_release_clean_seq139_M1292"].state == "left out"
     assert inspection.all_complete
 
 

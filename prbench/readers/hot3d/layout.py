@@ -77,9 +77,8 @@ def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, 
     root = root.expanduser().resolve()
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder of HOT3D recordings", found="no such folder")
-    dataset = f"{SYNTHETIC_PREFIX}hot3d" if read_synthetic_tree(root) is not None else "hot3d"
     found = [
-        _recording(dataset, root, path.parent, options)
+        _recording(root, path.parent, options)
         for pattern in ("", "*/", "*/*/")
         for path in sorted(root.glob(f"{pattern}{hot3d.METADATA_FILE}"))
         if not any(part.startswith(".") for part in path.relative_to(root).parts) and _is_hot3d(path.parent)
@@ -97,13 +96,15 @@ def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, 
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
-def _recording(dataset: str, root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
+def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
+    synthetic = any(read_synthetic_tree(place) is not None for place in (root, folder, folder.parent))
     files = [input_file(METADATA, folder / hot3d.METADATA_FILE)]
     files += [input_file(role, folder / name) for role, name in _FILES.items() if (folder / name).is_file()]
     files += find_mps_files(folder / hot3d.MPS_FOLDER)
     files += _library_files(root, folder)
     files += _mano_models(options)
     files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
+    dataset = f"{SYNTHETIC_PREFIX}hot3d" if synthetic else "hot3d"
     return RecordingFiles(dataset, folder.name, folder, tuple(files), skip_reason=_skip_reason(folder))
 
 

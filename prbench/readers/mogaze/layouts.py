@@ -48,7 +48,7 @@ def find_recordings(root: Path, *, include_excluded: bool = False) -> tuple[Reco
             found=listed or "an empty folder",
             remedy="Give the folder that the archive unpacks to (mogaze).",
         )
-    dataset = f"{SYNTHETIC_PREFIX}mogaze" if read_synthetic_tree(root) is not None else "mogaze"
+    dataset = f"{SYNTHETIC_PREFIX}mogaze" if read_synthetic_tree(folder) is not None else "mogaze"
     excluded = {} if include_excluded else load_manifest("mogaze").excluded
     shared = _shared_files(folder)
     return tuple(
