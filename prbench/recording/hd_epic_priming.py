@@ -89,7 +89,7 @@ def _distance(
     """Frames and metres between them; None if they cannot be the same."""
     if event.is_start != entry.is_start or entry.location is None:
         return None
-    frames = min(abs(event.frame - entry.frame), abs(event.mask_frame - entry.frame))
+    frames = float(min(abs(event.frame - entry.frame), abs(event.mask_frame - entry.frame)))
     if frames > thresholds.same_frame:
         return None
     metres = float(np.linalg.norm(event.location - entry.location))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import BuildReport, build_dataset
-from prbench.sequences import SequenceTable
+from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.synthetic.defects import defects_of
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.write_tree import synthesize_tree
@@ -37,6 +37,10 @@ def _damaged(tree: Path, name: str, tmp_path: Path) -> BuildReport:
     return build_dataset("hd-epic", copy, tmp_path / "table")
 
 
+def _events(report: BuildReport) -> list[dict]:
+    return SequenceTable(report.folder, DatasetInfo.read(report.folder)).events().to_pylist()
+
+
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_comes_to_what_it_should(tree, sound, name, tmp_path) -> None:
     report, defect = _damaged(tree, name, tmp_path), DEFECTS[name]
@@ -55,7 +59,7 @@ def test_without_bodies_the_primed_events_stay_with_times_and_wrists(tree, sound
     first, whole = report.records[0], sound.records[0]
     primed = sum(whole.outcomes.get(name, 0) for name in ("sequence", "too_short", "minimum_movement"))
     assert first.outcomes["no_body"] == primed > 0
-    events = SequenceTable.open(report.folder).events().to_pylist()
+    events = _events(report)
     kept = [row for row in events if row["outcome"] == "no_body"]
     assert all(row["prime_time"] is not None and row["prime_time"] < row["event_time"] for row in kept)
     assert any(row["left_wrist"] is not None or row["right_wrist"] is not None for row in kept)
@@ -69,5 +73,5 @@ def test_a_time_file_that_ends_early_costs_the_places_of_what_comes_after(tree, 
 
 
 def test_without_hands_no_hand_is_named(tree, tmp_path) -> None:
-    events = SequenceTable.open(_damaged(tree, "lost-hands", tmp_path).folder).events().to_pylist()
+    events = _events(_damaged(tree, "lost-hands", tmp_path))
     assert {row["hand"] for row in events if row["recording_id"].endswith("0000")} == {None}
