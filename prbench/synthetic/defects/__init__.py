@@ -15,6 +15,7 @@ from typing import Literal
 from prbench.errors import UsageError
 
 DEFECT_MODULES: dict[str, str] = {
+    "adt": "prbench.synthetic.defects.adt",
     "hd-epic": "prbench.synthetic.defects.hd_epic",
     "hot3d": "prbench.synthetic.defects.hot3d",
     "mogaze": "prbench.synthetic.defects.mogaze",

@@ -1,0 +1,197 @@
+"""What real copies of HOT3D suffer from (``formats/hot3d.md`` section 7)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from prbench.formats import hot3d
+from prbench.formats.aria_mps import GAZE_FOLDER, SLAM_FOLDER, TRAJECTORY_FILE
+from prbench.formats.egoallo import OUTPUT_FOLDER
+from prbench.storage import read_json, write_json
+from prbench.synthetic.defects import Defect
+from prbench.synthetic.layouts.hot3d import LIBRARY
+
+_TRAJECTORY = f"{hot3d.MPS_FOLDER}/{SLAM_FOLDER}/{TRAJECTORY_FILE}"
+_BROKEN_LINES = slice(100, 130)
+
+Rows = list[list[str]]
+
+
+def _remove(name: str) -> Callable[[Path, str], None]:
+    def apply(root: Path, recording: str) -> None:
+        (root / recording / name).unlink()
+
+    return apply
+
+
+def _remove_gaze(root: Path, recording: str) -> None:
+    for path in (root / recording / hot3d.MPS_FOLDER / GAZE_FOLDER).glob("*_eye_gaze.csv"):
+        path.unlink()
+
+
+def _remove_bodies(root: Path, recording: str) -> None:
+    for path in (root / recording / OUTPUT_FOLDER).glob("*"):
+        path.unlink()
+
+
+def _remove_models(root: Path, _recording: str) -> None:
+    for path in (root / LIBRARY).glob("*.glb"):
+        path.unlink()
+
+
+def _cut_in_half(name: str) -> Callable[[Path, str], None]:
+    def apply(root: Path, recording: str) -> None:
+        path = root / recording / name
+        content = path.read_bytes()
+        path.write_bytes(content[: len(content) // 2 + 7])
+
+    return apply
+
+
+def _cut_a_model(root: Path, recording: str) -> None:
+    uid = (root / recording / hot3d.OBJECTS_FILE).read_text(encoding="utf-8").splitlines()[1].split(",")[0]
+    path = root / LIBRARY / f"{uid}.glb"
+    path.write_bytes(path.read_bytes()[:60])
+
+
+def _metadata(change: Callable[[dict], None]) -> Callable[[Path, str], None]:
+    def apply(root: Path, recording: str) -> None:
+        path = root / recording / hot3d.METADATA_FILE
+        content = read_json(path)
+        assert isinstance(content, dict), "we have just written it"
+        change(content)
+        write_json(path, content)
+
+    return apply
+
+
+def _withhold(content: dict) -> None:
+    content["gt_available_status"] = dict.fromkeys(content["gt_available_status"], False)
+
+
+def _call_it_quest(content: dict) -> None:
+    content["headset"] = "Quest3"
+
+
+def _forget_status(content: dict) -> None:
+    del content["gt_available_status"]
+
+
+def _with_rows(name: str, change: Callable[[Rows], Rows]) -> Callable[[Path, str], None]:
+    """A defect that changes the lines of a table below its header."""
+
+    def apply(root: Path, recording: str) -> None:
+        path = root / recording / name
+        header, *lines = path.read_text(encoding="utf-8").splitlines()
+        rows = change([line.split(",") for line in lines])
+        path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+
+    return apply
+
+
+def _repeat_a_row(rows: Rows) -> Rows:
+    return [*rows[:10], rows[9], *rows[10:]]
+
+
+def _disorder(rows: Rows) -> Rows:
+    return rows[::-1]
+
+
+def _lose_a_number(rows: Rows) -> Rows:
+    return [[*row[:2], "nan", *row[3:]] if number == 40 else row for number, row in enumerate(rows)]
+
+
+def _stretch_a_quaternion(rows: Rows) -> Rows:
+    return [[*row[:5], "1.5", *row[6:]] if number == 40 else row for number, row in enumerate(rows)]
+
+
+def _move_elsewhere(rows: Rows) -> Rows:
+    return [[*row[:2], f"{float(row[2]) + 3.0}", *row[3:]] for row in rows]
+
+
+def _shift_a_third(rows: Rows) -> Rows:
+    """The clock jumps by 3 ms in the middle: neither an offset nor a drift fits all rows."""
+    later = 2 * len(rows) // 3
+    return [[row[0], str(int(row[1]) + 3_000_000), *row[2:]] if n > later else row for n, row in enumerate(rows)]
+
+
+def _lose_an_object(rows: Rows) -> Rows:
+    """A quarter of one object's instants is missing, RGB and SLAM rows alike."""
+    uid, seen = rows[0][0], 0
+    kept = []
+    for row in rows:
+        seen += row[0] == uid
+        if row[0] != uid or (seen - 1) % 8 > 1:
+            kept.append(row)
+    return kept
+
+
+def _lose_slam(rows: Rows) -> Rows:
+    """A second in the middle was not tracked."""
+    middle = len(rows) // 2
+    return [*rows[:middle], *rows[middle + 1000 :]]
+
+
+def _lose_gaze_angles(root: Path, recording: str) -> None:
+    """No row holds an angle, as while eyes are closed."""
+    for path in (root / recording / hot3d.MPS_FOLDER / GAZE_FOLDER).glob("*_eye_gaze.csv"):
+        header, *lines = path.read_text(encoding="utf-8").splitlines()
+        rows = [[time, "", "", "", *rest] for time, _, _, _, *rest in (line.split(",") for line in lines)]
+        path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+
+
+def _fail_the_start(root: Path, recording: str) -> None:
+    """Newer releases say which frames are wrong: here the first second."""
+    header, *lines = (
+        (root / recording / hot3d.MASK_FOLDER / "mask_hand_pose_available.csv").read_text(encoding="utf-8").splitlines()
+    )
+    first = int(lines[0].split(",")[0])
+    flags = [(*line.split(",")[:2], str(int(line.split(",")[0]) - first > 1e9)) for line in lines]
+    path = root / recording / hot3d.MASK_FOLDER / "mask_qa_pass.csv"
+    path.write_text("\n".join([header, *(",".join(flag) for flag in flags)]) + "\n", encoding="utf-8")
+
+
+def _break_lines(root: Path, recording: str) -> None:
+    path = root / recording / hot3d.UMETRACK_FILE
+    lines = path.read_bytes().splitlines()
+    lines[_BROKEN_LINES] = [line[: len(line) // 2] for line in lines[_BROKEN_LINES]]
+    path.write_bytes(b"\n".join(lines) + b"\n")
+
+
+def _lose_hands(root: Path, recording: str) -> None:
+    path = root / recording / hot3d.UMETRACK_FILE
+    times = [msgspec.json.decode(line)["timestamp_ns"] for line in path.read_bytes().splitlines()]
+    path.write_text("".join(json.dumps({"timestamp_ns": time, "hand_poses": {}}) + "\n" for time in times))
+
+
+DEFECTS: tuple[Defect, ...] = (
+    Defect("missing-objects", "dynamic_objects.csv is not there", _remove(hot3d.OBJECTS_FILE), "failed", "this file"),
+    Defect("missing-headset", "no headset trajectory", _remove(hot3d.HEADSET_FILE), "failed", hot3d.HEADSET_FILE),
+    Defect("missing-hands", "no hand poses", _remove(hot3d.UMETRACK_FILE), "failed", hot3d.UMETRACK_FILE),
+    Defect("missing-slam", "no trajectory of the services", _remove(_TRAJECTORY), "failed", TRAJECTORY_FILE),
+    Defect("missing-gaze", "no gaze file", _remove_gaze, "failed", "gaze"),
+    Defect("missing-profile", "no hand model: wrists only", _remove(hot3d.PROFILE_FILE), "read", "wrists only"),
+    Defect("missing-bodies", "no outputs of EgoAllo", _remove_bodies, "read", "no EgoAllo outputs"),
+    Defect("missing-models", "no object models", _remove_models, "read", "objects without a model"),
+    Defect("cut-objects", "dynamic_objects.csv ends early", _cut_in_half(hot3d.OBJECTS_FILE), "failed", "truncated"),
+    Defect("cut-model", "an object model ends early", _cut_a_model, "failed", "binary glTF"),
+    Defect("withheld", "a test participant", _metadata(_withhold), "skipped", "withholds the ground truth"),
+    Defect("quest", "recorded with Quest 3", _metadata(_call_it_quest), "skipped", "no gaze"),
+    Defect("no-status", "metadata without flags", _metadata(_forget_status), "failed", "gt_available_status"),
+    Defect("repeated-row", "a row twice", _with_rows(hot3d.OBJECTS_FILE, _repeat_a_row), "failed", "repeated"),
+    Defect("backwards", "rows from last to first", _with_rows(hot3d.OBJECTS_FILE, _disorder), "failed", "backwards"),
+    Defect("nan", "a pose without number", _with_rows(hot3d.OBJECTS_FILE, _lose_a_number), "failed", "finite"),
+    Defect("bad-rotation", "no rotation", _with_rows(hot3d.OBJECTS_FILE, _stretch_a_quaternion), "failed", "length 1"),
+    Defect("other-world", "another world", _with_rows(hot3d.HEADSET_FILE, _move_elsewhere), "failed", "not one world"),
+    Defect("clock-jump", "the clock jumps", _with_rows(hot3d.HEADSET_FILE, _shift_a_third), "failed", "no drift"),
+    Defect("slam-gap", "a second without SLAM", _with_rows(_TRAJECTORY, _lose_slam), "read", "clocks aligned"),
+    Defect("nan-gaze", "no gaze row holds an angle", _lose_gaze_angles, "read", "nothing can be primed"),
+    Defect("lost-object", "rows missing", _with_rows(hot3d.OBJECTS_FILE, _lose_an_object), "read", "of its poses"),
+    Defect("failed-start", "the first second is wrong", _fail_the_start, "read", "fail the quality check"),
+    Defect("broken-lines", "thirty damaged lines of hand poses", _break_lines, "read", "damaged and left out"),
+    Defect("lost-hands", "hands never tracked", _lose_hands, "read", "never tracked"),
+)
