@@ -94,12 +94,21 @@ def _sense_body(
     performance: Performance, times: Float[np.ndarray, " n"], noise: float, switches: Switches
 ) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]]:
     joints = interpolate(performance.times, performance.joints, times)
-    turned = [slerp(performance.times, performance.rotations[:, joint], times) for joint in range(joints.shape[1])]
+    turned = [_turned(performance, performance.rotations[:, joint], times) for joint in range(joints.shape[1])]
     solved = solve_body(joints, np.stack(turned, axis=1))
     rng, scale = sensor_generator(performance, "body-noise-0"), strength(switches.body_noise, noise)
     shift = rng.normal(0.0, _ROOT_NOISE, (len(times), 3))
     tremble = rng.normal(0.0, _BODY_TURN, (len(times), solved.state.shape[1] - 3))
     return solved.state + np.hstack([shift, tremble]) * scale, solved.fixed
+
+
+def _turned(
+    performance: Performance, rotation: Float[np.ndarray, "m 4"], times: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 4"]:
+    """Rotations at the sensors' times; at the performance's own, the usual case, as they are."""
+    if len(rotation) == len(times) and np.array_equal(performance.times, times):
+        return rotation
+    return slerp(performance.times[: len(rotation)], rotation, times)
 
 
 def _calibration(performance: Performance) -> Rotation:
@@ -110,7 +119,7 @@ def _calibration(performance: Performance) -> Rotation:
 def _sense_goggles(
     performance: Performance, times: Float[np.ndarray, " n"], tracker: Rotation, noise: float, switches: Switches
 ) -> mogaze.MogazeBody:
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
+    head = Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
     turned = _TO_NATIVE * head * _FACE_FROM_TRACKER * tracker.inv()
     position = _TO_NATIVE.apply(interpolate(performance.times, performance.eye, times))
     position, rotation = _tracked(performance, "goggles", position, turned, strength(switches.object_noise, noise))
@@ -121,7 +130,7 @@ def _sense_gaze(
     performance: Performance, times: Float[np.ndarray, " n"], noise: float, switches: Switches
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Gaze points in the eye tracker's camera, millimetres, and confidence."""
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
+    head = Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
     angles = np.column_stack(gaze_angles(head.inv().apply(interpolate(performance.times, performance.gaze, times))))
     angles += gaze_bias(performance, noise=noise, switches=switches)
     jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, angles.shape)
@@ -163,7 +172,7 @@ def _sense_object(
 ) -> mogaze.MogazeBody:
     low, high, upright_from_body = _shape(motion, name)
     track = performance.times[: len(motion.position)]
-    turned = Rotation.from_quat(slerp(track, motion.rotation, times), scalar_first=True) * upright_from_body
+    turned = Rotation.from_quat(_turned(performance, motion.rotation, times), scalar_first=True) * upright_from_body
     origin = interpolate(track, motion.position, times) - turned.apply((low + high) / 2)
     scale = strength(switches.object_noise, noise) if motion.movable else 0.0
     position, rotation = _tracked(performance, motion.object_id, _TO_NATIVE.apply(origin), _TO_NATIVE * turned, scale)
