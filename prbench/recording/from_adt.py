@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.formats import adt
-from prbench.formats.aria_mps import GlassesSize, cpf_from_rgb, device_from_cpf
+from prbench.formats.aria_mps import LONGEST_POSE_STEP, GlassesSize, cpf_from_rgb, device_from_cpf
 from prbench.manifests import Manifest
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.from_aria import gaze_in_world, part_poses
@@ -225,6 +225,9 @@ def _remarks(
     outside = ~_within(gaze.times, span)
     if outside.any():
         remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
+    gaps = int((np.diff(readings.glasses.time_us) > LONGEST_POSE_STEP * 1e6).sum())
+    if gaps:
+        remarks.append(f"{gaps} gaps of more than {LONGEST_POSE_STEP * 1e3:.0f} ms in the poses of the glasses")
     lost = int((~(readings.glasses.quality > 0)).sum())
     if lost:
         remarks.append(f"{lost} of {len(readings.glasses.quality)} poses of the glasses have quality 0 and are invalid")

@@ -32,6 +32,14 @@ _FILES = {
     ASSOCIATION: (adt.ASSOCIATION_FILE, adt.ASSOCIATION_FILE_BEFORE_1_1),
     CALIBRATION: (f"{adt.MPS_FOLDER}/slam/{CALIBRATION_FILE}", f"{adt.MPS_FOLDER}/trajectory/{CALIBRATION_FILE}"),
 }
+_OWN_FILES = (
+    adt.TRAJECTORY_FILE,
+    adt.OBJECTS_FILE,
+    adt.BOXES_FILE,
+    adt.ASSOCIATION_FILE,
+    adt.ASSOCIATION_FILE_BEFORE_1_1,
+)
+"""Names that no other dataset has."""
 _STATUS_OF = {GAZE: GAZE_STATUS, CALIBRATION: SLAM_STATUS}
 """Streams that the Machine Perception Services made, and the role of their status beside them."""
 
@@ -50,6 +58,8 @@ class Metadata(msgspec.Struct):
     """Checked when the recording is read."""
     serial: str | None = None
     """Of the glasses; absent in v1.x, where every subtour has its own."""
+    headset: str | None = None
+    """None: only HOT3D's metadata names it."""
     concurrent_sequence: str | None = None
     dataset_version: str = adt.FIRST_VERSION
     subtours: dict[str, Subtour] | tuple[Subtour, ...] | None = None
@@ -89,7 +99,7 @@ def find_recordings(root: Path, options: AdtOptions = _DEFAULTS) -> tuple[Record
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder of ADT recordings", found="no such folder")
     synthetic = read_synthetic_tree(root) is not None
-    folders = [root] if metadata_file(root) else sorted(path for path in root.iterdir() if path.is_dir())
+    folders = [root] if _is_recording(root) else sorted(path for path in root.iterdir() if path.is_dir())
     dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
     found = [recording for folder in folders for recording in _recordings_in(folder, root, dataset, options)]
     if not found:
@@ -112,23 +122,18 @@ def metadata_file(folder: Path) -> Path | None:
 
 
 def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) -> list[RecordingFiles]:
-    metadata_path = metadata_file(folder)
-    if metadata_path is None:
+    if not _is_recording(folder):
         return []
-    places = [
-        (subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name))
-        for tour in _subtours(metadata_path)
-    ]
+    metadata_path = metadata_file(folder)
+    metadata = [] if metadata_path is None else [input_file(METADATA, metadata_path)]
+    tours = () if metadata_path is None else _subtours(metadata_path)
+    places = [(subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name)) for tour in tours]
     return [
         RecordingFiles(
             dataset,
             recording_id,
             place,
-            (
-                input_file(METADATA, metadata_path),
-                *_input_files(place, options),
-                *_estimated_bodies(root, place, recording_id, options),
-            ),
+            (*metadata, *_input_files(place, options), *_estimated_bodies(root, place, recording_id, options)),
         )
         for recording_id, place in places or [(folder.name, folder)]
     ]
@@ -138,6 +143,22 @@ def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtO
     if options.poses != "egoallo":
         return ()
     return find_outputs(root, folder, recording_id, options.poses_root, smplh_model=options.smplh_model)
+
+
+def _is_recording(folder: Path) -> bool:
+    """Whether a folder is a recording or a v1.x sequence; one that lacks its metadata is, and reading it says so."""
+    metadata_path = metadata_file(folder)
+    if metadata_path is None:
+        return any((folder / name).is_file() for name in _OWN_FILES)
+    return _is_adt(metadata_path)
+
+
+def _is_adt(metadata_path: Path) -> bool:
+    """Whether metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
+    try:
+        return decode_json(metadata_path, METADATA_DECODER).headset is None
+    except InputFileError:
+        return True  # reported when the recording is read
 
 
 def _subtours(metadata_path: Path) -> tuple[Subtour, ...]:

@@ -7,6 +7,7 @@ import numpy as np
 from prbench.errors import InputFileError
 from prbench.formats import adt
 from prbench.readers.adt import layouts
+from prbench.readers.adt.gaze import read_gaze
 from prbench.readers.adt.objects import read_objects
 from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.skeletons import read_skeletons
@@ -14,7 +15,6 @@ from prbench.readers.aria_mps import (
     AriaTrajectory,
     OnlineCalibration,
     read_first_calibration,
-    read_gaze_angles,
     read_trajectory,
 )
 from prbench.readers.aria_status import read_warnings
@@ -49,7 +49,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         glasses_size=size,
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
         glasses=glasses,
-        gaze=read_gaze_angles(found.require(layouts.GAZE, adt.GAZE_FILE)),
+        gaze=read_gaze(found.require(layouts.GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
         estimated_body=read_bodies(found, cpf=glasses_z_up(glasses, size)) if options.poses == "egoallo" else None,
