@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import tokenize
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran_order, dtype = read(stream)
-    except (ValueError, EOFError, SyntaxError, TypeError) as error:
+    except (ValueError, EOFError, SyntaxError, TypeError, tokenize.TokenError) as error:
         raise _no_array(path, "a NumPy array (.npy)", f"something else ({error})") from error
     if dtype.hasobject:
         raise InputFileError(

@@ -95,7 +95,7 @@ def _unfold(path: Path, content: Any, *, depth: int) -> tuple[list[tuple[str, di
         raise _unknown(path, f"a {type(content).__name__}" if depth == 0 else "something else inside its wrapper")
     wrapper = _wrapper(content)
     if wrapper is not None:
-        defaults = {name: value for name, value in content.items() if not isinstance(value, dict | list)}
+        defaults = {name: value for name, value in content.items() if name != wrapper and names_a_field(name)}
         keyed, shape = _unfold(path, content[wrapper], depth=depth + 1)
         return [(key, defaults | fields) for key, fields in keyed], [f"wrapper '{wrapper}'", *shape]
     if content and all(

@@ -157,7 +157,9 @@ def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]
 
 
 def _conclude(interpreted: Interpreted, measured: list[Measured], options: ImportOptions) -> Conclusions:
-    conclusions = conclude(str(interpreted.files.folder), measured)
+    units = {each.candidate.entry.fields.get(interpreted.mapping.get("units", "")) for each in measured}
+    stated = units.pop() if len(units) == 1 else None
+    conclusions = conclude(str(interpreted.files.folder), measured, stated_unit=stated)
     previous = (
         Inference("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
         if options.first_frame_is_previous

@@ -14,6 +14,8 @@ from prbench.release.survey import GOAL_FRAMES, Measured, mean_bones
 
 UNKNOWN = "unknown"
 _UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001}
+_UNIT_NAMES = {"m": "metres", "metre": "metres", "meter": "metres", "meters": "metres", "cm": "centimetres",
+               "mm": "millimetres"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,19 @@ class Conclusions:
     warnings: tuple[str, ...]
 
 
-def conclude(where: str, measured: Sequence[Measured]) -> Conclusions:
+def conclude(where: str, measured: Sequence[Measured], *, stated_unit: str | None = None) -> Conclusions:
     """Judge the measurements of all sequences of one dataset.
 
+    Args:
+        where: For messages.
+        measured: All sequences.
+        stated_unit: What the release says of its unit, if anything.
+
     Raises:
-        InputFileError: if the motions are too small or too large for people in metres, centimetres or millimetres.
+        InputFileError: if the motions are too small or too large for people in metres, centimetres or millimetres, or
+            in the stated unit.
     """
-    metres, unit = _unit(where, measured)
+    metres, unit = _unit(where, measured, stated_unit)
     is_canonical, canonical = _canonical(measured, metres)
     goal_frame, goal = _goal_frame(measured, metres)
     gaze, warnings = _gaze(measured, metres, goal_frame)
@@ -44,21 +52,25 @@ def conclude(where: str, measured: Sequence[Measured]) -> Conclusions:
     return Conclusions(metres, is_canonical, goal_frame, inferences, warnings)
 
 
-def _unit(where: str, measured: Sequence[Measured]) -> tuple[float, Inference]:
+def _unit(where: str, measured: Sequence[Measured], stated: str | None) -> tuple[float, Inference]:
     bounds = load_known().pelvis_to_head
     median = float(np.median([each.pelvis_to_head for each in measured]))
+    word = (stated or "").strip().lower()
+    said = _UNIT_NAMES.get(word, word)
+    evidence = f"median distance from pelvis to head: {median:.3g}"
     for name, metres in _UNITS.items():
-        if bounds.lowest <= median * metres <= bounds.highest:
-            certainty = "likely" if metres == 1.0 else "assumed"
-            evidence = f"median distance from pelvis to head: {median:.3g}"
-            return metres, Inference("units", name, certainty, evidence)
+        if not bounds.lowest <= median * metres <= bounds.highest or (said in _UNITS and said != name):
+            continue
+        if said == name:
+            return metres, Inference("units", name, "certain", f"stated as '{stated}'; {evidence}")
+        return metres, Inference("units", name, "likely" if metres == 1.0 else "assumed", evidence)
+    unit = f"in {said} as stated" if said in _UNITS else "or the same in centimetres or millimetres"
     raise InputFileError(
         where,
         "motions",
-        expected=f"a median distance from pelvis to head of {bounds.lowest:g} to {bounds.highest:g} m (or the same in"
-        " centimetres or millimetres)",
+        expected=f"a median distance from pelvis to head of {bounds.lowest:g} to {bounds.highest:g} m ({unit})",
         found=f"{median:.3g}",
-        remedy="Check the joint order: 22 joints in the order of HumanML3D, y up.",
+        remedy="Check units and joint order: 22 joints in the order of HumanML3D, y up.",
     )
 
 

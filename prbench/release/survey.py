@@ -6,7 +6,8 @@ A few numbers are kept of each sequence, so that memory does not grow with the m
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,6 +15,7 @@ from jaxtyping import Bool, Float
 from prbench.errors import InputFileError
 from prbench.metrics.ray_track import ray_distance
 from prbench.release.arrays import parse_array
+from prbench.release.block import fits, unpack_arrays
 from prbench.release.candidates import Candidate, Found
 from prbench.release.known import load_known
 from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
@@ -40,8 +42,6 @@ class Measured:
     world_from_canonical: Float[np.ndarray, "4 4"]
     goal_to_wrist: Float[np.ndarray, " frames_tried"]
     """Distance of goal and nearer wrist in the last frame, for each of :data:`GOAL_FRAMES`."""
-    gaze_valid: int
-    """Frames whose gaze is usable."""
     gaze_ray: Float[np.ndarray, " frames_tried"] | None
     """Distance of the goal from the gaze ray at the primed frame, for each of :data:`GOAL_FRAMES`."""
 
@@ -61,7 +61,19 @@ def survey(found: Found, primed_frame: dict[int, int]) -> list[Measured]:
     return measured
 
 
-def _measure(candidate: Candidate, primed: int, found: Found) -> Measured | None:
+@dataclass(frozen=True)
+class _Arrays:
+    """The arrays of one sequence, as they stand in the files."""
+
+    candidate: Candidate
+    """Without its further arrays where these are unusable."""
+    digest: str
+    joints: Float[np.ndarray, "n 22 3"]
+    gaze: np.ndarray | None
+
+
+def _read(candidate: Candidate, found: Found) -> _Arrays | None:
+    """The arrays of a sequence whose motion is finite; anything else is reported."""
     key = candidate.entry.key
     try:
         content = candidate.motion.read_bytes()
@@ -72,34 +84,49 @@ def _measure(candidate: Candidate, primed: int, found: Found) -> Measured | None
     except (InputFileError, OSError) as error:
         found.report(key, f"cannot be read: {error}")
         return None
-    broken = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
-    if broken.size:
+    if candidate.further is not None and not _is_usable(candidate.further, further, len(joints)):
+        found.report(key, "further: damaged or of another motion, not used", left_out=False)
+        candidate, further = replace(candidate, further=None), b""
+    if not np.isfinite(joints).all():
         found.report(key, "motion: expected finite numbers, found NaN or infinity")
         return None
+    return _Arrays(candidate, bytes_digest(content + gaze_content + further), joints, gaze)
+
+
+def _measure(candidate: Candidate, primed: int, found: Found) -> Measured | None:
+    arrays = _read(candidate, found)
+    if arrays is None:
+        return None
+    joints, key = arrays.joints, candidate.entry.key
     try:
         world_from_canonical = canonical_frame(joints)
     except ValueError:
         found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")
         return None
     goals = goals_in_every_frame(candidate.goal.location, world_from_canonical)
-    directions, valid = clean_gaze(gaze, len(joints))
-    _report_gaze(key, directions, valid, gaze is not None, found)
-    lengths = bone_lengths(joints)
-    ray = None
-    if valid[primed]:
-        head = joints[primed, Joint.HEAD]
-        ray = np.array([ray_distance(head[None], directions[primed][None], goal[None])[0] for goal in goals])
+    directions, valid = clean_gaze(arrays.gaze, len(joints))
+    if arrays.gaze is not None and not valid.any():
+        found.report(key, "gaze: no frame has a unit vector", left_out=False)
+    head, lengths = joints[primed, Joint.HEAD], bone_lengths(joints)
+    ray = [ray_distance(head[None], directions[primed][None], goal[None])[0] for goal in goals]
     return Measured(
-        candidate=candidate,
-        digest=bytes_digest(content + gaze_content + further),
+        candidate=arrays.candidate,
+        digest=arrays.digest,
         pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
         bones=np.median(lengths, axis=0),
         bone_change=float(lengths.std(axis=0).max()),
         world_from_canonical=world_from_canonical,
         goal_to_wrist=np.linalg.norm(goals[:, None] - joints[-1, WRISTS], axis=-1).min(axis=1),
-        gaze_valid=int(valid.sum()),
-        gaze_ray=ray,
+        gaze_ray=np.array(ray) if valid[primed] else None,
     )
+
+
+def _is_usable(path: Path, content: bytes, n_frames: int) -> bool:
+    """Whether our exporter's further arrays are whole and belong to this motion."""
+    try:
+        return fits(unpack_arrays(path, content), n_frames)
+    except InputFileError:
+        return False
 
 
 def goals_in_every_frame(
@@ -129,12 +156,6 @@ def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray
     unit = np.abs(length - 1) <= load_known().gaze.unit_tolerance
     scale = np.where(valid & ~unit, length, 1.0)[:, None]
     return np.where(valid[:, None], directions / scale, [0.0, 0.0, 1.0]), valid
-
-
-def _report_gaze(key: str, directions: np.ndarray, valid: np.ndarray, present: bool, found: Found) -> None:
-    if present and not valid.any():
-        found.report(key, "gaze: no frame has a unit vector", left_out=False)
-    assert np.isfinite(directions).all()
 
 
 def mean_bones(measured: Iterable[Measured]) -> Float[np.ndarray, "sequences bones"]:

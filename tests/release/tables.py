@@ -15,7 +15,6 @@ from prbench.sequences.write_dataset import write_dataset
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from tests.fakes import fake_info, fake_sequence
 
-
 HALF_EXTENTS = np.array([0.05, 0.1, 0.07])
 
 

@@ -1,0 +1,123 @@
+"""Releases as somebody else would write them: any shape and any names, from the same sequences."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prbench.sequences import Sequence as Row
+from prbench.skeleton import transform_points
+from tests.release.tables import looking_sequence
+
+NAMES = {
+    "goal": "goal_location", "text": "text_prompt", "subset": "subset", "primed_frame": "primed_frame",
+    "action": "action", "hand": "hand",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a release is written."""
+
+    shape: str = "object"
+    names: dict[str, str] = field(default_factory=lambda: dict(NAMES))
+    key: Callable[[int], Any] = lambda index: f"{index:010d}"
+    goal: Callable[[list[float]], Any] = list
+    subset: Callable[[str], Any] = str
+    hand: Callable[[str], Any] = str
+
+
+def rows(n: int = 12, dataset: str = "synthetic-adt") -> list[Row]:
+    """Sequences in the order of their numbers."""
+    return [looking_sequence(index, dataset) for index in range(n)]
+
+
+def plain_entry(row: Row, style: Style) -> dict[str, Any]:
+    """What the layout promises of one sequence, and action and hand."""
+    names = style.names
+    split = "test" if row.split == "validation" else row.split
+    entry = {
+        names["goal"]: style.goal(row.goal_location.tolist()),
+        names["text"]: row.text,
+        names["subset"]: style.subset(split),
+        names["primed_frame"]: row.prime_frame,
+    }
+    if "action" in names:
+        entry[names["action"]] = row.action
+    if "hand" in names and row.hand is not None:
+        entry[names["hand"]] = style.hand(row.hand)
+    return entry
+
+
+def write_release(
+    folder: Path,
+    sequences: Sequence[Row],
+    style: Style | None = None,
+    *,
+    entry: Callable[[Row, Style], dict[str, Any]] = plain_entry,
+    motion: Callable[[Row], np.ndarray] = lambda row: row.joints,
+    gaze: Callable[[Row], np.ndarray] = lambda row: np.where(row.gaze_valid[:, None], row.gaze_direction, np.nan),
+) -> Path:
+    """Write one dataset's folder."""
+    style = style or Style()
+    (folder / "motions").mkdir(parents=True)
+    (folder / "gazes").mkdir()
+    keyed = []
+    for index, row in enumerate(sequences):
+        np.save(folder / "motions" / f"{index:010d}.npy", motion(row).astype(np.float32))
+        np.save(folder / "gazes" / f"{index:010d}.npy", gaze(row).astype(np.float32))
+        keyed.append((style.key(index), entry(row, style)))
+    content = SHAPES[style.shape](keyed, style)
+    (folder / "target_information.json").write_text(json.dumps(content), encoding="utf-8")
+    return folder
+
+
+def _by_subset(keyed: list[tuple[Any, dict]], style: Style) -> dict[str, Any]:
+    parts: dict[str, dict] = {}
+    for key, entry in keyed:
+        rest = {name: value for name, value in entry.items() if name != style.names["subset"]}
+        parts.setdefault(str(entry[style.names["subset"]]), {})[key] = rest
+    return parts
+
+
+def _by_field(keyed: list[tuple[Any, dict]], _style: Style) -> dict[str, Any]:
+    fields: dict[str, dict] = {}
+    for key, entry in keyed:
+        for name, value in entry.items():
+            fields.setdefault(name, {})[key] = value
+    return fields
+
+
+def _by_field_lists(keyed: list[tuple[Any, dict]], _style: Style) -> dict[str, Any]:
+    names = list(dict.fromkeys(name for _, entry in keyed for name in entry))
+    return {"id": [key for key, _ in keyed]} | {name: [entry.get(name) for _, entry in keyed] for name in names}
+
+
+SHAPES: dict[str, Callable[[list[tuple[Any, dict]], Style], Any]] = {
+    "object": lambda keyed, _: dict(keyed),
+    "wrapped": lambda keyed, _: {"annotations": dict(keyed), "fps": 20, "version": 1},
+    "wrapped list": lambda keyed, _: {"data": [entry | {"id": key} for key, entry in keyed]},
+    "list": lambda keyed, _: [{"file_name": key, **entry} for key, entry in keyed],
+    "by field": _by_field,
+    "by field, lists": _by_field_lists,
+    "by subset": _by_subset,
+}
+
+
+def in_world(row: Row) -> Row:
+    """Motion, goal and gaze of a sequence in the world of its recording."""
+    import dataclasses
+
+    turn = row.world_from_canonical.copy()
+    turn[:3, 3] = 0.0
+    return dataclasses.replace(
+        row,
+        joints=transform_points(row.world_from_canonical, row.joints.astype(np.float64)),
+        goal_location=transform_points(row.world_from_canonical, row.goal_location),
+        gaze_direction=transform_points(turn, row.gaze_direction),
+    )
