@@ -21,7 +21,6 @@ SAME_POSITION, SAME_ROTATION = 1e-6, np.deg2rad(0.01)
 _NEAREST = 4
 _LARGEST_RESIDUAL = 1e-3  # metres, median over the rows
 _LARGEST_WIDTH_NS = 1e6
-_HALF_STEP_NS = 0.5e6
 _FEWEST_ROWS = 3
 _STRAY_NS = 5e6
 """A match whose offset is so far from the median belongs to another moment at the same place."""
@@ -139,13 +138,10 @@ def _find_rows(
 def _offset_bounds(
     truth_ns: Int[np.ndarray, " k"], device_ns: Int[np.ndarray, " m"], row: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Least and largest offset that each row allows: half a step, at most half a millisecond, to either side."""
+    """Least and largest offset that each row allows: the nearest one was taken, so half a step to either side."""
     offset = device_ns[row] - truth_ns
-    steps = np.diff(device_ns) // 2
-    before = np.concatenate(([int(_HALF_STEP_NS)], steps))[row]
-    after = np.concatenate((steps, [int(_HALF_STEP_NS)]))[row]
-    half = int(_HALF_STEP_NS)
-    return offset - np.minimum(before, half), offset + np.minimum(after, half)
+    half = np.diff(device_ns) // 2
+    return offset - np.append(half[:1], half)[row], offset + np.append(half, half[-1:])[row]
 
 
 def _intersection(
