@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
+os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
+
 if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
     install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
 
