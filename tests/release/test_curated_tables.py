@@ -59,7 +59,7 @@ def test_with_nothing_but_what_the_page_promises_everything_is_inferred_right(ta
     assert not any("gaze" in warning for warning in report.warnings)
     back = SequenceTable.open(tmp_path / "back" / table.info.dataset)
     columns = ["joints", "goal_location", "gaze_valid", "action", "split", "prime_frame"]
-    before, after = ([chunk for chunk in each.chunks(columns=columns, rows=10_000)] for each in (table, back))
+    before, after = (list(each.chunks(columns=columns, rows=10_000)) for each in (table, back))
     np.testing.assert_allclose(after[0].joints, before[0].joints, atol=1e-5)
     np.testing.assert_allclose(after[0].vectors("goal_location"), before[0].vectors("goal_location"), atol=1e-5)
     np.testing.assert_array_equal(after[0].frames("gaze_valid"), before[0].frames("gaze_valid"))
