@@ -29,7 +29,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--root", type=Path, metavar="DIR", help="your copy of the dataset (not for synthetic)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the corpus; an earlier corpus is replaced")
     parser.add_argument(
-        "--recordings", default="*", metavar="GLOB|N", help="only recordings whose name matches; for synthetic: how many"
+        "--recordings", default="*", metavar="GLOB|N", help="only recordings whose name matches; of synthetic: how many"
     )
     parser.add_argument("--seed", type=int, default=0, help="of a synthetic corpus (default 0)")
     parser.add_argument("--limit", type=positive, metavar="N", help="only the first N recordings, by name")

@@ -30,7 +30,9 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         example="prbench synthesize adt --recordings 4 --seed 1 --out synthetic/adt",
         execute=_synthesize,
     )
-    parser.add_argument("layout", nargs="?", help="native layout to write (adt); for --gallery alone any preset")
+    parser.add_argument(
+        "layout", nargs="?", help="native layout to write (adt, nymeria); for --gallery alone any preset"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the recordings")
     parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")
     parser.add_argument("--seed", type=int, default=0, help="of everything (default 0)")
@@ -74,10 +76,14 @@ def _synthesize(arguments: argparse.Namespace) -> int:
 def _write_tree(arguments: argparse.Namespace) -> None:
     from prbench.engine import engine_for
     from prbench.errors import UsageError
+    from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
     if arguments.out is None:
         raise UsageError("--out DIR is needed: the folder of the recordings.")
+    if arguments.layout in CORPUS_LAYOUTS:
+        _write_corpus_tree(arguments)
+        return
     done, planned = itertools.count(1), planned_recordings(arguments.size, arguments.recordings)
     with progress(f"writing {arguments.layout}") as show:
         tree = synthesize_tree(
@@ -101,6 +107,30 @@ def _write_tree(arguments: argparse.Namespace) -> None:
     if not arguments.no_verify and not arguments.defect:
         _verify(arguments, len(tree.recordings), engine_for(arguments.workers))
     print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
+
+
+def _write_corpus_tree(arguments: argparse.Namespace) -> None:
+    """Invented people in the layout of a text-motion dataset."""
+    from prbench.synthetic.corpus_tree import DEFAULT_RECORDINGS, synthesize_corpus_tree
+
+    done, planned = itertools.count(1), arguments.recordings or DEFAULT_RECORDINGS
+    with progress(f"writing {arguments.layout}") as show:
+        tree = synthesize_corpus_tree(
+            arguments.layout,
+            arguments.out,
+            recordings=planned,
+            seed=arguments.seed,
+            workers=arguments.workers,
+            defects=arguments.defect,
+            on_written=lambda written: show(next(done), planned, written.recording_id),
+        )
+    print_table(
+        "synthetic recordings",
+        ("recording", "split", "seconds", "texts"),
+        [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events)) for r in tree.recordings],
+        numbers=(2, 3),
+    )
+    print(f"recordings: {tree.root} (build them with `prbench build-corpus {arguments.layout} --root {tree.root}`)")
 
 
 def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,36 @@ _HIPS, _KNEES = [Joint.LEFT_HIP, Joint.RIGHT_HIP], [Joint.LEFT_KNEE, Joint.RIGHT
 _ANKLES, _BALLS = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE], [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
 _SHOULDERS, _ELBOWS = [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER], [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]
 _JERK_RATE = 60.0
+
+
+@runtime_checkable
+class Moving(Protocol):
+    """What is measured: joints, rotations and contacts at a uniform rate (see ``Performance``)."""
+
+    @property
+    def rate(self) -> float:
+        """Frames a second."""
+        ...
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(n, 22, 3), metres."""
+        ...
+
+    @property
+    def rotations(self) -> np.ndarray:
+        """(n, 22, 4), segment to world."""
+        ...
+
+    @property
+    def head_rotation(self) -> np.ndarray:
+        """(n, 4), the true head."""
+        ...
+
+    @property
+    def planted(self) -> np.ndarray:
+        """(n, 2), whether each ball of the foot rests."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -116,15 +147,25 @@ def measure(performances: Sequence[Performance]) -> Plausibility:
     Raises:
         ValueError: if none of them holds an event that should become a sequence.
     """
-    clips = [clip for performance in performances for clip in true_clips(performance)]
+    clips = [clip.joints for performance in performances for clip in true_clips(performance)]
     if not clips:
         raise ValueError("expected at least one primed event in the performances, found none")
-    on_floor = [clip.joints - [0.0, clip.joints[..., 1].min(), 0.0] for clip in clips]
+    return measure_motions(performances, clips)
+
+
+def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> Plausibility:
+    """Extremes over motions, and means and shares over clips of them at 20 frames a second.
+
+    Args:
+        motions: Performances, or anything else that moves.
+        clips: Joints (n, 22, 3) of each clip, metres, Y up.
+    """
+    on_floor = [clip - [0.0, clip[..., 1].min(), 0.0] for clip in clips]
     batch, constants = MotionBatch.from_motions(on_floor), load_protocol().metrics
     skating = foot_skating(batch, FPS, constants)
-    extremes = np.array([_extremes(performance) for performance in performances])
+    extremes = np.array([_extremes(motion) for motion in motions])
     knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0).tolist()
-    jerk = np.concatenate([_jerk(performance).ravel() for performance in performances])
+    jerk = np.concatenate([_jerk(motion).ravel() for motion in motions])
     highest = extremes[:, 3:].max(axis=0).tolist()
     slide, bones, knees_high, backwards, elbows_high, foot_yaw, head, ball, wrist, pelvis, pelvis_jerk = highest
     return Plausibility(
@@ -150,7 +191,7 @@ def measure(performances: Sequence[Performance]) -> Plausibility:
     )
 
 
-def _extremes(performance: Performance) -> tuple[float, ...]:
+def _extremes(performance: Moving) -> tuple[float, ...]:
     """Three minima, then eleven maxima of one performance."""
     joints, rate = performance.joints, performance.rate
     knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
@@ -193,7 +234,7 @@ def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray,
     return np.stack(columns[axis], axis=-1)
 
 
-def _planted_slide(performance: Performance) -> float:
+def _planted_slide(performance: Moving) -> float:
     """Farthest horizontal way of a ball within one stretch of contact."""
     farthest = 0.0
     for side, ball in enumerate(_BALLS):
@@ -230,7 +271,7 @@ def _top_speed(points: np.ndarray, rate: float) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max() * rate)
 
 
-def _jerk(performance: Performance) -> Float[np.ndarray, "m 22"]:
+def _jerk(performance: Moving) -> Float[np.ndarray, "m 22"]:
     """Third difference quotient on a 60 Hz grid, m/s³."""
     stride = max(1, round(performance.rate / _JERK_RATE))
     rate = performance.rate / stride

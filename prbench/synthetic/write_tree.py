@@ -109,7 +109,7 @@ def synthesize_tree(
     damages = [defect(preset, name) for name in defects]
     amount = _amount(size)
     remove_leftovers(out)
-    _require_free(out)
+    require_free(out)
     count = planned_recordings(size, recordings)
     with atomic_folder(out) as root:
         jobs = [
@@ -227,7 +227,7 @@ def _amount(size: str) -> SizeOfTree:
     return SIZES[size]
 
 
-def _require_free(out: Path) -> None:
+def require_free(out: Path) -> None:
     """Refuse to replace anything but an older synthetic tree."""
     if out.is_dir() and any(out.iterdir()) and not (out / SYNTHETIC_FILE).is_file():
         raise UsageError(f"{out} holds files that are no synthetic tree; choose an empty or new folder.")

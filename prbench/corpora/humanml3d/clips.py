@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from prbench.corpora.cutting import cut_motion
 from prbench.corpora.humanml3d.texts import TextLine

@@ -32,7 +32,8 @@ _LONGEST_OF_CORRELATION = 1e7  # samples; a broken clock must not ask for all me
 class ClockOffset:
     """How text times become suit times: ``TIME_CODE = device time + seconds``."""
 
-    method: Literal["file", "correlation", "start_alignment"]
+    method: Literal["file", "correlation", "start_alignment", "known"]
+    """``known``: invented people, whose clocks nobody has to find."""
     seconds: float
     quality: float | None = None
     """Height of the correlation's peak."""

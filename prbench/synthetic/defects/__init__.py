@@ -19,6 +19,8 @@ DEFECT_MODULES: dict[str, str] = {
     "hd-epic": "prbench.synthetic.defects.hd_epic",
     "hot3d": "prbench.synthetic.defects.hot3d",
     "mogaze": "prbench.synthetic.defects.mogaze",
+    "nymeria": "prbench.synthetic.defects.nymeria",
+    "humanml3d": "prbench.synthetic.defects.humanml3d",
 }
 """Module of each preset's defects."""
 

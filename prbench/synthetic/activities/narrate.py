@@ -1,0 +1,115 @@
+"""Texts of an activity recording: atomic actions, the four answers about the body, and summaries."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prbench.synthetic.activities.acts import PAUSE, SHORT
+from prbench.synthetic.activities.narrated import TrueNarration
+from prbench.synthetic.activities.patterns import BODY_POSTURE
+from prbench.synthetic.activities.script import Act, Script
+from prbench.synthetic.activities.wording import Facts, Span, clause, facts_of, sentence
+from prbench.synthetic.people.motion import Motion
+from prbench.synthetic.people.steps import plan_steps
+
+_SHORTEST, _LONGEST = 3.0, 5.0
+_CUT_OFF = 1.0  # s of a second activity that a narration need not cover
+_SUMMARY = 22.0  # s
+_LEGS = {
+    "walk straight": "steps forward one foot after the other",
+    "walk turning": "steps round and then forward",
+    "curve": "steps forward along a bend",
+    "carry": "steps forward",
+    "turn": "makes small turning steps",
+    "sidestep": "steps sideways",
+    "step back": "steps backwards",
+    "sit": "keeps both feet on the floor with bent knees",
+    "sit down": "bends both knees, feet on the floor",
+    "stand up": "straightens both knees",
+    "crouch": "bends both knees deeply",
+}
+
+
+def narrate(script: Script, motion: Motion, rate: float, rng: np.random.Generator) -> tuple[TrueNarration, ...]:
+    """Every activity in words, told from what the body did.
+
+    Args:
+        script: What was planned, for names and times.
+        motion: What happened.
+        rate: Frames a second.
+        rng: Of the choice of words.
+    """
+    facts = [(act, facts_of(act.name, act.hand, _span(script, motion, act, rate))) for act in script.acts]
+    atomic = _atomic(facts, rng)
+    about_body = [_about_body(act, fact) for act, fact in facts if act.end - act.begin >= 2.0]
+    return (*atomic, *about_body, *_summaries(facts))
+
+
+def _span(script: Script, motion: Motion, act: Act, rate: float) -> Span:
+    first = round(act.begin * rate)
+    last = min(round(act.end * rate), len(motion.joints) - 1)
+    joints = motion.joints[first : last + 1]
+    heading = motion.base.heading[first : last + 1]
+    steps = sum(act.begin <= step.lift < act.end for step in plan_steps(script.person, script.segments))
+    return Span(joints, heading, motion.head.yaw[first : last + 1] - heading, rate, steps)
+
+
+def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[TrueNarration]:
+    """One row an activity; two short neighbours may share one."""
+    narrations, number = [], 0
+    while number < len(facts):
+        act, fact = facts[number]
+        told = [fact]
+        end = act.end
+        if act.name in SHORT and number + 1 < len(facts):
+            following, next_fact = facts[number + 1]
+            if following.begin - act.end < PAUSE[1] and following.end - act.begin <= _LONGEST + _CUT_OFF:
+                told.append(next_fact)
+                end = following.end
+        number += len(told)
+        latest = facts[number][0].begin if number < len(facts) else end
+        end = max(end, min(act.begin + _SHORTEST, latest))
+        names = tuple(each.name for each in told)
+        text = sentence([clause(each, rng) for each in told], rng)
+        narrations.append(TrueNarration("atomic_action", act.begin, min(end, act.begin + _LONGEST), (text,), names))
+    return narrations
+
+
+def _about_body(act: Act, fact: Facts) -> TrueNarration:
+    hand = fact.slots.get("hand", "")
+    arms = f"C moves {hand}." if hand else "C keeps both arms at rest."
+    if fact.name in ("raise arms", "look at hands"):
+        arms = "C lifts both arms."
+    texts = (
+        f"C {BODY_POSTURE.get(fact.name, 'stands upright')}.",
+        arms,
+        f"C {_LEGS.get(fact.name, 'keeps both feet in place')}.",
+        "C looks from side to side." if fact.name == "look around" else "C looks ahead.",
+    )
+    return TrueNarration("motion_narration", act.begin, min(act.end, act.begin + _LONGEST), texts, (fact.name,))
+
+
+def _summaries(facts: list[tuple[Act, Facts]]) -> list[TrueNarration]:
+    """What happened in stretches of 15 to 30 seconds."""
+    narrations: list[TrueNarration] = []
+    members: list[tuple[Act, Facts]] = []
+    for act, fact in facts:
+        members.append((act, fact))
+        if act.end - members[0][0].begin >= _SUMMARY:
+            names = list(dict.fromkeys(_DOING[each.name] for _, each in members))
+            text = f"C {', '.join(names[:-1])} and {names[-1]}." if len(names) > 1 else f"C {names[0]}."
+            narrations.append(
+                TrueNarration("activity_summarization", members[0][0].begin, act.end, (text,), tuple(names))
+            )
+            members = []
+    return narrations
+
+
+_DOING = {
+    "walk straight": "walks", "walk turning": "walks about", "curve": "walks in curves", "turn": "turns",
+    "stand": "waits", "sit": "sits", "look around": "looks around", "look at hands": "looks at the hands",
+    "sidestep": "steps aside", "step back": "steps back", "reach": "reaches for things", "carry": "carries something",
+    "wipe": "wipes a surface", "stir": "stirs", "crouch": "crouches", "bend": "bends down", "wave": "waves",
+    "raise arms": "raises the arms", "scratch head": "scratches the head", "sit down": "sits down",
+    "stand up": "stands up",
+}  # fmt: skip

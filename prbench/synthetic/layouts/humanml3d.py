@@ -1,0 +1,102 @@
+"""The official folder of HumanML3D (``formats/humanml3d.md``): joints, texts, mirrored copies, split lists.
+
+Features (``new_joint_vecs``) are not written: nothing reads them yet.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.formats import humanml3d as layout
+from prbench.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.storage import atomic_path
+from prbench.synthetic.activities import NarratedMotion
+
+LONGEST = 9.9
+"""Seconds of a motion in the dataset."""
+_SHORTEST = 2.05
+_PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
+_SIDES = {"left": "right", "right": "left"}
+
+
+@dataclass(frozen=True)
+class CaptionedMotion:
+    """One motion of the dataset, at 20 frames a second, with its text lines."""
+
+    joints: Float[np.ndarray, "n 22 3"]
+    lines: tuple[tuple[str, float, float], ...]
+    """Caption, from, to; both 0 for the whole motion."""
+
+
+def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
+    """Neighbouring actions two by two: a caption for both together, and one for each part."""
+    rows = sorted(
+        (row for row in motion.narrations if row.kind == "atomic_action"), key=lambda row: (row.start, row.end)
+    )
+    stride = round(motion.rate / layout.RATE)
+    motions = []
+    for number in range(0, len(rows) - 1, 2):
+        first, second = rows[number], rows[number + 1]
+        if second.end - first.start > LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
+            continue
+        begin, stop = (round(time * motion.rate) for time in (first.start, second.end))
+        joints = motion.joints[begin : stop + 1 : stride]
+        clauses = [row.texts[0].removesuffix(".").split(" ", 1)[1] for row in (first, second)]
+        clauses = [clause.removeprefix("person ") for clause in clauses]
+        lines = (
+            (f"a person {clauses[0]} and then {clauses[1]}.", 0.0, 0.0),
+            (f"someone {clauses[0]}, after that the person {clauses[1]}.", 0.0, 0.0),
+            (f"a person {clauses[0]}.", 0.0, round(first.end - first.start, 3)),
+            (f"a person {clauses[1]}.", round(second.start - first.start, 3), round(second.end - first.start, 3)),
+        )
+        motions.append(CaptionedMotion(_canonical(joints), lines))
+    return tuple(motions)
+
+
+def mirrored(motion: CaptionedMotion) -> CaptionedMotion:
+    """Left and right exchanged, in joints and words."""
+    joints = motion.joints * np.array([-1.0, 1.0, 1.0])
+    swapped = joints.copy()
+    for left, right in _PAIRS:
+        swapped[:, left], swapped[:, right] = joints[:, right], joints[:, left]
+    lines = tuple((_other_side(text), start, end) for text, start, end in motion.lines)
+    return CaptionedMotion(swapped, lines)
+
+
+def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
+    """Write joints and texts of one motion.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    with atomic_path(root / layout.JOINTS_FOLDER / f"{name}.npy") as temporary:
+        np.save(temporary, motion.joints.astype(np.float32), allow_pickle=False)
+    lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion.lines]
+    with atomic_path(root / layout.TEXTS_FOLDER / f"{name}.txt") as temporary:
+        temporary.write_bytes("".join(lines).encode())
+
+
+def write_lists(root: Path, splits: dict[str, str]) -> None:
+    """Write ``train.txt``, ``val.txt`` and ``test.txt``."""
+    for split, name in layout.SPLIT_FILES.items():
+        members = "".join(f"{motion}\n" for motion, chosen in sorted(splits.items()) if chosen == split)
+        with atomic_path(root / name) as temporary:
+            temporary.write_bytes(members.encode())
+
+
+def _canonical(joints: np.ndarray) -> np.ndarray:
+    return transform_points(invert_rigid(canonical_frame(joints)), joints)
+
+
+def _other_side(text: str) -> str:
+    return re.sub(r"\b(left|right)\b", lambda found: _SIDES[found[1]], text)
+
+
+def _tokens(text: str) -> str:
+    """``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
+    return " ".join(f"{word}/X" for word in re.findall(r"[a-z]+", text.lower()))
