@@ -1,0 +1,256 @@
+"""Finding and reading HD-EPIC in the shapes that users have it in (``formats/hd-epic.md`` sections 1, 2 and 7)."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.errors import InputFileError, RecordingUnusable, UsageError
+from prbench.formats import hd_epic
+from prbench.readers import reader_for
+from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic import annotations
+from prbench.readers.hd_epic.intermediate import read_frames
+from prbench.readers.hd_epic.video_clock import read_video_clock
+from tests.comparing import differences
+from tests.readers.hd_epic_copies import FIRST, SECOND, annotation, change_json, time_file, write_copy
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    return write_copy(tmp_path_factory.mktemp("hd-epic") / "root")
+
+
+@pytest.fixture
+def root(whole, tmp_path) -> Path:
+    return shutil.copytree(whole, tmp_path / "root")
+
+
+def _found(root: Path, video: str = FIRST, **options: str) -> RecordingFiles:
+    return {each.recording_id: each for each in reader_for("hd-epic", options).find(root)}[video]
+
+
+def _read(root: Path, video: str = FIRST, **options: str):
+    return reader_for("hd-epic", options).read(_found(root, video, **options))
+
+
+def _slam_archive(root: Path) -> Path:
+    (path,) = root.glob("HD-EPIC/SLAM-and-Gaze/*/SLAM/multi/0.zip")
+    return path
+
+
+def test_archives_and_folders_read_the_same(root) -> None:
+    zipped = _read(root)
+    for path in sorted(root.glob("HD-EPIC/SLAM-and-Gaze/**/*.zip")):
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(path.parent)
+        path.unlink()
+    assert not list(differences(zipped, _read(root)))
+
+
+def test_an_archive_unpacked_into_a_folder_of_its_own_name_is_found(root) -> None:
+    zipped, path = _read(root), next(root.glob(f"HD-EPIC/SLAM-and-Gaze/*/GAZE_HAND/mps_{FIRST}_vrs.zip"))
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(path.with_suffix(""))  # mps_X_vrs/mps_X_vrs/eye_gaze
+    path.unlink()
+    assert not list(differences(zipped, _read(root)))
+
+
+def test_the_trajectory_of_the_videos_own_archive_has_another_world_and_is_not_used(root) -> None:
+    path = next(root.glob(f"HD-EPIC/SLAM-and-Gaze/*/GAZE_HAND/mps_{FIRST}_vrs.zip"))
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(f"mps_{FIRST}_vrs/slam/closed_loop_trajectory.csv", "no trajectory at all\n")
+    file = next(file for file in _found(root).files if file.role == "trajectory")
+    assert file.path == _slam_archive(root).resolve()
+
+
+def test_a_missing_slam_archive_is_named_by_number_and_participant(root) -> None:
+    participant = _slam_archive(root).parents[2].name
+    _slam_archive(root).unlink()
+    with pytest.raises(InputFileError, match=f"SLAM zip 0 of {participant} missing"):
+        _read(root)
+
+
+def test_without_the_slam_map_the_message_says_what_it_is_for(root) -> None:
+    _slam_archive(root).with_name(hd_epic.SLAM_MAP_FILE).unlink()
+    with pytest.raises(InputFileError, match="which tells the SLAM zip of"):
+        _read(root)
+
+
+def test_missing_gaze_is_reported_and_the_other_video_is_read(root) -> None:
+    next(root.glob(f"HD-EPIC/SLAM-and-Gaze/*/GAZE_HAND/mps_{FIRST}_vrs.zip")).unlink()
+    with pytest.raises(InputFileError, match=rf"GAZE_HAND/mps_{FIRST}_vrs\.zip: expected eye gaze"):
+        _read(root)
+    assert _read(root, SECOND).gaze.valid.any()
+
+
+def test_the_two_videos_without_published_gaze_are_skipped_with_the_reason(root) -> None:
+    video = "P02-20240210-113925"
+    own = root / "HD-EPIC" / "Videos" / "P02"
+    own.mkdir()
+    shutil.copy(time_file(root, FIRST), own / f"{video}{hd_epic.TIME_SUFFIX}")
+    with pytest.raises(RecordingUnusable, match="no eye gaze is published"):
+        _read(root, video)
+
+
+def test_a_missing_time_file_is_refused(root) -> None:
+    time_file(root, FIRST).unlink()
+    with pytest.raises(InputFileError, match="_mp4_to_vrs_time_ns"):
+        _read(root)
+
+
+@pytest.mark.parametrize("with_trajectory", [True, False])
+def test_a_video_aligned_by_other_means_is_read_if_it_has_a_trajectory_and_else_skipped(root, with_trajectory) -> None:
+    archive = _slam_archive(root)
+    other = archive.parents[2] / hd_epic.OTHER_SLAM_FOLDER / f"{FIRST}.zip"
+    other.parent.mkdir(parents=True)
+    if with_trajectory:
+        shutil.move(archive, other)
+    else:
+        with zipfile.ZipFile(other, "w") as written:
+            written.writestr("images.txt", "COLMAP")
+    change_json(archive.with_name(hd_epic.SLAM_MAP_FILE), lambda content: content.clear())
+    if with_trajectory:
+        assert _read(root).head.valid.any()
+    else:
+        assert "by other means than SLAM" in str(_found(root).skip_reason)
+        with pytest.raises(RecordingUnusable, match="by other means than SLAM"):
+            _read(root)
+
+
+def test_a_truncated_archive_stops_only_its_own_video(root) -> None:
+    path = _slam_archive(root)
+    path.write_bytes(path.read_bytes()[:100_000])
+    with pytest.raises(InputFileError, match=r"0\.zip.*whole zip archive"):
+        _read(root)
+    assert _read(root, SECOND).head.valid.any()
+
+
+def test_both_spellings_of_the_priming_folder(root) -> None:
+    one, other = (root / hd_epic.ANNOTATIONS_FOLDER / name for name in hd_epic.PRIMING_FOLDERS)
+    before = _read(root)
+    one.rename(other)
+    assert not list(differences(before, _read(root)))
+    shutil.rmtree(other)
+    assert all(event.published_priming is None for event in _read(root).annotated_events)
+
+
+def test_annotations_elsewhere_are_named_by_an_option(root, tmp_path) -> None:
+    before = _read(root)
+    shutil.move(root / hd_epic.ANNOTATIONS_FOLDER, tmp_path / "elsewhere")
+    with pytest.raises(InputFileError, match="--option annotations=DIR"):
+        _read(root)
+    assert not list(differences(before, _read(root, annotations=str(tmp_path / "elsewhere"))))
+
+
+def test_a_video_without_movements_in_the_annotations_is_refused(root) -> None:
+    change_json(annotation(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(FIRST))
+    with pytest.raises(InputFileError, match=f"{FIRST}: expected the movements of this video"):
+        _read(root)
+    assert _read(root, SECOND).annotated_events
+
+
+def test_annotations_are_opened_once_for_all_videos_and_anew_when_they_change(root, monkeypatch) -> None:
+    opened: list[str] = []
+    decode = annotations.decode_json
+    monkeypatch.setattr(annotations, "decode_json", lambda path, form: opened.append(path.name) or decode(path, form))
+    _read(root), _read(root, SECOND), _read(root)
+    assert sorted(opened) == ["assoc_info.json", "mask_info.json", "priming_info.json"]
+    change_json(annotation(root, hd_epic.MASKS_FILE), lambda content: content.pop(FIRST))
+    assert {event.location is None for event in _read(root).annotated_events} == {True}
+
+
+def test_one_broken_video_in_the_annotations_leaves_the_others(root) -> None:
+    change_json(annotation(root, hd_epic.MASKS_FILE), lambda content: content.update({FIRST: {"m": {"frame": 3}}}))
+    with pytest.raises(InputFileError, match=f"{FIRST}: expected the keys of this format"):
+        _read(root)
+    assert _read(root, SECOND).annotated_events
+
+
+def test_a_trajectory_that_is_not_z_up_is_refused(root) -> None:
+    path = _slam_archive(root)
+    with zipfile.ZipFile(path) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    name = next(name for name in contents if name.endswith("closed_loop_trajectory.csv"))
+    header, *lines = contents[name].decode().splitlines()
+    columns = header.split(",")
+    y, z = columns.index("gravity_y_world"), columns.index("gravity_z_world")
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        row[y], row[z] = row[z], row[y]
+    with zipfile.ZipFile(path, "w") as archive:
+        for member, content in contents.items():
+            text = "\n".join([header, *(",".join(row) for row in rows)]) + "\n"
+            archive.writestr(member, text if member == name else content)
+    with pytest.raises(InputFileError, match="gravity along -Z"):
+        _read(root)
+
+
+def test_nothing_of_the_dataset_says_what_was_looked_for(tmp_path) -> None:
+    (tmp_path / "holiday.jpg").write_text("")
+    with pytest.raises(InputFileError, match=r"expected videos of HD-EPIC.*found holiday\.jpg"):
+        reader_for("hd-epic").find(tmp_path)
+
+
+def test_an_unknown_box_is_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="boxes"):
+        reader_for("hd-epic", {"boxes": "sphere"})
+
+
+def test_the_intermediate_data_are_named_when_they_are_missing(root) -> None:
+    with pytest.raises(InputFileError, match=r"framewise_info\.jsonl.*source=intermediate was chosen"):
+        _read(root, source="intermediate")
+
+
+TIMES = "mp4_time_ns,relative_vrs_device_time_ns,vrs_device_time_ns\n"
+
+
+def _times(path: Path, *device: str) -> Path:
+    path.write_text(TIMES + "".join(f"{i * 33.3},{i},{value}\n" for i, value in enumerate(device)))
+    return path
+
+
+def test_times_with_a_decimal_point_are_read(tmp_path) -> None:
+    clock, _ = read_video_clock(_times(tmp_path / "t.csv", "1000.0", "2000.0"), None)
+    assert clock.device_ns.tolist() == [1000, 2000]
+
+
+def test_a_clock_that_runs_backwards_is_refused_with_its_line(tmp_path) -> None:
+    with pytest.raises(InputFileError, match="line 4: expected a device time not before 200 ns, found 150 ns"):
+        read_video_clock(_times(tmp_path / "t.csv", "100", "200", "150"), None)
+
+
+def test_rows_are_compared_with_the_frames_of_the_log(tmp_path) -> None:
+    log = tmp_path / "log.json"
+    log.write_text('{"num_mp4_frames": 5, "num_skipped_frames": 0}')
+    _, remarks = read_video_clock(_times(tmp_path / "t.csv", "100", "200"), log)
+    assert remarks == ("t.csv has 2 rows for a video of 5 frames: it may be truncated",)
+
+
+def test_a_frame_that_is_missing_from_the_intermediate_data_is_named(tmp_path) -> None:
+    path = tmp_path / "framewise_info.jsonl"
+    path.write_text('{"frame_index": 0, "tracking_timestamp_ns": 5}\n{"frame_index": 2, "tracking_timestamp_ns": 9}\n')
+    with pytest.raises(InputFileError, match="line 2: expected frame_index 1, found 2"):
+        read_frames(path, None)
+
+
+def test_a_cut_line_of_the_intermediate_data_is_named(tmp_path) -> None:
+    path = tmp_path / "framewise_info.jsonl"
+    path.write_text('{"frame_index": 0, "tracking_timestamp_ns": 5}\n{"frame_index": 1, "track')
+    with pytest.raises(InputFileError, match="line 2: expected one video frame as JSON"):
+        read_frames(path, None)
+
+
+def test_frames_without_pose_or_gaze_hold_nothing(tmp_path) -> None:
+    path = tmp_path / "framewise_info.jsonl"
+    path.write_text(
+        '{"frame_index": 0, "tracking_timestamp_ns": 5, "slam_timestamp_ns": null, "gaze_timestamp_ns": null,'
+        ' "T_world_device": null, "gaze_direction_in_world": null}\n'
+    )
+    frames = read_frames(path, None)
+    assert np.isnan(frames.world_from_device).all() and np.isnan(frames.gaze_direction).all()
+    assert (frames.slam_ns[0], frames.gaze_ns[0]) == (-1, -1)
