@@ -96,7 +96,8 @@ def sense_egoallo(
 def _windows(n_frames: int) -> list[tuple[int, int]]:
     """First and last frame of each window, in output frames; the last one ends with the recording."""
     stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
-    windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in range(0, max(n_frames, 1), stride)]
+    starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
+    windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
     return [(first, last) for first, last in windows if last - first >= _SHORTEST_WINDOW]
 
 
