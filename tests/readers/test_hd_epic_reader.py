@@ -252,5 +252,6 @@ def test_frames_without_pose_or_gaze_hold_nothing(tmp_path) -> None:
         ' "T_world_device": null, "gaze_direction_in_world": null}\n'
     )
     frames = read_frames(path, None)
-    assert np.isnan(frames.world_from_device).all() and np.isnan(frames.gaze_direction).all()
+    assert np.isnan(frames.world_from_device).all()
+    assert np.isnan(frames.gaze_direction).all()
     assert (frames.slam_ns[0], frames.gaze_ns[0]) == (-1, -1)

@@ -120,7 +120,8 @@ def test_intermediate_data_agree_with_mps(samples, recording) -> None:
         for stream in (frames, recording)
     )
     angle = np.rad2deg(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
-    assert np.median(angle) < 0.2 and angle.max() < 1.5
+    assert np.median(angle) < 0.2
+    assert angle.max() < 1.5
     origins = [
         stream.gaze.origin[np.searchsorted(np.rint(stream.gaze.times * 1e6), shared)] for stream in (frames, recording)
     ]
