@@ -72,10 +72,11 @@ def sense_mps(
         glasses_size=GLASSES_SIZE,
         device_from_rgb=device_from_rgb(),
     )
-    return with_slam_gaps(readings, [(start_us + s * 1e6, start_us + e * 1e6) for s, e in slam_gaps])
+    spans = [(start_us + round(begin * 1e6), start_us + round(end * 1e6)) for begin, end in slam_gaps]
+    return with_slam_gaps(readings, spans)
 
 
-def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[float, float]]) -> mps.MpsReadings:
+def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]]) -> mps.MpsReadings:
     """The same without the poses strictly inside of some spans, device microseconds: tracking was lost there."""
     time_us = readings.trajectory.time_us
     lost = [(time_us > start) & (time_us < end) for start, end in spans_us]

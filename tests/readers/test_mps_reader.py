@@ -1,0 +1,235 @@
+"""Files of the Machine Perception Services: found by name, preferred, refused, wherever they lie."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.errors import InputFileError
+from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import (
+    ZippedFile,
+    find_mps_files,
+    read_first_calibration,
+    read_gaze_angles,
+    read_hand_tracking,
+    read_mps,
+    read_wrists,
+)
+from prbench.readers.found import RecordingFiles
+from prbench.synthetic.layouts.aria_mps import write_mps
+from prbench.synthetic.people import perform
+from prbench.synthetic.sensors.aria_mps import sense_mps
+from tests.readers.mps_files import gaze_lines, write_lines
+
+
+@pytest.fixture(scope="module")
+def readings() -> mps.MpsReadings:
+    return sense_mps(perform("hd-epic", seed=3, index=1, n_events=1, provocations={}), start_us=7_000_000_321)
+
+
+@pytest.fixture
+def root(readings, tmp_path) -> Path:
+    """All files of one recording, ready to be damaged."""
+    write_mps(readings, tmp_path / "mps")
+    return tmp_path / "mps"
+
+
+def found(root: Path) -> RecordingFiles:
+    return RecordingFiles("test", "recording", root, find_mps_files(root))
+
+
+def assert_same(one, other, where: str = "") -> None:
+    for field in fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if is_dataclass(a):
+            assert_same(a, b, f"{where}{field.name}.")
+        elif isinstance(a, np.ndarray):
+            assert np.array_equal(a, b, equal_nan=True), f"{where}{field.name}"
+        else:
+            assert a == b, f"{where}{field.name}"
+
+
+def archived(root: Path, *, folder: str = "mps_P01_vrs") -> Path:
+    """The files in a zip archive instead of a folder."""
+    archive = root.parent / "mps_P01_vrs.zip"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as opened:
+        for path in sorted(root.rglob("*.*")):
+            opened.write(path, f"{folder}/{path.relative_to(root).as_posix()}")
+    shutil.rmtree(root)
+    return archive
+
+
+def test_every_role_is_found(root) -> None:
+    files = {file.role: file for file in find_mps_files(root)}
+    assert set(files) == {
+        "trajectory", "gaze", "calibration", "wrists", "slam_summary", "gaze_summary", "hand_summary",
+    }  # fmt: skip
+    assert files["gaze_summary"].path == root / "eye_gaze" / "summary.json"
+    assert files["trajectory"].size == (root / "slam" / "closed_loop_trajectory.csv").stat().st_size
+
+
+def test_what_was_written_is_read_thinned(root, readings) -> None:
+    assert_same(read_mps(found(root), thin=False), readings)
+    assert_same(read_mps(found(root)), mps.thinned(readings))
+    assert len(mps.thinned(readings).trajectory.time_us) < len(readings.trajectory.time_us) / 8
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["the archive", "a folder with the archive"])
+def test_an_archive_reads_as_its_folder_would_and_leaves_nothing_on_the_disk(root, readings, inside) -> None:
+    archive = archived(root)
+    files = found(archive.parent if inside else archive)
+    assert all(file.path == archive and file.member for file in files.files)
+    assert_same(read_mps(files), mps.thinned(readings))
+    assert list(archive.parent.iterdir()) == [archive]
+
+
+def test_old_names_and_the_samples_folders(samples) -> None:
+    files = {file.role: file.path for file in find_mps_files(samples / "mps" / "mps_sample")}
+    assert files["trajectory"].parent.name == "trajectory"
+    assert files["gaze"].name == "generalized_eye_gaze.csv"
+    hot3d = {file.role: file.path for file in find_mps_files(samples / "hot3d/Aria/P0003_c701bd11/mps")}
+    assert hot3d["gaze"].name == "personalized_eye_gaze.csv"
+    assert hot3d["slam_summary"].parent.name == "slam"
+
+
+def test_personalized_gaze_is_preferred_and_told(root) -> None:
+    gaze = root / "eye_gaze"
+    assert read_mps(found(root)).gaze_kind == "personalized"
+    (gaze / "personalized_eye_gaze.csv").rename(gaze / "generalized_eye_gaze.csv")
+    assert read_mps(found(root)).gaze_kind == "general"
+    shutil.copy(gaze / "generalized_eye_gaze.csv", gaze / "calibrated_eye_gaze.csv")
+    assert read_mps(found(root)).gaze_kind == "personalized"
+
+
+def test_the_usual_folder_wins_over_a_copy_elsewhere(root) -> None:
+    (root / "a_copy").mkdir()
+    shutil.copy(root / "slam" / "closed_loop_trajectory.csv", root / "a_copy")
+    files = {file.role: file.path for file in find_mps_files(root)}
+    assert files["trajectory"].parent.name == "slam"
+
+
+@pytest.mark.parametrize("file", ["slam/closed_loop_trajectory.csv", "eye_gaze/personalized_eye_gaze.csv"])
+def test_without_poses_or_gaze_there_is_no_recording(root, file) -> None:
+    (root / file).unlink()
+    with pytest.raises(InputFileError, match=r"closed_loop_trajectory\.csv|eye_gaze\.csv"):
+        read_mps(found(root))
+
+
+def test_what_is_optional_may_be_missing(root) -> None:
+    shutil.rmtree(root / "hand_tracking")
+    for path in root.rglob("*.json*"):
+        path.unlink()
+    readings = read_mps(found(root))
+    assert (readings.wrists, readings.glasses_size, readings.device_from_rgb) == (None, None, None)
+    assert readings.messages == ()
+
+
+def _summary(root: Path, folder: str, status: str) -> None:
+    content = {"SomeOperator": {"status": status, "message": "it rained", "warnings": [], "errors": []}}
+    (root / folder / "summary.json").write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize("folder", ["slam", "eye_gaze"])
+def test_a_stream_that_its_services_call_an_error_is_refused(root, folder) -> None:
+    _summary(root, folder, "ERROR")
+    with pytest.raises(InputFileError, match=r"SomeOperator.*ERROR \(it rained\)"):
+        read_mps(found(root))
+
+
+def test_hands_that_their_services_call_an_error_are_left_out_with_a_word(root) -> None:
+    _summary(root, "hand_tracking", "ERROR")
+    readings = read_mps(found(root))
+    assert readings.wrists is None
+    assert any("hands are not used" in message for message in readings.messages)
+
+
+@pytest.mark.parametrize("folder", ["slam", "eye_gaze", "hand_tracking"])
+def test_warnings_are_kept(root, folder) -> None:
+    _summary(root, folder, "WARNING")
+    readings = read_mps(found(root))
+    assert readings.wrists is not None
+    assert readings.messages == (f"{folder}: SomeOperator warns (it rained)",)
+
+
+def test_a_damaged_archive_is_refused(root) -> None:
+    archive = archived(root)
+    content = bytearray(archive.read_bytes())
+    place = content.find(b"closed_loop_trajectory.csv") + 5_000
+    content[place : place + 40] = bytes(40)
+    archive.write_bytes(content)
+    with pytest.raises(InputFileError, match=r"closed_loop_trajectory\.csv: expected a file that can be unpacked"):
+        read_mps(found(archive))
+    archive.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputFileError, match="a whole zip archive"):
+        find_mps_files(archive)
+    with pytest.raises(InputFileError, match="a whole zip archive"):
+        find_mps_files(archive.parent)
+
+
+def test_gaze_of_the_three_schemas_reads_from_archives_too(samples, tmp_path) -> None:
+    for name in ("mps_sample/eye_gaze/eyegaze.csv", "mps_sample/eye_gaze_vergence/generalized_gaze.csv",
+                 "mps_sample_gen2/eye_gaze/general_eye_gaze.csv"):  # fmt: skip
+        path = samples / "mps" / name
+        with zipfile.ZipFile(tmp_path / "gaze.zip", "w") as archive:
+            archive.write(path, "x/gaze.csv")
+        assert_same(read_gaze_angles(ZippedFile(tmp_path / "gaze.zip", "x/gaze.csv")), read_gaze_angles(path))
+
+
+@pytest.mark.parametrize("times", [[10, 30, 20], [10, 20, 20]], ids=["backwards", "repeated"])
+def test_gaze_rows_out_of_order_are_refused_with_their_line(tmp_path, times) -> None:
+    path = write_lines(tmp_path / "eyegaze.csv", gaze_lines(np.array(times)))
+    with pytest.raises(InputFileError, match="line 4: expected a time after"):
+        read_gaze_angles(path)
+
+
+def test_wrists_of_the_sample(samples, reference_values) -> None:
+    expected = reference_values["mps-wrist-count"]["expect"]
+    for name in ("wrist_and_palm_poses.csv", "wrist_and_palm_poses_v2.csv"):
+        wrists = read_wrists(samples / "mps/mps_sample/hand_tracking" / name)
+        seen = np.isfinite(wrists.wrist).all(axis=2)
+        assert len(wrists.time_us) == expected["rows"]
+        assert seen.sum(axis=0).tolist() == [expected["left"], expected["right"]]
+        assert (seen == (wrists.confidence > 0)).all()  # -1 in a neighbouring column deceives nobody
+
+
+def test_a_wrist_of_the_sample(samples, reference_values) -> None:
+    expected = reference_values["mps-wrist-109"]["expect"]
+    wrists = read_wrists(samples / "mps/mps_sample/hand_tracking/wrist_and_palm_poses.csv")
+    assert wrists.time_us[109] == expected["timestamp_us"]
+    assert wrists.confidence[109, 1] == pytest.approx(expected["confidence"], abs=1e-6)
+    assert wrists.wrist[109, 1] == pytest.approx(expected["wrist_device"], abs=1e-6)
+    assert wrists.palm[109, 1] == pytest.approx(expected["palm_device"], abs=1e-6)
+
+
+def test_landmarks_of_the_sample(samples, reference_values) -> None:
+    expected = reference_values["mps-hand-results-1"]["expect"]
+    hands = read_hand_tracking(samples / "mps/mps_sample/hand_tracking/hand_tracking_results_v1.csv")
+    assert hands.time_us[1] == expected["timestamp_us"]
+    assert hands.confidence[1, 0] == pytest.approx(expected["confidence"], abs=1e-6)
+    assert hands.wrist[1, 0] == pytest.approx(expected["landmark_5"], abs=1e-6)
+    assert hands.palm[1, 0] == pytest.approx(expected["landmark_20"], abs=1e-6)
+
+
+def test_landmarks_serve_where_there_is_no_file_of_wrists(root, samples) -> None:
+    (root / "hand_tracking" / "wrist_and_palm_poses.csv").unlink()
+    sample = samples / "mps/mps_sample/hand_tracking/hand_tracking_results_v2.csv"
+    shutil.copy(sample, root / "hand_tracking" / "hand_tracking_results.csv")
+    assert_same(read_mps(found(root)).wrists, read_hand_tracking(sample))
+
+
+def test_newer_calibration_keys_are_welcome(samples) -> None:
+    newer = read_first_calibration(samples / "mps/mps_sample/trajectory/online_calibration_v1_1_0.jsonl")
+    assert newer.size == "DVT-S"
+
+
+def test_large_glasses_are_recognised(readings, tmp_path) -> None:
+    write_mps(replace(readings, glasses_size="DVT-L"), tmp_path, only={mps.CALIBRATION})
+    assert read_first_calibration(tmp_path / "slam" / "online_calibration.jsonl").size == "DVT-L"
+    assert [path.name for path in tmp_path.rglob("*.*")] == ["online_calibration.jsonl"]
