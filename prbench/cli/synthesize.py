@@ -47,6 +47,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         help="damage the first recording as real copies are; repeatable (a wrong name lists them)",
     )
     parser.add_argument(
+        "--egoallo",
+        action="store_true",
+        help="also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others)",
+    )
+    parser.add_argument(
         "--no-verify", action="store_true", help="do not compare what curation finds in the files with the truth"
     )
     parser.add_argument(
@@ -96,6 +101,7 @@ def _write_tree(arguments: argparse.Namespace) -> None:
             n_events=arguments.events,
             bystander_objects=arguments.bystander_objects,
             defects=arguments.defect,
+            estimates=arguments.egoallo,
             on_written=lambda written: show(next(done), planned, written.recording_id),
         )
     print_table(

@@ -20,7 +20,7 @@ from prbench.errors import UsageError
 from prbench.storage import atomic_folder, remove_leftovers, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.defects import defect
-from prbench.synthetic.layouts import SHARED_PARTS, layout_for
+from prbench.synthetic.layouts import SHARED_PARTS, EstimatedBodies, layout_for
 from prbench.synthetic.people import perform
 from prbench.synthetic.truth_files import (
     events_table,
@@ -83,6 +83,7 @@ def synthesize_tree(
     provocations: Mapping[str, float] | None = None,
     noise: float = 1.0,
     defects: Sequence[str] = (),
+    estimates: bool = False,
     on_written: Callable[[WrittenRecording], None] | None = None,
 ) -> WrittenTree:
     """Write native files of synthetic recordings, complete or not at all.
@@ -99,13 +100,17 @@ def synthesize_tree(
         provocations: See :func:`prbench.synthetic.people.perform`.
         noise: Multiplies every sensor error; 0 for ideal sensors.
         defects: Names of defects that are done to the first recording (:mod:`prbench.synthetic.defects`).
+        estimates: Write bodies as EgoAllo estimates them, beside the layout's own.
         on_written: Called after each recording, in their order.
 
     Raises:
-        UsageError: for a preset without native files, the size ``large``, or a folder that holds something else.
+        UsageError: for a preset without native files (or without ``estimates``), the size ``large``, or a folder that
+            holds something else.
         StorageError: if the disk is full or the folder cannot be written.
     """
-    layout_for(preset)
+    layout = layout_for(preset)
+    if estimates and not isinstance(layout, EstimatedBodies):
+        raise UsageError(f"{preset} has no bodies of its own beside which EgoAllo's estimates could stand.")
     damages = [defect(preset, name) for name in defects]
     amount = _amount(size)
     remove_leftovers(out)
@@ -123,6 +128,7 @@ def synthesize_tree(
                 None if provocations is None else tuple(sorted(provocations.items())),
                 noise,
                 amount.truth_rate,
+                estimates,
             )
             for index in range(count)
         ]
@@ -131,7 +137,7 @@ def synthesize_tree(
             done.append(result)
             if on_written:
                 on_written(result.recording)
-        layout_for(preset).finish(root)
+        layout.finish(root)
         shutil.rmtree(root / SHARED_PARTS, ignore_errors=True)
         for damage in damages:
             damage.apply(root, done[0].recording.recording_id)
@@ -164,6 +170,7 @@ class _Job:
     provocations: tuple[tuple[str, float], ...] | None
     noise: float
     truth_rate: float
+    estimates: bool
 
 
 @dataclass(frozen=True)
@@ -186,7 +193,10 @@ def _write_recording(job: _Job) -> _Done:
     )
     name = performance.recording_id
     layout = layout_for(job.preset)
-    layout.write(layout.sense(performance, noise=job.noise), job.root)
+    readings = layout.sense(performance, noise=job.noise)
+    layout.write(readings, job.root)
+    if job.estimates and isinstance(layout, EstimatedBodies):
+        layout.write_estimates(performance, readings, job.root, noise=job.noise)
     write_truth(joints_table(performance, rate=job.truth_rate), job.root, "joints", part=name)
     write_truth(objects_table(performance), job.root, "objects", part=name)
     summary = WrittenRecording(

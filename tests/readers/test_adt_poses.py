@@ -20,10 +20,10 @@ from prbench.recording.from_adt import recording_from_adt
 from prbench.recording.from_egoallo import body_from_outputs
 from prbench.skeleton import Joint
 from prbench.synthetic.layouts import layout_for
-from prbench.synthetic.layouts.adt import write
+from prbench.synthetic.layouts.adt import estimated_outputs, write
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.egoallo import invented_smplh, sense_egoallo
+from prbench.synthetic.sensors.egoallo import invented_smplh
 from prbench.synthetic.sensors.errors import Switches
 from prbench.timelines import interpolate
 from tests.comparing import differences
@@ -44,20 +44,10 @@ def readings(performance):
     return layout_for("adt").sense(performance, switches=replace(Switches(), pose_losses=False))
 
 
-def _estimate(performance, readings, **options):
-    return sense_egoallo(
-        performance,
-        prepared_trajectory(readings.glasses),
-        start_us=int(readings.glasses.time_us[0]),
-        size="DVT-L",
-        **options,
-    )
-
-
 @pytest.fixture
 def root(tmp_path, performance, readings) -> Path:
     write(readings, tmp_path / "ADT" / readings.recording_id)
-    write_outputs(_estimate(performance, readings), poses_folder(tmp_path / "ADT", readings.recording_id))
+    write_outputs(estimated_outputs(performance, readings), poses_folder(tmp_path / "ADT", readings.recording_id))
     write_smplh_model(tmp_path / "ADT" / "smplh" / "neutral" / "model.npz")
     return tmp_path / "ADT"
 
@@ -96,7 +86,7 @@ def test_bodies_come_back_into_the_scene(root, performance, readings):
 
 
 def test_files_and_memory_hold_the_same(root, performance, readings):
-    body = body_from_outputs(_estimate(performance, readings), invented_smplh())
+    body = body_from_outputs(estimated_outputs(performance, readings), invented_smplh())
     in_memory = recording_from_adt(
         replace(readings, estimated_body=body), load_manifest("adt"), dataset="adt", poses="egoallo"
     )
@@ -114,7 +104,7 @@ def test_without_outputs_there_is_no_body_and_the_message_says_what_to_run(root)
 
 
 def test_outputs_made_from_the_y_up_trajectory_are_refused(root, performance, readings):
-    for output in _estimate(performance, readings):
+    for output in estimated_outputs(performance, readings):
         lying = output.world_from_cpf.copy()
         lying[:, 4:] = lying[:, 4:] @ adt.Z_UP_FROM_SCENE[:3, :3].astype(np.float32)
         write_outputs([replace(output, world_from_cpf=lying)], poses_folder(root, readings.recording_id))
@@ -133,7 +123,7 @@ def test_frames_over_a_gap_of_the_glasses_are_invalid(performance, readings):
         rotation=glasses.rotation[kept],
         quality=glasses.quality[kept],
     )
-    body = body_from_outputs(_estimate(performance, readings), invented_smplh())
+    body = body_from_outputs(estimated_outputs(performance, readings), invented_smplh())
     recording = recording_from_adt(
         replace(readings, glasses=gap, estimated_body=body), load_manifest("adt"), dataset="adt", poses="egoallo"
     )

@@ -78,6 +78,19 @@ class Layout(Protocol):
         ...
 
 
+@runtime_checkable
+class EstimatedBodies(Protocol):
+    """A layout with bodies of its own, beside which EgoAllo's estimates can stand."""
+
+    def write_estimates(self, performance: Performance, readings: Any, root: Path, *, noise: float = 1.0) -> None:
+        """Write what EgoAllo would make of one recording where readers look for it.
+
+        Raises:
+            StorageError: if the disk is full or the folder cannot be written.
+        """
+        ...
+
+
 def layout_for(preset: str) -> Layout:
     """The layout of a preset.
 

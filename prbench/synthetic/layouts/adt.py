@@ -10,13 +10,17 @@ import numpy as np
 
 from prbench.formats import adt
 from prbench.formats import aria_mps as mps
+from prbench.formats import egoallo as ego
 from prbench.manifests import load_manifest
 from prbench.recording import Recording
+from prbench.recording.adt_for_egoallo import prepared_trajectory
 from prbench.recording.from_adt import recording_from_adt
 from prbench.storage import atomic_folder, atomic_path, write_json
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
+from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import adt as sensors
+from prbench.synthetic.sensors.egoallo import sense_egoallo
 from prbench.synthetic.sensors.errors import Switches
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
@@ -45,6 +49,15 @@ class AdtLayout:
         """One folder a recording, layout v2.0."""
         write(readings, root / readings.recording_id)
 
+    def write_estimates(
+        self, performance: Performance, readings: adt.AdtReadings, root: Path, *, noise: float = 1.0
+    ) -> None:
+        """Bodies as EgoAllo estimates them from the glasses, and the body model that reading them needs."""
+        outputs = estimated_outputs(performance, readings, noise=noise)
+        write_outputs(outputs, root / ego.POSES_FOLDER / readings.recording_id / ego.OUTPUT_FOLDER)
+        if not (root / ego.MODEL_FILE).is_file():
+            write_smplh_model(root / ego.MODEL_FILE)
+
     def finish(self, root: Path) -> None:
         """Recordings share no file."""
 
@@ -66,6 +79,21 @@ class AdtLayout:
 
 
 LAYOUT = AdtLayout()
+
+
+def estimated_outputs(
+    performance: Performance, readings: adt.AdtReadings, *, noise: float = 1.0, switches: Switches | None = None
+) -> tuple[ego.EgoAlloOutput, ...]:
+    """What EgoAllo would make of the glasses of one recording, in the scene turned to Z up."""
+    return sense_egoallo(
+        performance,
+        prepared_trajectory(readings.glasses),
+        noise=noise,
+        switches=switches,
+        start_us=sensors.clock_start_us(performance),
+        size=sensors.GLASSES_SIZE,
+        native_from_world=adt.Z_UP_FROM_SCENE,
+    )
 
 
 def write(readings: adt.AdtReadings, folder: Path) -> None:
