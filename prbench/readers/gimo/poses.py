@@ -19,7 +19,7 @@ def read_poses(files: Mapping[int, Path]) -> gimo.SmplxPoses:
     """Parameters of all frames that have a file, in the order of the frames.
 
     Raises:
-        InputFileError: if a file is damaged, names foreign classes, lacks a key, or has an array of another size or NaN.
+        InputFileError: if a file is damaged, names foreign classes, lacks a key, or has another size or NaN in it.
     """
     frames = sorted(files)
     rows = [_read_pose(files[frame]) for frame in frames]

@@ -1,4 +1,4 @@
-"""Route A: exact joints from the fitted parameters, with VPoser v1 and SMPL-X neutral (``formats/gimo.md`` section 5)."""
+"""Route A: exact joints from the fitted parameters, with VPoser v1 and SMPL-X neutral (``formats/gimo.md``, 5)."""
 
 from __future__ import annotations
 

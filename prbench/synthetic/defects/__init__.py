@@ -16,6 +16,7 @@ from prbench.errors import UsageError
 
 DEFECT_MODULES: dict[str, str] = {
     "adt": "prbench.synthetic.defects.adt",
+    "gimo": "prbench.synthetic.defects.gimo",
     "hd-epic": "prbench.synthetic.defects.hd_epic",
     "hot3d": "prbench.synthetic.defects.hot3d",
     "mogaze": "prbench.synthetic.defects.mogaze",

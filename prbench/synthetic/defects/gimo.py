@@ -1,0 +1,148 @@
+"""What copies of GIMO suffer from (``formats/gimo.md`` section 8)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from prbench.formats import gimo
+from prbench.synthetic.defects import Defect
+from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
+
+_SHORT_GAP, _LONG_GAP = 3, 30  # frames
+_FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."
+
+
+def _sequence(root: Path, name: str) -> Path:
+    """The sequence's folder, in whichever scene it lies."""
+    return next(path for path in sorted(root.glob(f"*/{name}")) if path.is_dir())
+
+
+def _numbered(folder: Path, ending: str) -> list[Path]:
+    paths = [path for path in folder.glob(f"*{ending}") if path.name.removesuffix(ending).isdigit()]
+    return sorted(paths, key=lambda path: int(path.name.removesuffix(ending)))
+
+
+def _poses(root: Path, name: str) -> list[Path]:
+    return _numbered(_sequence(root, name) / gimo.POSE_FOLDER, ".pkl")
+
+
+def _remove_sequence(root: Path, name: str) -> None:
+    shutil.rmtree(_sequence(root, name))
+
+
+def _remove_poses(count: int) -> Callable[[Path, str], None]:
+    def apply(root: Path, name: str) -> None:
+        poses = _poses(root, name)
+        for path in poses[len(poses) // 2 :][:count]:
+            path.unlink()
+
+    return apply
+
+
+def _foreign_pickle(root: Path, name: str) -> None:
+    _poses(root, name)[1].write_bytes(_FOREIGN_PICKLE)
+
+
+def _short_latent(root: Path, name: str) -> None:
+    import numpy as np
+
+    sizes = {"orient": 3, "trans": 3, "latent": 8}
+    values = {key: np.zeros(size, dtype=np.float32) for key, size in sizes.items()}
+    _poses(root, name)[1].write_bytes(pickled_tensors(values))
+
+
+def _no_scale(root: Path, name: str) -> None:
+    for path in sorted(_sequence(root, name).glob("transform_info*.json")):
+        content = json.loads(path.read_text("utf-8"))
+        del content["scale"]
+        path.write_text(json.dumps(content), encoding="utf-8")
+
+
+def _cut_norm(root: Path, name: str) -> None:
+    path = _sequence(root, name).parent / gimo.SCENE_FOLDER / gimo.NORM_FILE
+    path.write_text("\n".join(path.read_text("utf-8").splitlines()[:3]) + "\n", encoding="utf-8")
+
+
+def _no_gaze(root: Path, name: str) -> None:
+    for path in _numbered(_sequence(root, name) / gimo.GAZE_FOLDER, f"{gimo.GAZE_CENTRE_SUFFIX}.ply"):
+        path.unlink()
+
+
+def _cut_gaze(root: Path, name: str) -> None:
+    for path in _numbered(_sequence(root, name) / gimo.GAZE_FOLDER, f"{gimo.GAZE_CENTRE_SUFFIX}.ply")[::10]:
+        path.write_bytes(path.read_bytes()[:-60])
+
+
+def _stray_names(root: Path, name: str) -> None:
+    first = _poses(root, name)[0]
+    shutil.copy(first, first.with_name("copy of first.pkl"))
+
+
+def _cut_skeleton(root: Path, name: str) -> None:
+    path = _sequence(root, name) / gimo.SKELETON_FILE
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3])
+
+
+def _renamed_joints(root: Path, name: str) -> None:
+    path = _sequence(root, name) / gimo.SKELETON_FILE
+    path.write_text(path.read_text("utf-8").replace("LeftForeArm", "Unterarm_links"), encoding="utf-8")
+
+
+def _other_skeleton(root: Path, name: str) -> None:
+    """The hips of another walk: the same, played backwards."""
+    path = _sequence(root, name) / gimo.SKELETON_FILE
+    head, _, motion = path.read_text("utf-8").partition("Frame Time:")
+    seconds, *rows = motion.strip().splitlines()
+    path.write_text("\n".join([f"{head}Frame Time: {seconds.strip()}", *rows[::-1]]) + "\n", encoding="utf-8")
+
+
+def _no_skeleton(root: Path, name: str) -> None:
+    (_sequence(root, name) / gimo.SKELETON_FILE).unlink()
+
+
+def _not_annotated(root: Path, name: str) -> None:
+    _edit_lines(root / gimo.EVENTS_FILE, lambda line: None if name in line else line)
+    _edit_lines(root / gimo.TABLE_FILE, lambda line: _without_hint(line) if name in line else line)
+
+
+def _without_hint(line: str) -> str:
+    cells = line.split(",")
+    cells[gimo.HINT_INDEX] = ""
+    return ",".join(cells)
+
+
+def _repeated_row(root: Path, name: str) -> None:
+    path = root / gimo.TABLE_FILE
+    lines = path.read_text("utf-8-sig").splitlines()
+    path.write_text("\n".join([*lines, next(line for line in lines if name in line)]) + "\n", encoding="utf-8-sig")
+
+
+def _edit_lines(path: Path, change: Callable[[str], str | None]) -> None:
+    lines = [change(line) for line in path.read_text("utf-8").splitlines()]
+    path.write_text("\n".join(line for line in lines if line is not None) + "\n", encoding="utf-8")
+
+
+DEFECTS: tuple[Defect, ...] = (
+    Defect("missing-sequence", "the sequence is not unpacked", _remove_sequence, "skipped", "its folder is missing"),
+    Defect("not-annotated", "nobody annotated a pick", _not_annotated, "skipped", "no event is annotated"),
+    Defect("few-missing-poses", "three frames without pose", _remove_poses(_SHORT_GAP), "read", "3 of"),
+    Defect("many-missing-poses", "a second without poses", _remove_poses(_LONG_GAP), "read", "30 in gaps too long"),
+    Defect("foreign-pickle", "a pose that calls a function", _foreign_pickle, "failed", "the name 'builtins.print'"),
+    Defect("short-latent", "the code of another pose prior", _short_latent, "failed", "expected 32 numbers, found 8"),
+    Defect("no-scale", "transform_info without scale", _no_scale, "failed", "missing required field `scale`"),
+    Defect("cut-norm", "transform_norm with three rows", _cut_norm, "failed", "expected a 4x4 matrix"),
+    Defect("no-gaze", "no gaze at all", _no_gaze, "read", "no valid gaze, so no event can be primed"),
+    Defect("cut-gaze", "cut gaze files", _cut_gaze, "read", "damaged gaze files are left out"),
+    Defect("stray-names", "files without frame number", _stray_names, "read", "files without frame number left out"),
+    Defect("repeated-row", "a row of dataset.csv twice", _repeated_row, "read", "the repetition is left out"),
+    Defect("no-skeleton", "no way to the joints", _no_skeleton, "failed", "bvh lacks skeleton.bvh"),
+    Defect("cut-skeleton", "a cut BVH file", _cut_skeleton, "failed", "MOTION"),
+    Defect(
+        "renamed-joints", "joints under unknown names", _renamed_joints, "failed", "unmatched names: Unterarm_links"
+    ),
+    Defect("other-skeleton", "the skeleton of another walk", _other_skeleton, "failed", "of the fitted pelvis"),
+)
