@@ -13,8 +13,9 @@ from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
 from prbench.readers import Reader, RecordingFiles, described_options, read_synthetic_tree, reader_for
+from prbench.readers.digests import remembered_digest
 from prbench.recording import Recording
-from prbench.storage import file_digest, text_digest
+from prbench.storage import text_digest
 
 
 @runtime_checkable
@@ -84,7 +85,8 @@ class NativeSource:
     def input_digest(self) -> str:
         """See :class:`RecordingSource`: roles, names and contents of the files, a split of their own, and options."""
         files = sorted(self.found.files, key=lambda file: file.role)
-        parts = [text for file in files for text in (file.role, file.path.name, file.member, file_digest(file.path))]
+        digests = {path: remembered_digest(path) for path in {file.path for file in files}}  # many lie in one archive
+        parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]
         chosen = [text for item in described_options(self._reader.options).items() for text in item]
         return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)
 

@@ -1,7 +1,7 @@
 """What was parsed from large text files, kept in the user's cache so that the next read is a small binary one.
 
-An entry belongs to one file and is used only while that file is the same: path, size, time of change, and a digest of
-its first and last bytes (of a file in an archive: its checksum and the archive's size and time).
+An entry belongs to one file and is used only while that file is the same: path, size, times of change (of content and
+of status), and a digest of its first and last bytes (of a file in an archive: its checksum and the archive's times).
 ``PRBENCH_PARSE_CACHE`` switches it off (``off``) or bounds it (megabytes; 2048 by default); the least recently used
 entries go first.
 """
@@ -108,7 +108,8 @@ def _fingerprint(source: Source, wish: bytes) -> bytes:
     status = _file(source).stat()
     content = _checksum(source) if isinstance(source, ZippedFile) else _edges(source)
     wished = hashlib.sha256(wish).hexdigest()
-    return text_digest(_VERSION, str(status.st_size), str(status.st_mtime_ns), content, wished).encode()
+    times = f"{status.st_mtime_ns} {status.st_ctime_ns}"
+    return text_digest(_VERSION, str(status.st_size), times, content, wished).encode()
 
 
 def _checksum(source: ZippedFile) -> str:
