@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.formats import egoallo as ego
-from prbench.formats.aria_mps import LONGEST_POSE_STEP
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import BodyStream, PoseStream
 from prbench.skeleton import transform_points
@@ -74,14 +73,14 @@ def body_stream(
         body: In the source world, on the device clock.
         world_from_source: Source world (Z up) to the recording's (Y up).
         seconds_before_device: Recording time = device seconds - this.
-        head: Poses of the glasses on the recording's clock; where they have a gap, EgoAllo had nothing to go by, and
-            the body is invalid.
+        head: Poses of the glasses on the recording's clock; where they have a gap of more than 0.1 s, EgoAllo had
+            nothing to go by, and the body is invalid.
     """
     times = body.time_ns / 1e9 - seconds_before_device
     joints = transform_points(world_from_source, body.joints.astype(np.float64))
     valid = plausible_body_frames(times, joints)
     if head is not None:
-        valid &= covered(head.times, head.valid, times, max_gap=LONGEST_POSE_STEP)
+        valid &= covered(head.times, head.valid, times, max_gap=ego.LONGEST_STEP)
     return BodyStream(times, hold_neighbours(joints, valid), valid)
 
 
