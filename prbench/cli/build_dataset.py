@@ -45,6 +45,18 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         help="prime times by the equations (default), or taken over from the dataset where it publishes them (hd-epic)",
     )
     parser.add_argument(
+        "--occlusion",
+        choices=["off", "mark", "require"],
+        default="off",
+        help="where a dataset has meshes: mark events primed through one, or let unobstructed looks alone prime",
+    )
+    parser.add_argument(
+        "--ray-caster",
+        choices=["trimesh", "open3d"],
+        default="trimesh",
+        help="what tests looks against meshes (default: trimesh; open3d is quicker on large ones)",
+    )
+    parser.add_argument(
         "--minimum-movement",
         default="wrist_to_goal",
         metavar="MEASURE",
@@ -144,12 +156,19 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
             ray_origin=arguments.ray_origin,
             minimum_movement=arguments.minimum_movement,
             priming=arguments.priming,
+            occlusion=arguments.occlusion,
+            ray_caster=arguments.ray_caster,
         ),
         recordings=arguments.recordings,
         limit=arguments.limit,
-        reader=tuple(sorted((dict(arguments.option) | _poses(arguments)).items())),
+        reader=tuple(sorted((_meshes(arguments) | dict(arguments.option) | _poses(arguments)).items())),
         on_error=arguments.on_error,
     )
+
+
+def _meshes(arguments: argparse.Namespace) -> dict[str, str]:
+    """Readers load meshes only where somebody asks."""
+    return {} if arguments.occlusion == "off" else {"meshes": "true"}
 
 
 def _poses(arguments: argparse.Namespace) -> dict[str, str]:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.filters import minimum_movement
+from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.curation.split import split_of
@@ -76,8 +77,10 @@ def curate_recording(
     if options.priming == "published":
         _require_published_priming(recording)
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
-    stories = [_follow(recording, event, rays, protocol, options, split) for event in events]
+    surroundings = Surroundings(recording, options.ray_caster) if options.occlusion != "off" else None
+    stories = [_follow(recording, event, rays, surroundings, protocol, options, split) for event in events]
     remarks += _missing_parts(recording, rule)
+    remarks += occlusion_remarks(recording, options.occlusion, [s.prime.through for s in stories if s.prime])
     return CuratedRecording(
         sequences=tuple(sorted((s.sequence for s in stories if s.sequence), key=lambda row: row.sequence_id)),
         events=tuple(sorted((_event_record(recording, s) for s in stories), key=lambda row: row.event_id)),
@@ -98,6 +101,7 @@ def _follow(
     recording: Recording,
     event: PickPutEvent,
     rays: tuple[np.ndarray, np.ndarray, np.ndarray],
+    surroundings: Surroundings | None,
     protocol: BenchmarkProtocol,
     options: CurationOptions,
     split: str,
@@ -108,7 +112,8 @@ def _follow(
     if options.priming == "published":
         prime = published_prime(event.published_priming)
     else:
-        prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
+        view = surroundings and View(surroundings, event.object_id, options.occlusion == "require", rays)
+        prime = find_prime(*rays, event.place, event.event_time, protocol.curation, view)
     if isinstance(prime, Decision):
         return _Story(event, prime)
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)
@@ -182,8 +187,14 @@ def _sequence(
         gaze_direction=turned.apply(piece.gaze_direction),
         gaze_valid=piece.gaze_valid,
         world_from_canonical=world_from_canonical,
-        extra={} if event.tracking_gap is None else {"placed_in_tracking_gap_of_s": f"{event.tracking_gap:.3f}"},
+        extra=_extra(event, prime),
     )
+
+
+def _extra(event: PickPutEvent, prime: Prime) -> dict[str, str]:
+    """What is worth telling about few sequences only."""
+    extra = {} if event.tracking_gap is None else {"placed_in_tracking_gap_of_s": f"{event.tracking_gap:.3f}"}
+    return extra | ({"primed_through": prime.through} if prime.through else {})
 
 
 def sequence_id(event_id: str, pose_source: str) -> str:

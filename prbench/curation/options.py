@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from prbench.curation.filters import MEASURES
+from prbench.curation.occlusion import OcclusionMode, RayCasterName
 from prbench.curation.priming import RAY_ORIGINS
+from prbench.curation.ray_casters import require_caster
 from prbench.errors import UsageError
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
 
@@ -25,8 +27,20 @@ class CurationOptions:
     """Which distance must reach the protocol's minimum; see :data:`prbench.curation.filters.MEASURES`."""
     priming: PrimingSource = "rule"
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
+    occlusion: OcclusionMode = "off"
+    """What to do with looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
+    ray_caster: RayCasterName = "trimesh"
+    """What tests rays against meshes."""
 
     def __post_init__(self) -> None:
+        for name, value, kind in (
+            ("treatment of occlusion", self.occlusion, OcclusionMode),
+            ("ray caster", self.ray_caster, RayCasterName),
+        ):
+            if value not in get_args(kind):
+                raise UsageError(f"unknown {name} '{value}'; known ones: {', '.join(get_args(kind))}.")
+        if self.occlusion != "off" and self.priming == "published":
+            raise UsageError("--occlusion asks about gaze, --priming published takes no gaze: choose one of them.")
         if self.priming not in get_args(PrimingSource):
             raise UsageError(
                 f"unknown source of priming '{self.priming}'; known ones: {', '.join(get_args(PrimingSource))}."
@@ -51,8 +65,11 @@ class CurationOptions:
 
         Raises:
             UsageError: for an in-hand rule that the manifest does not list, or published priming of a dataset without.
+            MissingExtraError: for a ray caster that is not installed.
         """
         self.in_hand_rule(manifest)
+        if self.occlusion != "off":
+            require_caster(self.ray_caster)
         if self.priming == "published" and not manifest.publishes_priming:
             raise UsageError(
                 f"{manifest.name} publishes no priming of its own, so --priming published is impossible;"
@@ -68,7 +85,8 @@ class CurationOptions:
             "ray_origin": self.ray_origin or protocol.curation.ray_origin,
             "minimum_movement": self.minimum_movement,
             "priming": self.priming,
-        }
+            "occlusion": self.occlusion,
+        } | ({"ray_caster": self.ray_caster} if self.occlusion != "off" else {})
 
 
 DEFAULTS = CurationOptions()

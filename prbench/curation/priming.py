@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.curation.events import Decision, Place
+from prbench.curation.occlusion import View
 from prbench.manifests import CurationConstants
 from prbench.rays import near_miss, slab_test
 from prbench.recording import PublishedPriming, Recording
@@ -17,6 +18,7 @@ from prbench.timelines import interpolate
 PrimeKind = Literal["hit", "near_miss", "published"]
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
+OCCLUSION_STAGE = "occlusion"
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class Prime:
     """How far the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
     uncertainty: float
     """Time since the valid gaze sample before it (else until the one after it), seconds: the look began in between."""
+    through: str = ""
+    """Name of the mesh that stood between the eye and the place; empty where none did, or nobody asked."""
 
 
 def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -53,6 +57,7 @@ def find_prime(
     place: Place,
     event_time: float,
     constants: CurationConstants,
+    view: View | None = None,
 ) -> Prime | Decision:
     """The first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
 
@@ -63,17 +68,20 @@ def find_prime(
         place: Box of the event, same frame.
         event_time: Seconds.
         constants: Window and near-miss distance.
+        view: What can stand between the eye and the place; None = nothing is asked.
 
     Returns:
         The prime, or a decision ``not_primed`` whose value is the smallest distance at which a ray passed in front of
-        the wearer (None if there was no valid gaze at all).
+        the wearer (None if there was no valid gaze at all); at the stage ``occlusion`` the number of looks, all of
+        which something obstructed.
     """
     first = int(np.searchsorted(times, event_time - constants.priming_window, side="left"))
     stop = int(np.searchsorted(times, event_time, side="right"))
     window = slice(first, stop)
     rays = origins[window], directions[window]
     box = place.box_min[None], place.box_max[None]
-    hit = slab_test(*rays, *box).hit[:, 0]
+    slabs = slab_test(*rays, *box)
+    hit = slabs.hit[:, 0]
     misses = near_miss(*rays, *box)
     distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
     primed = np.flatnonzero(hit | misses.within(constants.near_miss_distance)[:, 0])
@@ -81,7 +89,15 @@ def find_prime(
         nearest = float(distance.min(initial=np.inf))
         value = nearest if np.isfinite(nearest) else None
         return Decision("not_primed", "priming", value, constants.near_miss_distance)
-    index = int(primed[0])
+    index, through = int(primed[0]), ""
+    if view is not None:
+        reach = np.where(hit, np.maximum(slabs.near[:, 0], 0.0), misses.along[:, 0])
+        looks = primed if view.required else primed[:1]
+        obstacles = view.obstacles(looks + first, reach[looks])
+        if view.required and all(obstacles):
+            return Decision("not_primed", OCCLUSION_STAGE, float(len(looks)))
+        chosen = obstacles.index("") if view.required else 0
+        index, through = int(looks[chosen]), obstacles[chosen]
     sample = first + index
     before, after = max(sample - 1, 0), min(sample + 1, len(times) - 1)
     spacing = times[sample] - times[before] if sample > 0 else times[after] - times[sample]
@@ -90,6 +106,7 @@ def find_prime(
         kind="hit" if hit[index] else "near_miss",
         distance=float(distance[index]),
         uncertainty=float(spacing),
+        through=through,
     )
 
 

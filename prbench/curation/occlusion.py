@@ -1,0 +1,140 @@
+"""Whether something stands between the eye and a place (option ``--occlusion``; the paper does not ask)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from prbench.curation.ray_casters import CASTERS, RayCaster
+from prbench.rays import slab_test
+from prbench.recording import ObjectTrack, Occluder, Recording
+
+OcclusionMode = Literal["off", "mark", "require"]
+"""``mark``: primes stay what they are, those through a mesh are told; ``require``: only unobstructed looks prime."""
+RayCasterName = Literal["trimesh", "open3d"]
+
+MARGIN = 0.02
+"""Metres before the place within which a mesh is no obstacle: what the place lies on or in (choice)."""
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    name: str
+    object_id: str | None
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
+    caster: RayCaster
+
+
+class Surroundings:
+    """Every mesh of a recording, with the tracks of those that move."""
+
+    def __init__(self, recording: Recording, caster: RayCasterName) -> None:
+        self._meshes = [_prepared(occluder, caster) for occluder in recording.occluders]
+        self._tracks: Mapping[str, ObjectTrack] = {track.object_id: track for track in recording.objects}
+
+    def obstacles(
+        self,
+        times: Float[np.ndarray, " n"],
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        reach: Float[np.ndarray, " n"],
+        *,
+        but: str,
+    ) -> tuple[str, ...]:
+        """Name of the first mesh on the way of each look; empty where the way is free.
+
+        Args:
+            times: When each look happens, seconds; objects stand where they stood then.
+            origins: Eyes, world, metres.
+            directions: Unit vectors.
+            reach: Distance from the eye to the place that is looked at; the last 2 cm before it are free.
+            but: Id of the object that is looked at, which does not hide itself.
+        """
+        nearest, names = reach - MARGIN, np.full(len(times), "", dtype=object)
+        for mesh in self._meshes:
+            if mesh.object_id == but:
+                continue
+            distance = _distance(mesh, *self._in_frame_of(mesh, times, origins, directions), nearest)
+            closer = distance < nearest
+            nearest = np.where(closer, distance, nearest)
+            names[closer] = mesh.name
+        return tuple(names)
+
+    def _in_frame_of(
+        self,
+        mesh: _Mesh,
+        times: Float[np.ndarray, " n"],
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        track = None if mesh.object_id is None else self._tracks.get(mesh.object_id)
+        if track is None:
+            return origins, directions
+        position, rotation = track.pose_at(times)
+        back = Rotation.from_quat(rotation, scalar_first=True).inv()
+        return back.apply(origins - position), back.apply(directions)
+
+
+@dataclass(frozen=True)
+class View:
+    """The surroundings as one event's looks meet them."""
+
+    surroundings: Surroundings
+    object_id: str
+    """The object of the event."""
+    required: bool
+    """Whether only unobstructed looks prime."""
+    rays: tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+    """All gaze samples: times, origins and directions."""
+
+    def obstacles(self, samples: Int[np.ndarray, " k"], reach: Float[np.ndarray, " k"]) -> tuple[str, ...]:
+        """See :meth:`Surroundings.obstacles`, for some of the gaze samples."""
+        times, origins, directions = (part[samples] for part in self.rays)
+        return self.surroundings.obstacles(times, origins, directions, reach, but=self.object_id)
+
+
+def occlusion_remarks(recording: Recording, mode: OcclusionMode, through: Sequence[str]) -> tuple[str, ...]:
+    """What the report of a recording says about occlusion.
+
+    Args:
+        recording: The recording.
+        mode: What was asked for.
+        through: For every primed event the mesh that it was primed through, empty for none.
+    """
+    if mode == "off":
+        return ()
+    if not recording.occluders:
+        return ("no meshes, so no look was tested for occlusion",)
+    marked = sum(bool(name) for name in through)
+    return (f"{marked} of {len(through)} primed events are primed through a mesh",) if marked else ()
+
+
+def _prepared(occluder: Occluder, caster: RayCasterName) -> _Mesh:
+    return _Mesh(
+        occluder.name,
+        occluder.object_id,
+        occluder.vertices.min(axis=0),
+        occluder.vertices.max(axis=0),
+        CASTERS[caster](occluder.vertices, occluder.faces),
+    )
+
+
+def _distance(
+    mesh: _Mesh,
+    origins: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+    reach: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Distance to the mesh's first triangle; inf without testing triangles where not even its box is in reach."""
+    distance = np.full(len(origins), np.inf)
+    thin = 1e-6  # a flat mesh has a flat box, which no ray hits
+    box = slab_test(origins, directions, mesh.low[None] - thin, mesh.high[None] + thin)
+    candidates = np.flatnonzero(box.hit[:, 0] & (box.near[:, 0] < reach))
+    distance[candidates] = mesh.caster.first_hit(origins[candidates], directions[candidates])
+    return distance
