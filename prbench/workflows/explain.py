@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from prbench.curation.priming import OCCLUSION_STAGE, PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
 from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import DatasetInfo, EventRecord, SequenceChunk, SequenceTable
@@ -20,6 +21,8 @@ from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
 """In the order in which curation asks."""
+_PART_OF_PRIMING = (OCCLUSION_STAGE, PUBLISHED_STAGE)
+"""Stages that stand for priming where an option asks otherwise."""
 _AROUND = 2  # events before and after that are shown
 _SHOWN = 8  # candidates that an error message lists
 
@@ -125,7 +128,7 @@ def _sequence(table: SequenceTable, sequence_id: str | None) -> SequenceChunk | 
 def _stages(
     event: EventRecord, chunk: SequenceChunk | None, protocol: BenchmarkProtocol, options: dict[str, str]
 ) -> tuple[StoryStage, ...]:
-    decided = STAGES.index(event.stage)
+    decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     texts = {
         "in_hand": _in_hand(event, options),
         "location": _location(event),
@@ -173,6 +176,10 @@ def _priming(event: EventRecord, protocol: BenchmarkProtocol) -> str:
         kind = (event.prime_kind or "").replace("_", " ")
         window = f"window {constants.priming_window:g} s"
         return f"first look at {event.prime_time:.3f} s ({kind}), {gap:.2f} s before ({window})"
+    if event.stage == PUBLISHED_STAGE:
+        return f"by what the dataset itself publishes: {event.outcome.replace('_', ' ')}"
+    if event.stage == OCCLUSION_STAGE:
+        return f"{event.value or 0:.0f} gaze samples meet the place, and a mesh stands before it in all of them"
     if event.value is None:
         return f"no valid gaze in the {constants.priming_window:g} s before"
     return (

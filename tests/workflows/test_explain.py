@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.curation import build_from_sources
+from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.errors import UsageError
+from prbench.recording import Occluder
 from prbench.viewing.event_story import draw_event_story
 from prbench.viewing.story import EventStory
 from prbench.workflows.explain import explain_event
@@ -24,6 +25,17 @@ class UnseenPut(SceneSource):
 
         looks = [(LOOK_A, LOOK_A + 0.5, PLACE_A)]
         return dataclasses.replace(super().read(), gaze=gaze(clock(30), looks))
+
+
+class BehindAWall(SceneSource):
+    """Everything is looked at through a wall."""
+
+    def read(self):
+        import dataclasses
+
+        corners = np.array([(-3.0, 0.0, 0.7), (3.0, 0.0, 0.7), (3.0, 3.0, 0.7), (-3.0, 3.0, 0.7)])
+        wall = Occluder("wall", corners, np.array([(0, 1, 2), (0, 2, 3)]))
+        return dataclasses.replace(super().read(), occluders=(wall,))
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +112,12 @@ def test_a_dataset_without_sequences_can_be_explained(tmp_path: Path) -> None:
 
     build_from_sources([Unseen("kitchen_1")], tmp_path / "adt")
     assert explain_event(tmp_path / "adt", "cup/pick").event.outcome == "not_primed"
+
+
+def test_looks_through_a_wall_are_told_where_that_decided(tmp_path: Path) -> None:
+    build_from_sources(
+        [BehindAWall("room_c")], tmp_path / "adt", options=BuildOptions(CurationOptions(occlusion="require"))
+    )
+    story = explain_event(tmp_path / "adt", "room_c/cup/pick")
+    assert stages(story)["priming"] == "stopped here"
+    assert "15 gaze samples meet the place, and a mesh stands before it in all of them" in story.text()
