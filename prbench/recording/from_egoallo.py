@@ -50,14 +50,21 @@ def joined_windows(windows: Sequence[ego.BodyWindow]) -> ego.EgoAlloBody | None:
     if not windows:
         return None
     ordered = sorted(windows, key=lambda window: (int(window.time_ns[0]), window.name))
-    time_ns, joints = ordered[0].time_ns, ordered[0].joints
+    settled, latest = [], (ordered[0].time_ns, ordered[0].joints)
     for window in ordered[1:]:
-        new = _distance_to(time_ns, window.time_ns) > ego.SAME_FRAME_NS
-        time_ns = np.concatenate([time_ns, window.time_ns[new]])
-        joints = np.concatenate([joints, window.joints[new]])
-        order = np.argsort(time_ns, kind="stable")
-        time_ns, joints = time_ns[order], joints[order]
+        before = int(np.searchsorted(latest[0], window.time_ns[0] - ego.SAME_FRAME_NS))
+        settled.append(tuple(part[:before] for part in latest))  # no later window reaches back there
+        latest = _merged(latest[0][before:], latest[1][before:], window)
+    time_ns, joints = (np.concatenate(parts) for parts in zip(*settled, latest, strict=True))
     return ego.EgoAlloBody(time_ns, joints, _remarks(ordered, time_ns))
+
+
+def _merged(time_ns: np.ndarray, joints: np.ndarray, window: ego.BodyWindow) -> tuple[np.ndarray, np.ndarray]:
+    """Kept frames, and those of a window that are none of them."""
+    new = _distance_to(time_ns, window.time_ns) > ego.SAME_FRAME_NS
+    times = np.concatenate([time_ns, window.time_ns[new]])
+    order = np.argsort(times, kind="stable")
+    return times[order], np.concatenate([joints, window.joints[new]])[order]
 
 
 def body_stream(
@@ -90,7 +97,9 @@ def _unit_quaternions(quaternions: np.ndarray) -> np.ndarray:
 
 
 def _distance_to(kept: np.ndarray, query: np.ndarray) -> np.ndarray:
-    """Nanoseconds from each query time to the nearest kept one, in integers."""
+    """Nanoseconds from each query time to the nearest kept one, in integers; for ever where none is kept."""
+    if len(kept) == 0:
+        return np.full(len(query), np.iinfo(np.int64).max)
     right = np.clip(np.searchsorted(kept, query), 0, len(kept) - 1)
     left = np.clip(right - 1, 0, None)
     return np.minimum(np.abs(kept[left] - query), np.abs(kept[right] - query))

@@ -15,6 +15,7 @@ from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint
 from prbench.timelines import covered, interpolate
 
+_MARGIN = 1.0  # seconds
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
 
 
@@ -55,12 +56,13 @@ def require_belongs(
         InputFileError: if no frame falls into the tracked time, or the median distance is above 5 cm.
     """
     times = time_ns / 1e9
+    whole, cpf = cpf, _around(cpf, times)
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
     if not posed.any():
         raise InputFileError(
             path,
             ego.TIMES,
-            expected=f"times of this recording, {cpf.times[0]:.3f} … {cpf.times[-1]:.3f} s on the device clock",
+            expected=f"times of this recording, {whole.times[0]:.3f} … {whole.times[-1]:.3f} s on the device clock",
             found=f"{times[0]:.3f} … {times[-1]:.3f} s: the output belongs to another recording",
             remedy=_REMEDY,
         )
@@ -76,3 +78,10 @@ def require_belongs(
             found=f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world",
             remedy=_REMEDY,
         )
+
+
+def _around(cpf: PoseStream, times: Float[np.ndarray, " t"]) -> PoseStream:
+    """The part of a trajectory that can matter for some times: a recording has hundreds of outputs to compare."""
+    first, last = np.searchsorted(cpf.times, [times[0] - _MARGIN, times[-1] + _MARGIN])
+    rows = slice(max(int(first) - 1, 0), int(last) + 1)
+    return PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
