@@ -16,7 +16,7 @@ from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.inferences import Inference
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
-from prbench.release.known import SYNTHETIC_PREFIX
+from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
 from prbench.release.layout import DatasetFiles, find_datasets
 from prbench.release.provenance import describe
 from prbench.release.report import ImportReport, count_rows, count_warnings
@@ -76,6 +76,7 @@ def import_release(
         UsageError: for an unknown dataset or field name.
         StorageError: if ``out`` cannot be written or holds something else.
     """
+    dataset = None if dataset is None else dataset_of(dataset) or dataset  # the authors' spelling will do too
     found = find_datasets(root, dataset)
     targets = {name: out if dataset is not None else out / name for name, _ in found}
     for target in targets.values():

@@ -59,14 +59,15 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
     if not root.is_dir():
         raise InputFileError(root, "", expected="the folder of a release", found="no folder")
     if (root / TARGETS).exists() or (root / MOTIONS).is_dir():
-        name = dataset or dataset_of(root.resolve().name)
-        if name is None:
+        own_name = dataset_of(root.resolve().name)
+        name = dataset or own_name
+        if name is None or own_name not in (None, name):
             raise InputFileError(
                 root,
                 "",
-                expected="a folder that is named after its dataset",
-                found=root.name,
-                remedy="Say which it is: --dataset NAME",
+                expected=f"a folder of {dataset}" if dataset else "a folder that is named after its dataset",
+                found=root.resolve().name,
+                remedy="" if dataset else "Say which it is: --dataset NAME",
             )
         return [(name, root)]
     found = []

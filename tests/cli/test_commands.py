@@ -16,6 +16,8 @@ COMMANDS = [
     ["leaderboard"],
     ["leaderboard", "export"],
     ["leaderboard", "compare"],
+    ["import-release"],
+    ["export-release"],
     ["adapters"],
     ["adapters", "list"],
 ]

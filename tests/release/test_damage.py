@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prbench.cli import main
-from prbench.errors import InputFileError, StorageError
+from prbench.errors import InputFileError, StorageError, UsageError
 from prbench.release import ImportOptions, import_release
 from prbench.sequences import DatasetInfo, SequenceTable
 from tests.release.releases import rows, write_release
@@ -280,3 +280,15 @@ def test_damaged_further_arrays_are_told(tmp_path) -> None:
     result = import_release(tmp_path / "release", tmp_path / "back", dataset="synthetic-adt")
     assert [each.message for each in result.reports[0].problems] == ["further: damaged or of another motion, not used"]
     assert SequenceTable.open(tmp_path / "back").scalars().num_rows == 6
+
+
+def test_a_dataset_may_be_named_as_the_authors_do_but_not_as_another(tmp_path) -> None:
+    write_release(tmp_path / "root" / "ADT", rows(6, "adt"))
+    for number, root in enumerate((tmp_path / "root", tmp_path / "root" / "ADT")):
+        result = import_release(root, tmp_path / f"table{number}", dataset="ADT")
+        assert result.reports[0].dataset == "adt"
+        with pytest.raises(InputFileError, match="a folder of mogaze"):
+            import_release(root, tmp_path / "other", dataset="MoGaze")
+    (tmp_path / "root" / "ADT").rename(tmp_path / "release")
+    with pytest.raises(UsageError, match="unknown dataset 'kitchen'"):
+        import_release(tmp_path / "release", tmp_path / "other", dataset="kitchen")

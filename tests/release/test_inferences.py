@@ -234,6 +234,10 @@ def test_frame_zero_can_be_the_frame_before(tmp_path) -> None:
     assert set(rows_back["previous_source"].to_pylist()) == {"recorded"}
     for motion in motions(tmp_path):
         np.testing.assert_allclose(motion[0, 0, [0, 2]], 0, atol=1e-6)
+    chunk = next(SequenceTable.open(tmp_path / "table").chunks())
+    np.testing.assert_array_equal(
+        chunk.frames("gaze_valid"), np.concatenate([row.gaze_valid[1:] for row in ROWS]), "gaze is shifted too"
+    )
 
 
 def test_without_a_frame_before_the_motion_is_continued_backwards(tmp_path) -> None:

@@ -20,7 +20,7 @@ from tests.release.tables import looking_table
 
 
 @pytest.mark.parametrize("dataset", ["adt", "gimo", "mogaze", "hot3d", "hd-epic"])
-def test_a_released_dataset_names_the_study_and_the_source(dataset, tmp_path) -> None:
+def test_a_released_dataset_names_the_study_and_the_source(dataset, tmp_path, capsys) -> None:
     manifest = load_manifest(dataset)
     write_release(tmp_path / "root" / folder_of(dataset), rows(6, dataset))
     report = import_release(tmp_path / "root", tmp_path / "out").reports[0]
@@ -31,6 +31,8 @@ def test_a_released_dataset_names_the_study_and_the_source(dataset, tmp_path) ->
     assert manifest.citation.strip() in info.citation
     assert info.redistribution == ("none" if manifest.redistribution == "none" else "non-commercial")
     assert not info.synthetic
+    assert main(["cite", str(tmp_path / "out" / dataset)]) == 0
+    assert capsys.readouterr().out.count("hatano_prime_and_reach") == 1
     assert any(f"the study has {load_known().datasets[dataset].train}" in warning for warning in report.warnings)
 
 
