@@ -99,7 +99,7 @@ def citation_text(folders: Sequence[Path]) -> str:
         entries += [entry for entry in _bibtex_entries(info.citation) if entry not in entries]
     common = load_citations()
     toolkit = common.toolkit.replace("VERSION", prbench.__version__)
-    everything = dict.fromkeys([*entries, common.study.strip(), toolkit.strip()])  # imported releases cite the study too
+    everything = dict.fromkeys([*entries, common.study.strip(), toolkit.strip()])  # imports cite the study, too
     return "\n\n".join(["\n".join(terms), *everything])
 
 
