@@ -19,5 +19,8 @@ def differences(first: object, second: object, path: str = "") -> Iterator[str]:
     elif isinstance(first, tuple) and isinstance(second, tuple) and len(first) == len(second):
         for index, (left, right) in enumerate(zip(first, second, strict=True)):
             yield from differences(left, right, f"{path}[{index}]")
+    elif isinstance(first, dict) and isinstance(second, dict) and first.keys() == second.keys():
+        for key in first:
+            yield from differences(first[key], second[key], f"{path}[{key!r}]")
     elif first != second:
         yield path

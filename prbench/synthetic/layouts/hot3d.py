@@ -105,7 +105,7 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         bodies = {entry.object_id: entry.rows for entry in readings.objects}
         write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
         write_csv(target / hot3d.HEADSET_FILE, pose_columns({HEADSET_UID: readings.headset}))
-        _write_hands(readings.hands, target / hot3d.UMETRACK_FILE)
+        _write_hands(readings, target / hot3d.UMETRACK_FILE)
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
         _write_masks(readings, target / hot3d.MASK_FOLDER)
@@ -158,9 +158,10 @@ def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
     }
 
 
-def _write_hands(hands: tuple[hot3d.HandRows, ...], path: Path) -> None:
-    lines: dict[int, dict[str, object]] = {}
-    for hand in hands:
+def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
+    """One line an instant, also where no hand is tracked."""
+    lines: dict[int, dict[str, object]] = {time: {} for time in readings.headset.time_ns.tolist()}
+    for hand in readings.hands:
         numbers = zip(
             hand.time_ns.tolist(),
             hand.position.tolist(),
@@ -169,12 +170,12 @@ def _write_hands(hands: tuple[hot3d.HandRows, ...], path: Path) -> None:
             strict=True,
         )
         for time, position, rotation, angles in numbers:
-            lines.setdefault(time, {})[hot3d.HAND_KEYS[hand.side]] = {
+            lines[time][hot3d.HAND_KEYS[hand.side]] = {
                 "wrist_xform": {"t_xyz": position, "q_wxyz": rotation},
                 "joint_angles": angles,
                 "hand_confidence": 1.0,
             }
-    records = [{"timestamp_ns": time, "hand_poses": lines[time]} for time in sorted(lines)]
+    records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
     with atomic_path(path) as temporary:
         temporary.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
 

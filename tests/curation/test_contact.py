@@ -1,0 +1,137 @@
+"""Distances between hands and objects, and what an unseen hand means."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+import trimesh
+
+from prbench.curation.contact import close_to, contact_distance, require_surfaces
+from prbench.curation.in_hand import find_holdings
+from prbench.errors import UsageError
+from prbench.manifests import load_manifest
+from prbench.recording import HandStream, ObjectTrack
+from prbench.recording.surfaces import surface_points
+from tests.curation.scenes import RULE, scene
+
+SURFACE = msgspec.structs.replace(RULE, contact="hand_vertex", target="surface", distance=0.05)
+ORIGIN = msgspec.structs.replace(SURFACE, target="origin")
+UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+def _hand(points: np.ndarray) -> HandStream:
+    """Vertices that rest for a second."""
+    return HandStream("left", "hand_vertex", np.array([0.0, 1.0]), np.stack([points] * 2), np.ones(2, dtype=bool))
+
+
+def _object(mesh: trimesh.Trimesh, *, spacing: float = 0.003) -> ObjectTrack:
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return ObjectTrack(
+        object_id="1",
+        name="thing",
+        category="thing",
+        times=np.array([0.0, 1.0]),
+        position=np.zeros((2, 3)),
+        rotation=np.repeat(UPRIGHT, 2, axis=0),
+        valid=np.ones(2, dtype=bool),
+        box_min=vertices.min(axis=0),
+        box_max=vertices.max(axis=0),
+        movable=True,
+        surface_points=surface_points(vertices, faces, spacing=spacing),
+    )
+
+
+def _distance(points: np.ndarray, track: ObjectTrack, rule, position=None, rotation=UPRIGHT) -> float:
+    place = np.zeros((1, 3)) if position is None else position
+    return float(contact_distance(_hand(points), track, rule, np.array([0.5]), place, rotation)[0])
+
+
+def test_the_surface_of_a_ball_is_nearer_than_its_origin_and_further_than_its_box() -> None:
+    ball = _object(trimesh.creation.icosphere(subdivisions=4, radius=0.06))
+    corner = np.array([[0.06, 0.06, 0.06]])
+    outside = 0.06 * (np.sqrt(3) - 1)
+    assert _distance(corner, ball, SURFACE) == pytest.approx(outside, abs=2e-4)
+    assert _distance(corner, ball, ORIGIN) == pytest.approx(0.06 * np.sqrt(3))
+    assert _distance(corner, ball, msgspec.structs.replace(SURFACE, target="oriented_box")) == 0.0
+
+
+def test_surface_distances_agree_with_an_exact_method() -> None:
+    """trimesh's closest points on triangles, for an object that was turned and moved."""
+    rng = np.random.default_rng(2)
+    mesh = trimesh.creation.torus(major_radius=0.05, minor_radius=0.015)
+    turned = trimesh.transformations.random_rotation_matrix(rng.random(3))
+    quaternion = trimesh.transformations.quaternion_from_matrix(turned)[None]
+    place = np.array([[0.3, -0.2, 1.0]])
+    track = _object(mesh)
+    for _ in range(20):
+        local = rng.normal(0.0, 0.03, (50, 3))
+        world = local @ turned[:3, :3].T + place
+        corners = np.repeat(np.asarray(mesh.triangles)[None], 50, axis=0).reshape(-1, 3, 3)
+        exact = trimesh.triangles.closest_point(corners, np.repeat(local, len(mesh.faces), axis=0))
+        expected = np.linalg.norm(exact.reshape(50, -1, 3) - local[:, None], axis=2).min()
+        assert _distance(world, track, SURFACE, place, quaternion) == pytest.approx(expected, abs=1.8e-3)
+
+
+def test_beyond_the_rule_s_distance_a_lower_bound_is_enough() -> None:
+    ball = _object(trimesh.creation.icosphere(subdivisions=3, radius=0.06))
+    far = np.array([[0.0, 0.20, 0.0]])
+    assert _distance(far, ball, SURFACE) == pytest.approx(0.14, abs=1e-3)
+
+
+def test_an_object_without_surface_stands_in_with_its_box() -> None:
+    point = dataclasses.replace(
+        _object(trimesh.creation.icosphere(radius=0.06)),
+        surface_points=None,
+        box_min=np.zeros(3),
+        box_max=np.zeros(3),
+    )
+    assert _distance(np.array([[0.0, 0.0, 0.04]]), point, SURFACE) == pytest.approx(0.04)
+
+
+def test_many_frames_are_worked_off_in_parts_with_the_same_result() -> None:
+    rng = np.random.default_rng(3)
+    times = np.linspace(0.0, 10.0, 601)
+    points = rng.normal(0.0, 0.1, (601, 788, 3))
+    hand = HandStream("left", "hand_vertex", times, points, np.ones(601, dtype=bool))
+    ball = _object(trimesh.creation.icosphere(radius=0.06))
+    place = rng.normal(0.0, 0.05, (601, 3))
+    together = contact_distance(hand, ball, ORIGIN, times, place, np.repeat(UPRIGHT, 601, axis=0))
+    assert together == pytest.approx(np.linalg.norm(points - place[:, None], axis=2).min(axis=1))
+
+
+def test_a_rule_about_surfaces_needs_them() -> None:
+    recording = scene()
+    with pytest.raises(UsageError, match="--option meshes=true"):
+        find_holdings(recording, SURFACE)
+    require_surfaces(recording, ORIGIN)
+
+
+def test_hot3d_lists_the_rule_of_the_paper_and_its_alternatives() -> None:
+    manifest = load_manifest("hot3d")
+    rule = manifest.in_hand_rule(None)
+    assert rule is not None
+    assert (rule.contact, rule.target, rule.distance) == ("hand_vertex", "origin", 0.05)
+    targets = {name: entry.target for name, entry in manifest.in_hand_alternatives.items()}
+    assert targets == {"surface": "surface", "box": "oriented_box", "wrist": "oriented_box"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "seconds", "close"),
+    [(0.01, 0.02, 1.5, True), (0.01, 0.02, 2.5, False), (0.01, 0.10, 1.5, False), (0.10, 0.01, 1.5, False)],
+)
+def test_a_hand_that_is_unseen_between_two_touches_never_left(before, after, seconds, close) -> None:
+    times = np.arange(0.0, 10.0, 0.1)
+    distance = np.where(times < 4.0, before, after)
+    unseen = (times >= 4.0) & (times < 4.0 + seconds - 0.15)
+    distance[unseen] = np.inf
+    assert close_to(distance, times, ORIGIN)[unseen].tolist() == [close] * int(unseen.sum())
+
+
+def test_unseen_at_the_start_or_the_end_is_not_close() -> None:
+    times = np.arange(0.0, 1.0, 0.1)
+    distance = np.full(10, np.inf)
+    distance[4:6] = 0.01
+    assert np.flatnonzero(close_to(distance, times, ORIGIN)).tolist() == [4, 5]
