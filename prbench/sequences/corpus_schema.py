@@ -1,6 +1,6 @@
 """The columns of a text-motion corpus: clips, annotations and recordings.
 
-Columns that the sequence table has too keep its name, type, unit and frame, so that code which reads motions reads both.
+Columns that the sequence table has too keep its name, type, unit and frame: code that reads motions reads both.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def read_suit(path: Path) -> Suit:
     if not np.isfinite(time.astype(np.float64)).all():
         raise InputFileError(path, "timestamps_us", expected="finite times", found="NaN", remedy=_DOWNLOAD)
     _require_number(path, arrays, "frameRate", SUIT_RATE, "Other rates than 240 Hz are not known to exist.")
-    _require_number(path, arrays, "frameCount", n, _DOWNLOAD)
+    _require_number(path, arrays, "frameCount", float(n), _DOWNLOAD)
     tpose = arrays.get("tpose_segment_tXYZ")
     return Suit(
         time_us=np.rint(time).astype(np.int64),

@@ -51,7 +51,7 @@ def _span(script: Script, motion: Motion, act: Act, rate: float) -> Span:
     joints = motion.joints[first : last + 1]
     heading = motion.base.heading[first : last + 1]
     steps = sum(act.begin <= step.lift < act.end for step in plan_steps(script.person, script.segments))
-    return Span(joints, heading, motion.head.yaw[first : last + 1] - heading, rate, steps)
+    return Span(joints, heading, motion.head.yaw[first : last + 1] - heading, rate, int(steps))
 
 
 def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[TrueNarration]:
