@@ -52,9 +52,9 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument(
         "--ray-caster",
-        choices=["trimesh", "open3d"],
-        default="trimesh",
-        help="what tests looks against meshes (default: trimesh; open3d is quicker on large ones)",
+        choices=["numpy", "open3d"],
+        default="numpy",
+        help="what tests looks against meshes (default: numpy; open3d is quicker on large ones)",
     )
     parser.add_argument(
         "--minimum-movement",

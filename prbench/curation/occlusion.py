@@ -16,7 +16,7 @@ from prbench.recording import ObjectTrack, Occluder, Recording
 
 OcclusionMode = Literal["off", "mark", "require"]
 """``mark``: primes stay what they are, those through a mesh are told; ``require``: only unobstructed looks prime."""
-RayCasterName = Literal["trimesh", "open3d"]
+RayCasterName = Literal["numpy", "open3d"]
 
 MARGIN = 0.02
 """Metres before the place within which a mesh is no obstacle: what the place lies on or in (choice)."""
@@ -131,10 +131,11 @@ def _distance(
     directions: Float[np.ndarray, "n 3"],
     reach: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """Distance to the mesh's first triangle; inf without testing triangles where not even its box is in reach."""
+    """Distance to the mesh's first triangle; objects far from the way are left out by their box alone."""
     distance = np.full(len(origins), np.inf)
     thin = 1e-6  # a flat mesh has a flat box, which no ray hits
     box = slab_test(origins, directions, mesh.low[None] - thin, mesh.high[None] + thin)
     candidates = np.flatnonzero(box.hit[:, 0] & (box.near[:, 0] < reach))
-    distance[candidates] = mesh.caster.first_hit(origins[candidates], directions[candidates])
+    rays = origins[candidates], directions[candidates], reach[candidates]
+    distance[candidates] = mesh.caster.first_hit(*rays)
     return distance

@@ -29,7 +29,7 @@ class CurationOptions:
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
     """What to do with looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
-    ray_caster: RayCasterName = "trimesh"
+    ray_caster: RayCasterName = "numpy"
     """What tests rays against meshes."""
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Rays against triangle meshes: trimesh as the base, Open3D's ``RaycastingScene`` as the fast path."""
+"""Rays against triangle meshes: our own NumPy as the base, Open3D's ``RaycastingScene`` as the fast path."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.curation.triangle_tree import TriangleTree
 from prbench.errors import MissingExtraError
 
 
@@ -20,32 +21,13 @@ class RayCaster(Protocol):
     def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> None: ...
 
     def first_hit(
-        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+        self,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        reach: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, " n"]:
-        """Distance along each ray (unit directions) to the first triangle, seen from either side; inf for none."""
+        """Distance along each ray (unit directions) to the first triangle, from either side; inf for none in reach."""
         ...
-
-
-class TrimeshCaster:
-    """Exact in double precision; needs nothing but the core packages."""
-
-    def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> None:
-        import trimesh
-        from trimesh.ray.ray_triangle import RayMeshIntersector
-
-        # Named, because `mesh.ray` is another program where Embree happens to be installed.
-        self._rays = RayMeshIntersector(trimesh.Trimesh(vertices, faces, process=False))
-
-    def first_hit(
-        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, " n"]:
-        """See :meth:`RayCaster.first_hit`."""
-        distance = np.full(len(origins), np.inf)
-        if len(origins) == 0:
-            return distance
-        places, ray, _ = self._rays.intersects_location(origins, directions, multiple_hits=True)
-        np.minimum.at(distance, ray, np.linalg.norm(np.reshape(places, (-1, 3)) - origins[ray], axis=1))
-        return distance
 
 
 class Open3dCaster:
@@ -58,15 +40,19 @@ class Open3dCaster:
         self._scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(faces.astype(np.uint32)))
 
     def first_hit(
-        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+        self,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        reach: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, " n"]:
         """See :meth:`RayCaster.first_hit`."""
         rays = np.hstack([origins, directions]).astype(np.float32)
         hits = self._scene.cast_rays(self._open3d.core.Tensor(rays))
-        return hits["t_hit"].numpy().astype(np.float64)
+        distance = hits["t_hit"].numpy().astype(np.float64)
+        return np.where(distance < reach, distance, np.inf)
 
 
-CASTERS: Mapping[str, type[RayCaster]] = MappingProxyType({"trimesh": TrimeshCaster, "open3d": Open3dCaster})
+CASTERS: Mapping[str, type[RayCaster]] = MappingProxyType({"numpy": TriangleTree, "open3d": Open3dCaster})
 """By name of the option."""
 
 

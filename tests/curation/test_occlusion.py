@@ -8,10 +8,12 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 
 from prbench.curation import CurationOptions, curate_recording
 from prbench.curation.occlusion import MARGIN, Surroundings
-from prbench.curation.ray_casters import CASTERS, TrimeshCaster
+from prbench.curation.ray_casters import CASTERS
+from prbench.curation.triangle_tree import TriangleTree
 from prbench.errors import MissingExtraError, UsageError
 from prbench.manifests import load_manifest
 from prbench.recording import Occluder, Recording
@@ -19,6 +21,7 @@ from tests.curation.scenes import EYE, LOOK_A, LOOK_B, MANIFEST, PLACE_A, PLACE_
 
 TWO_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)])
 MARK, REQUIRE = CurationOptions(occlusion="mark"), CurationOptions(occlusion="require")
+FAR = np.full(400, np.inf)
 HAS_OPEN3D = importlib.util.find_spec("open3d") is not None
 
 
@@ -128,14 +131,14 @@ def test_a_turned_object_turns_its_mesh() -> None:
     on_end = np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])  # 90 degrees about z
     for rotation, hidden in ((upright, False), (on_end, True)):
         body = dataclasses.replace(track(times, np.array([[0.0, 0.0, 1.0]]), object_id="7"), rotation=rotation)
-        around = Surroundings(scene(objects=(body,), occluders=(board,)), "trimesh")
+        around = Surroundings(scene(objects=(body,), occluders=(board,)), "numpy")
         above = np.array([[0.0, 0.5, 0.0]]), np.array([[0.0, 0.0, 1.0]])
         assert around.obstacles(times, *above, np.array([2.0]), but="1") == (("board",) if hidden else ("",))
 
 
 def test_the_nearest_of_several_meshes_is_named_and_what_lies_behind_the_place_is_none() -> None:
     panes = [wall(pane((-1, 1), (-1, 1), z), name=str(z)) for z in (3.0, 1.0, 2.0)]
-    around = Surroundings(scene(occluders=tuple(panes)), "trimesh")
+    around = Surroundings(scene(occluders=tuple(panes)), "numpy")
     ahead = np.zeros((4, 3)), np.tile((0.0, 0.0, 1.0), (4, 1))
     reach = np.array([0.5, 1.5, 1.0 + 0.9 * MARGIN, 1.0 + 1.1 * MARGIN])
     assert around.obstacles(np.zeros(4), *ahead, reach, but="") == ("", "1.0", "", "1.0")
@@ -168,13 +171,15 @@ def test_distances_are_those_of_a_slow_loop() -> None:
             if along > 0 and u >= 0 and v >= 0 and u + v <= 1:
                 expected[ray] = min(expected[ray], along)
     assert 10 < np.isfinite(expected).sum() < 110
-    assert TrimeshCaster(vertices, faces).first_hit(origins, directions) == pytest.approx(expected, abs=1e-9)
+    assert TriangleTree(vertices, faces).first_hit(origins, directions, FAR[: len(origins)]) == pytest.approx(
+        expected, abs=1e-9
+    )
 
 
 @pytest.mark.skipif(not HAS_OPEN3D, reason="Open3D is not installed (extra open3d)")
 def test_both_ray_casters_agree() -> None:
     vertices, faces, origins, directions = _crowd()
-    one, other = (caster(vertices, faces).first_hit(origins, directions) for caster in CASTERS.values())
+    one, other = (caster(vertices, faces).first_hit(origins, directions, FAR) for caster in CASTERS.values())
     assert one == pytest.approx(other, abs=1e-5)
 
 
@@ -193,5 +198,25 @@ def test_occlusion_and_published_priming_exclude_each_other() -> None:
 
 def test_the_choice_stands_in_the_description_of_a_dataset() -> None:
     described = REQUIRE.described(load_manifest("mogaze"), PROTOCOL)
-    assert (described["occlusion"], described["ray_caster"]) == ("require", "trimesh")
+    assert (described["occlusion"], described["ray_caster"]) == ("require", "numpy")
     assert CurationOptions().described(load_manifest("mogaze"), PROTOCOL)["occlusion"] == "off"
+
+
+def test_a_large_mesh_is_met_at_its_surface() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=5)  # 20,480 triangles
+    generator = np.random.default_rng(2)
+    origins = generator.normal(size=(700, 3))
+    origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
+    tree = TriangleTree(np.array(sphere.vertices), np.array(sphere.faces))
+    inwards = -origins / 3
+    assert tree.first_hit(origins, inwards, np.full(700, np.inf)) == pytest.approx(2.0, abs=2e-3)
+    assert np.isinf(tree.first_hit(origins, inwards, np.full(700, 1.9))).all(), "out of reach"
+    assert np.isinf(tree.first_hit(origins, -inwards, np.full(700, np.inf))).all(), "behind the eye"
+    assert tree.first_hit(origins * 0, inwards, np.full(700, np.inf)) == pytest.approx(1.0, abs=2e-3), "from within"
+
+
+def test_a_ray_along_an_axis_and_one_through_a_common_edge() -> None:
+    tree = TriangleTree(pane((-1.0, 1.0), (-1.0, 1.0), 2.0), TWO_TRIANGLES)
+    ahead = np.tile((0.0, 0.0, 1.0), (3, 1))
+    origins = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 0.0), (1.1, 0.0, 0.0)])  # the diagonal, a corner, beside
+    assert tree.first_hit(origins, ahead, np.full(3, np.inf)).tolist() == [2.0, 2.0, np.inf]
