@@ -32,7 +32,7 @@ class FieldRule:
     fits: Callable[[Any, str], bool]
     """Whether a value, under a field of the given name, has the right form."""
     part: str | None = None
-    """Pattern within a name (letters and digits only)."""
+    """Pattern within a name (letters and digits only); None for fields on which no number depends."""
     by_value: bool = False
     """A field is recognised by its values alone, if nothing else is."""
     required: bool = False
@@ -147,13 +147,14 @@ def choose_fields(
         UsageError: if the user names a field that does not exist.
         InputFileError: if two fields fit equally well, or a field that is needed is not found; lists the names.
     """
+    some = {name: _some(values(name)) for name in names}
     chosen = [_given(where, canonical, field, names) for canonical, field in given.items()]
     for rule in FIELDS:
         taken = {choice.field for choice in chosen}
         if rule.canonical in given:
             continue
         free = [name for name in names if name not in taken]
-        choice = _choose(where, rule, free, values)
+        choice = _choose(where, rule, free, some)
         if choice is not None:
             chosen.append(choice)
         elif rule.required:
@@ -177,11 +178,8 @@ def _given(where: str, canonical: str, field: str, names: Sequence[str]) -> Fiel
 
 
 def _choose(
-    where: str, rule: FieldRule, free: Sequence[str], values: Callable[[str], Sequence[Any]]
+    where: str, rule: FieldRule, free: Sequence[str], values: Mapping[str, Sequence[Any]]
 ) -> FieldChoice | None:
-    def fitting(names: Sequence[str]) -> list[str]:
-        return [name for name in names if _fits(rule, name, values(name))]
-
     part = re.compile(rule.part) if rule.part else None
     steps: tuple[tuple[list[str], Certainty, str], ...] = (
         ([name for name in free if letters(name) in rule.aliases], "certain", "known name"),
@@ -189,7 +187,9 @@ def _choose(
         (list(free) if rule.by_value else [], "assumed", "its values only"),
     )
     for names, certainty, evidence in steps:
-        found = fitting(names)
+        found = [name for name in names if _fits(rule, name, values[name])]
+        if len(found) > 1 and rule.part is None:  # nothing hangs on it: the better known name
+            found = sorted(found, key=lambda name: rule.aliases.index(letters(name)))[:1]
         if len(found) > 1 and (rule.required or certainty == "certain"):
             raise InputFileError(
                 where,
@@ -203,9 +203,13 @@ def _choose(
     return None
 
 
+def _some(values: Sequence[Any]) -> Sequence[Any]:
+    """Values from all over a field."""
+    return values[:: max(1, len(values) // _LOOKED_AT)]
+
+
 def _fits(rule: FieldRule, name: str, values: Sequence[Any]) -> bool:
-    some = values[:: max(1, len(values) // _LOOKED_AT)]
-    return bool(some) and sum(rule.fits(value, name) for value in some) >= _FITTING * len(some)
+    return bool(values) and sum(rule.fits(value, name) for value in values) >= _FITTING * len(values)
 
 
 def _is_box(value: Any) -> bool:

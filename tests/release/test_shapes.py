@@ -13,7 +13,8 @@ from prbench.release import ImportOptions, import_release
 from prbench.release.entries import read_entries
 from prbench.release.fields import FIELDS
 from prbench.release.layout import index_of
-from tests.release.releases import NAMES, SHAPES, Style, rows, write_release
+from prbench.sequences import SequenceTable
+from tests.release.releases import NAMES, SHAPES, Style, plain_entry, rows, write_release
 
 SEQUENCES = rows(8)
 ALIASES = {rule.canonical: rule.aliases for rule in FIELDS}
@@ -133,6 +134,17 @@ def test_two_fields_that_fit_equally_need_the_users_word(tmp_path) -> None:
             )
 
 
+def test_of_two_names_of_the_source_the_better_known_is_taken(tmp_path) -> None:
+    write_release(
+        tmp_path / "release",
+        SEQUENCES,
+        entry=lambda row, style: plain_entry(row, style) | {"clip": "c1", "video": row.recording_id},
+    )
+    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
+    assert {choice.canonical: choice.field for choice in report.fields}["source"] == "video"
+    assert report.unmapped == ("clip",)
+
+
 def test_a_missing_field_is_named_with_those_that_are_there(tmp_path) -> None:
     def entry(row, style):
         return {"goal": row.goal_location.tolist(), "primed_frame": row.prime_frame, "colour": "red"}
@@ -175,9 +187,6 @@ def test_what_is_no_list_of_sequences_is_refused_with_the_place(content, message
 
 
 def test_unrecognised_fields_are_kept_as_text(tmp_path) -> None:
-    from prbench.sequences import SequenceTable
-    from tests.release.releases import plain_entry
-
     write_release(
         tmp_path / "release",
         SEQUENCES,
