@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from benchmarks.speed import bench_curation, bench_metrics, bench_reading
+from benchmarks.speed import bench_curation, bench_metrics, bench_reading, bench_trajectory
 
 
 def main() -> None:
-    """Reading, curation, metrics."""
+    """Reading, long trajectories, curation, metrics."""
     bench_reading.main()
+    bench_trajectory.main()
     bench_curation.main()
     bench_metrics.main()
 

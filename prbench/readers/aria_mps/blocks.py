@@ -13,7 +13,7 @@ from prbench.readers.aria_mps.line_search import NEWLINE, QUOTE, Block, NotSearc
 from prbench.readers.files import header_names
 from prbench.readers.zipped import Source, opened
 
-BLOCK = 32 * 2**20
+BLOCK = 8 * 2**20
 """Bytes of text in memory at once."""
 _LONGEST_LINE = 2**16
 _BREAKS = (NEWLINE, b"\r"[0])

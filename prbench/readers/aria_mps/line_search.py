@@ -10,6 +10,7 @@ from __future__ import annotations
 import mmap
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
@@ -112,14 +113,15 @@ class TimedLines:
 
     def _at_or_after(self, places: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """The first line that begins at or after each place, which lies behind the beginning of the first line."""
-        find, stop = self.block.content.find, self.block.stop
-        return np.array([find(b"\n", place - 1, stop) + 1 or stop for place in places.tolist()], dtype=np.int64)
+        breaks = map(self.block.content.find, repeat(b"\n"), (places - 1).tolist(), repeat(self.block.stop))
+        found = np.fromiter(breaks, np.int64, len(places)) + 1
+        return np.where(found == 0, self.block.stop, found)
 
     def _before(self, lines: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """The line before each line, or before the end; none is the first."""
-        rfind, begin = self.block.content.rfind, self.block.begin
-        found = [rfind(b"\n", begin, line - 1) + 1 for line in lines.tolist()]
-        return np.maximum(np.array(found, dtype=np.int64), begin)
+        begin = self.block.begin
+        breaks = map(self.block.content.rfind, repeat(b"\n"), repeat(begin), (lines - 1).tolist())
+        return np.maximum(np.fromiter(breaks, np.int64, len(lines)) + 1, begin)
 
     def _anchors(self) -> Int[np.ndarray, " k"]:
         """Some lines, the first and the last among them."""

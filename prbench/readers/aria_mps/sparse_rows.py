@@ -47,6 +47,7 @@ def search_rows(
     require_whole_last_line(shown(source), columns, start.names, tail=text[-RememberingTail.LENGTH :])
     table = pyarrow.csv.read_csv(
         pa.BufferReader(start.header + text),
+        read_options=pyarrow.csv.ReadOptions(use_threads=False),  # workers share the cores among them
         convert_options=pyarrow.csv.ConvertOptions(column_types=arrow_types(columns), include_columns=list(columns)),
     )
     require_integers(source, table, columns)

@@ -68,13 +68,15 @@ class NearGaze:
     """Rows around gaze times and a regular grid, first and last row included (``wanted_times_us``)."""
 
     gaze_us: Int[np.ndarray, " n"]
+    """Increasing."""
     rate: float = POSE_RATE
 
     def between(self, first_us: int, after_us: int | None, until_us: int) -> Int[np.ndarray, " n"]:
         """See :class:`Wanted`."""
         after = first_us - 1 if after_us is None else after_us
-        times = np.concatenate([self.gaze_us, grid_times_us(first_us, max(after, first_us), until_us, self.rate)])
-        return np.unique(times[(times > after) & (times <= until_us)])
+        gaze = self.gaze_us[slice(*np.searchsorted(self.gaze_us, (after, until_us), side="right"))]
+        times = np.union1d(gaze, grid_times_us(first_us, max(after, first_us), until_us, self.rate))
+        return times[(times > after) & (times <= until_us)]
 
     def beyond(self, last_us: int) -> bool:  # noqa: ARG002
         """See :class:`Wanted`."""
