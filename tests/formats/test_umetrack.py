@@ -84,6 +84,11 @@ def test_the_invented_hand_has_the_form_of_a_real_one(model) -> None:
     assert np.linalg.norm(model.joint_axes, axis=1) == pytest.approx(np.ones(umetrack.N_JOINTS))
 
 
+def test_no_angle_is_zero(model) -> None:
+    """The dataset's own toolkit divides by an angle's size."""
+    assert (finger_angles(np.linspace(0.0, 1.0, 5))[:, : umetrack.N_ANGLES] > 0.01).all()
+
+
 def test_closing_the_hand_brings_the_finger_tips_towards_the_palm(model) -> None:
     bones = umetrack.bone_transforms(model, finger_angles(np.array([0.0, 1.0])))
     origin, upright = np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1))

@@ -16,7 +16,7 @@ from prbench.recording.hot3d_hands import umetrack_points
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches
-from prbench.synthetic.sensors.hot3d import clock_start, sense
+from prbench.synthetic.sensors.hot3d import clock_start, native_object_id, sense
 from prbench.timelines import interpolate
 from tests.readers.hot3d_trees import first_seconds
 
@@ -90,9 +90,8 @@ def test_ideal_readings_come_back_as_the_truth(performance, readings) -> None:
     assert np.abs(recording.head.position - eye).max() < 5e-4
     joint = interpolate(performance.times, performance.joints[:, 20], recording.hand_streams("wrist")[0].times - start)
     assert recording.hand_streams("wrist")[0].points[:, 0] == pytest.approx(joint, abs=2e-6)
-    for track, motion in zip(
-        sorted(recording.objects, key=lambda t: t.name), sorted(performance.objects, key=lambda m: m.name), strict=True
-    ):
+    for motion in performance.objects:
+        track = recording.object(native_object_id(motion.object_id))
         low, high = track.world_box(track.position[:1], track.rotation[:1])
         assert ((low + high) / 2)[0] == pytest.approx(motion.position[0], abs=3e-6)
     assert recording.span == pytest.approx((start + performance.times[0], start + performance.times[0] + 4.0), abs=0.04)

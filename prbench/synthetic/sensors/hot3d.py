@@ -132,10 +132,11 @@ def _sense_objects(
         position = position + rng.normal(0.0, _OBJECT_NOISE, position.shape) * scale
         rotation = rotation * Rotation.from_rotvec(rng.normal(0.0, _OBJECT_TURN, position.shape) * scale)
         seen = ~(_lost(performance, motion, times) | _gaps(performance, motion, times, noise, switches))
+        uid = native_object_id(motion.object_id)
         objects.append(
             hot3d.Hot3dObject(
-                object_id=native_object_id(motion.object_id),
-                name=motion.name,
+                object_id=uid,
+                name=f"{motion.name}_{uid[-4:]}",  # the library finds uids by name, too
                 rows=_native_rows(time_ns, position, rotation, seen),
                 mesh=box_mesh(motion.half_extents),
             )

@@ -31,6 +31,8 @@ _PALM_ALONG, _PALM_ACROSS = (0.08, 0.30, 0.52, 0.74, 0.94), (-0.35, 0.22)
 _DECIMALS = 6  # of millimetres
 _OPEN, _CLOSED = 0.20, 0.55
 """Bending of each finger joint of an empty and of a holding hand, radians."""
+_SPREAD = 0.03
+"""Radians; never 0, at which the dataset's own toolkit divides by zero."""
 _ROOT, _WRIST = 0, 1
 
 
@@ -79,6 +81,7 @@ def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
     angles = np.zeros((len(closed), umetrack.N_JOINTS))
     bend = _OPEN + closed * (_CLOSED - _OPEN)
     for first in _firsts():
+        angles[:, first] = _SPREAD
         angles[:, first + 1 : first + 4] = bend[:, None]
     angles[:, 0:4] = 0.3 * bend[:, None]
     return angles
