@@ -94,6 +94,18 @@ def glasses_streams(
     return _frame_streams(glasses, thresholds, world_from_source)
 
 
+def source_head(glasses: MpsReadings | hd_epic.FrameReadings) -> PoseStream:
+    """Poses of the central pupil frame in the source world (Z up), on the device clock.
+
+    Raises:
+        InputFileError: if there is no pose of the glasses at all.
+    """
+    if isinstance(glasses, MpsReadings):
+        return mps_streams(dataclasses.replace(glasses, wrists=None), world_from_source=np.eye(4)).head
+    device_cpf = device_from_cpf(glasses.glasses_size or ASSUMED_SIZE)
+    return part_poses(_frame_poses(glasses, np.eye(4)), device_cpf)
+
+
 def _frame_streams(
     frames: hd_epic.FrameReadings, thresholds: hd_epic.Thresholds, world_from_source: Float[np.ndarray, "4 4"]
 ) -> MpsStreams:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
 from prbench.formats.aria_mps import MpsReadings
-from prbench.manifests import load_manifest
 from prbench.readers.aria_mps import find_mps_files, read_mps
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
 from prbench.readers.found import RecordingFiles
@@ -21,7 +19,7 @@ from prbench.readers.hd_epic.intermediate import read_frames
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.slam_map import slam_number
 from prbench.readers.hd_epic.video_clock import read_video_clock
-from prbench.recording.from_hd_epic import glasses_streams
+from prbench.recording.from_hd_epic import source_head
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -32,28 +30,24 @@ def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEp
     Raises:
         InputFileError: for a missing or damaged file; of SLAM it says which archive is missing.
     """
-    thresholds = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
     video, participant = found.recording_id, found.folder.name
     associations, masks = _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS)
     tracks, track_remarks = read_tracks(associations, masks, video)
     priming = found.path(places.PRIMING)
     frames = _read_frames(found) if options.source == "intermediate" else None
     clock, clock_remarks = _read_clock(found, frames)
-    readings = hd_epic.HdEpicReadings(
+    glasses = _read_mps(found) if frames is None else frames
+    body = read_bodies(found, cpf=source_head(glasses))
+    return hd_epic.HdEpicReadings(
         video=video,
         participant_id=participant,
         clock=clock,
         tracks=tracks,
         priming=None if priming is None else read_priming(priming, video),
-        glasses=_read_mps(found) if frames is None else frames,
-        body=None,
-        messages=(*track_remarks, *clock_remarks),
+        glasses=glasses,
+        body=body,
+        messages=(*track_remarks, *clock_remarks, *((NO_OUTPUTS,) if body is None else ())),
     )
-    streams = glasses_streams(readings.glasses, thresholds, world_from_source=np.eye(4))
-    body = read_bodies(found, cpf=streams.head)
-    if body is None:
-        return dataclasses.replace(readings, messages=(*readings.messages, NO_OUTPUTS))
-    return dataclasses.replace(readings, body=body)
 
 
 def _annotation(found: RecordingFiles, role: str) -> Path:
