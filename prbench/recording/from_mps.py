@@ -73,9 +73,8 @@ def mps_streams(
     wrists = (
         () if readings.wrists is None else _wrists(readings.wrists, device, seconds_before_device, least_confidence)
     )
-    return MpsStreams(
-        device, head, part_poses(device, device_rgb), gaze, wrists, readings.messages + _remarks(readings, gaze)
-    )
+    messages = (*readings.messages, *_remarks(readings, gaze), *_gap_remarks(device, gaze))
+    return MpsStreams(device, head, part_poses(device, device_rgb), gaze, wrists, messages)
 
 
 def _device_poses(
@@ -123,4 +122,17 @@ def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
             f"{low} of {len(readings.trajectory.quality)} poses of the glasses that were read have a quality below"
             f" {mps.LEAST_QUALITY} and are invalid"
         )
+    return tuple(remarks)
+
+
+def _gap_remarks(device: PoseStream, gaze: GazeStream) -> tuple[str, ...]:
+    """Where the glasses were not tracked."""
+    remarks = []
+    steps = np.diff(device.times)
+    gaps = steps[steps > mps.LONGEST_POSE_STEP + 1e-6]
+    if gaps.size:
+        remarks.append(f"gaps in the poses of the glasses, not bridged: {gaps.size}, the longest {gaps.max():.2f} s")
+    outside = (gaze.times < device.times[0] - SAME_INSTANT) | (gaze.times > device.times[-1] + SAME_INSTANT)
+    if outside.any():
+        remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
     return tuple(remarks)

@@ -76,6 +76,14 @@ def test_gaps_of_tracking_are_never_bridged(readings) -> None:
         assert not one.valid[gap].any()
 
 
+def test_gaps_and_gaze_outside_of_the_tracked_time_are_told(readings) -> None:
+    assert not any("gap" in message or "outside" in message for message in streams(readings).messages)
+    early = with_slam_gaps(readings, [(START_US - 1, START_US + 500_001), (START_US + 1_000_000, START_US + 1_400_500)])
+    said = streams(mps.thinned(early)).messages
+    assert any(message == "gaps in the poses of the glasses, not bridged: 1, the longest 0.40 s" for message in said)
+    assert any(message.startswith("5 of ") and "outside the tracked time" in message for message in said)
+
+
 def test_thinning_makes_no_gap_and_hides_none(readings) -> None:
     broken = with_slam_gaps(readings, [(START_US + 1_000_000, START_US + 1_060_000)])
     steps = np.diff(mps.thinned(broken).trajectory.time_us)

@@ -26,7 +26,7 @@ from prbench.readers.files import (
 from prbench.readers.last_line import require_whole_last_line
 from prbench.readers.zipped import RememberingTail, Source, opened, shown
 
-_BLOCK = 16 * 2**20  # bytes
+_BLOCK = 2**20  # bytes
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def check_trajectory(source: Source) -> TrajectoryCheck:
 def _tables(source: Source, stream: RememberingTail) -> Iterator[pa.Table]:
     require_column_names(source, read_header(source), COLUMNS)
     convert = pyarrow.csv.ConvertOptions(column_types=arrow_types(COLUMNS), include_columns=list(COLUMNS))
-    read = pyarrow.csv.ReadOptions(block_size=_BLOCK)
+    read = pyarrow.csv.ReadOptions(block_size=_BLOCK, use_threads=False)
     try:
         for batch in pyarrow.csv.open_csv(stream, read_options=read, convert_options=convert):
             if len(batch):
