@@ -168,7 +168,14 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
 
 def _meshes(arguments: argparse.Namespace) -> dict[str, str]:
     """Readers load meshes only where somebody asks."""
-    return {} if arguments.occlusion == "off" else {"meshes": "true"}
+    from prbench.errors import UsageError
+    from prbench.readers import reader_for
+
+    if arguments.occlusion == "off":
+        return {}
+    if arguments.dataset != EVERYTHING and "meshes" not in reader_for(arguments.dataset).options.names():
+        raise UsageError(f"--occlusion needs meshes, and {arguments.dataset} has none; leave the option out.")
+    return {"meshes": "true"}
 
 
 def _poses(arguments: argparse.Namespace) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -293,3 +294,11 @@ def test_options_reach_the_recording(root) -> None:
 
 def test_scene_of_the_layout_is_read_back(root) -> None:
     assert {key: entry.name for key, entry in read_scene(root / "scene.xml").items()} == NAMES
+
+
+def test_a_synthetic_tree_is_recognised_from_the_folder_above_it(root) -> None:
+    mark = {"generator": "", "version": 1, "seed": 0, "preset": "mogaze", "world": "default", "split": {"p1_1": "test"}}
+    (root / "synthetic.json").write_text(json.dumps(mark))
+    for place in (root, root.parent):
+        (found,) = reader_for("mogaze").find(place)
+        assert (found.dataset, found.split) == ("synthetic-mogaze", "test")

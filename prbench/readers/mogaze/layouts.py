@@ -48,11 +48,12 @@ def find_recordings(root: Path, *, include_excluded: bool = False) -> tuple[Reco
             found=listed or "an empty folder",
             remedy="Give the folder that the archive unpacks to (mogaze).",
         )
-    dataset = f"{SYNTHETIC_PREFIX}mogaze" if read_synthetic_tree(folder) is not None else "mogaze"
+    tree = read_synthetic_tree(folder)
+    dataset, splits = ("mogaze", {}) if tree is None else (f"{SYNTHETIC_PREFIX}mogaze", tree.split)
     excluded = {} if include_excluded else load_manifest("mogaze").excluded
     shared = _shared_files(folder)
     return tuple(
-        RecordingFiles(dataset, name, folder, (*files, *shared), skip_reason=excluded.get(name))
+        RecordingFiles(dataset, name, folder, (*files, *shared), split=splits.get(name), skip_reason=excluded.get(name))
         for name, files in sorted(parts.items())
     )
 
