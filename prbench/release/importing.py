@@ -145,7 +145,7 @@ def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]
         else:
             primed_frame[candidate.index] = round(primed)
     found.candidates = [each for each in found.candidates if each.index in primed_frame]
-    measured = survey(found, primed_frame)
+    measured = survey(found, primed_frame, first_frame=shift)
     found.candidates = [each.candidate for each in measured]
     if options.on_error == "fail" and found.left_out:
         key, reason = next(iter(found.left_out.items()))
@@ -158,7 +158,7 @@ def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]
 
 
 def _conclude(interpreted: Interpreted, measured: list[Measured], options: ImportOptions) -> Conclusions:
-    units = {each.candidate.entry.fields.get(interpreted.mapping.get("units", "")) for each in measured}
+    units = {str(each.candidate.entry.fields.get(interpreted.mapping.get("units", ""), "")) for each in measured}
     stated = units.pop() if len(units) == 1 else None
     conclusions = conclude(str(interpreted.files.folder), measured, stated_unit=stated)
     previous = (

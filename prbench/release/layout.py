@@ -89,6 +89,8 @@ def list_files(folder: Path, dataset: str) -> DatasetFiles:
     Raises:
         InputFileError: if two files have one number, or a file leads out of the folder.
     """
+    for name in (TARGETS, EXPORT_RECORD):
+        _require_inside(folder, folder / name)
     strangers: list[str] = []
     return DatasetFiles(
         folder,

@@ -23,7 +23,7 @@ from prbench.release.survey import Measured, clean_gaze, goal_transform
 from prbench.release.values import action_of_text, parse_action, parse_goal, parse_hand, parse_name, parse_text
 from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, Sequence
-from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.skeleton import WRISTS, Joint, invert_rigid, transform_points
 
 POSE_SOURCE = "release"
 UNKNOWN_ACTION = "unknown"
@@ -131,7 +131,7 @@ def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motio
     previous = None
     if reading.first_frame_is_previous:
         previous, joints, directions, valid = joints[0], joints[1:], directions[1:], valid[1:]
-    motion_from_canonical = _motion_from_canonical(reading, measured, joints, block)
+    motion_from_canonical = _motion_from_canonical(reading, measured, block)
     canonical_from_motion = invert_rigid(motion_from_canonical)
     motion_from_goal = goal_transform(_known_goal_frame(reading), _scaled(measured.world_from_canonical, metres))
     canonical_from_goal = canonical_from_motion @ motion_from_goal
@@ -147,18 +147,15 @@ def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motio
     return _Motion(joints, previous, goal, directions, valid, world_from_canonical, canonical_from_goal)
 
 
-def _motion_from_canonical(
-    reading: Reading, measured: Measured, joints: Float[np.ndarray, "n 22 3"], block: Block | None
-) -> Float[np.ndarray, "4 4"]:
+def _motion_from_canonical(reading: Reading, measured: Measured, block: Block | None) -> Float[np.ndarray, "4 4"]:
     """Joints, goal and gaze of one sequence are all turned by this one transform."""
-    if reading.first_frame_is_previous:
-        return canonical_frame(joints)
     if block is not None:
         is_world = block.motion_frame == "world"
         return np.array(block.world_from_canonical).reshape(4, 4) if is_world else np.eye(4)
-    if is_canonical_already(measured, reading.conclusions.metres):
+    metres = reading.conclusions.metres
+    if is_canonical_already(measured, metres) and not reading.first_frame_is_previous:
         return np.eye(4)
-    return _scaled(measured.world_from_canonical, reading.conclusions.metres)
+    return _scaled(measured.world_from_canonical, metres)
 
 
 def _known_goal_frame(reading: Reading) -> str:

@@ -46,16 +46,17 @@ class Measured:
     """Distance of the goal from the gaze ray at the primed frame, for each of :data:`GOAL_FRAMES`."""
 
 
-def survey(found: Found, primed_frame: dict[int, int]) -> list[Measured]:
+def survey(found: Found, primed_frame: dict[int, int], *, first_frame: int = 0) -> list[Measured]:
     """Read every candidate once; what cannot be used is reported in ``found``.
 
     Args:
         found: Candidates; problems are added.
         primed_frame: Frame of the prime, from 0, by number of the sequence.
+        first_frame: Where the sequences begin; its pose decides the canonical frame.
     """
     measured = []
     for candidate in found.candidates:
-        result = _measure(candidate, primed_frame[candidate.index], found)
+        result = _measure(candidate, primed_frame[candidate.index], first_frame, found)
         if result is not None:
             measured.append(result)
     return measured
@@ -93,13 +94,13 @@ def _read(candidate: Candidate, found: Found) -> _Arrays | None:
     return _Arrays(candidate, bytes_digest(content + gaze_content + further), joints, gaze)
 
 
-def _measure(candidate: Candidate, primed: int, found: Found) -> Measured | None:
+def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) -> Measured | None:
     arrays = _read(candidate, found)
     if arrays is None:
         return None
     joints, key = arrays.joints, candidate.entry.key
     try:
-        world_from_canonical = canonical_frame(joints)
+        world_from_canonical = canonical_frame(joints[first_frame:])
     except ValueError:
         found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")
         return None

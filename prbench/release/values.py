@@ -21,6 +21,7 @@ _ACTION_WORDS = {
 }  # fmt: skip
 _PICKS = re.compile(r"\b(pick|grab|take|taking|took|lift|fetch)", re.IGNORECASE)
 _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
+_DEEPEST = 2  # lists within the list of a goal
 _HANDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
@@ -52,15 +53,15 @@ def parse_goal(value: Any) -> Goal | None:
     return Goal(box.mean(axis=0), box)
 
 
-def _numbers(value: Any) -> np.ndarray | None:
+def _numbers(value: Any, *, depth: int = 0) -> np.ndarray | None:
     """All finite numbers of a list, nested list or text; None if there is anything else in it."""
     if isinstance(value, str):
         value = re.split(r"[\s,;]+", value.strip(" ()[]{}\t\n"))
-    if not isinstance(value, list | tuple):
+    if not isinstance(value, list | tuple) or depth > _DEEPEST:
         return None
     flat = list[float]()
     for part in value:
-        inner = _numbers(part) if isinstance(part, list | tuple) else None
+        inner = _numbers(part, depth=depth + 1) if isinstance(part, list | tuple) else None
         number = None if isinstance(part, list | tuple) else parse_number(part)
         if inner is None and number is None:
             return None

@@ -74,6 +74,10 @@ LEFT_OUT = {
     "prime after the end": (lambda r: rewrite(r, lambda e: e.update(primed_frame=5000)), "primed frame"),
     "prime before the start": (lambda r: rewrite(r, lambda e: e.update(primed_frame=-1)), "primed frame"),
     "half a frame": (lambda r: rewrite(r, lambda e: e.update(primed_frame=40.5)), "primed frame"),
+    "a deep goal": (
+        lambda r: rewrite(r, lambda e: e.update(goal_location=json.loads("[" * 90 + "1" + "]" * 90))),
+        "three finite numbers",
+    ),
     "no prime": (lambda r: rewrite(r, lambda e: e.update(primed_frame=None)), "expected a number"),
 }
 
@@ -171,7 +175,7 @@ def test_keys_without_numbers_are_matched_by_order_only_if_counts_agree(tmp_path
         import_release(release, tmp_path / "again", dataset="synthetic-adt")
 
 
-@pytest.mark.parametrize("link", ["file", "folder", "dataset"])
+@pytest.mark.parametrize("link", ["file", "folder", "dataset", "targets"])
 def test_no_path_is_followed_out_of_the_release(link, release, tmp_path) -> None:
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -183,7 +187,8 @@ def test_no_path_is_followed_out_of_the_release(link, release, tmp_path) -> None
         inner.symlink_to(outside / "synthetic-adt")
     else:
         release.rename(inner)
-        moved = inner / "motions" / f"{KEY}.npy" if link == "file" else inner / "motions"
+        names = {"file": f"motions/{KEY}.npy", "folder": "motions", "targets": "target_information.json"}
+        moved = inner / names[link]
         moved.rename(outside / moved.name)
         moved.symlink_to(outside / moved.name)
     with pytest.raises(InputFileError, match="a link that leads out of it"):
@@ -292,3 +297,16 @@ def test_a_dataset_may_be_named_as_the_authors_do_but_not_as_another(tmp_path) -
     (tmp_path / "root" / "ADT").rename(tmp_path / "release")
     with pytest.raises(UsageError, match="unknown dataset 'kitchen'"):
         import_release(tmp_path / "release", tmp_path / "other", dataset="kitchen")
+
+
+def test_a_field_of_another_kind_in_one_entry_does_no_harm(release, tmp_path) -> None:
+    entries = targets(release)
+    for key, entry in entries.items():
+        entry |= {"units": "m", "fps": 20, "action": "pick", "video": "v", "hand": "left"}
+        if key == KEY:
+            entry |= {"units": ["m"], "fps": {}, "action": [1], "video": {"a": 1}, "hand": 7, "text_prompt": 5}
+    (release / "target_information.json").write_text(json.dumps(entries), encoding="utf-8")
+    report = import_release(release, tmp_path / "table", dataset="synthetic-adt").reports[0]
+    assert report.left_out == 0
+    row = SequenceTable.open(tmp_path / "table").scalars().to_pylist()[3]
+    assert (row["action"], row["hand"], row["text"], row["recording_id"]) == ("unknown", None, "", "unknown-test")
