@@ -35,7 +35,7 @@ def cut_motion(motion: Float[np.ndarray, "frames 22 3"], first: int, stride: int
     Raises:
         ValueError: if the first pose faces nowhere, so that no canonical frame exists.
     """
-    taken = motion[first : first + stride * (n_frames - 1) + 1 : stride]
+    taken = motion[first : first + stride * (n_frames - 1) + 1 : stride].astype(np.float64)
     world_from_canonical = canonical_frame(taken)
     before, previous_source = _neighbour(motion, first - stride, taken)
     after, next_source = _neighbour(motion, first + stride * n_frames, taken[::-1])
@@ -53,7 +53,7 @@ def cut_motion(motion: Float[np.ndarray, "frames 22 3"], first: int, stride: int
 def _neighbour(motion: np.ndarray, index: int, inwards: np.ndarray) -> tuple[np.ndarray, FrameSource]:
     """The frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
     if 0 <= index < len(motion):
-        return motion[index], "recorded"
+        return motion[index].astype(np.float64), "recorded"
     if len(inwards) < 2:
         return inwards[0], "copied"
     return 2 * inwards[0] - inwards[1], "extrapolated"

@@ -8,8 +8,6 @@ from pathlib import Path
 from prbench.corpora.options import CorpusOptions
 from prbench.corpora.sources import corpus_for, find_groups
 
-_READING_RATE = 60e6  # bytes of input a second and worker, measured on synthetic files
-_TABLE_SHARE = 0.06  # bytes of table (with the parts it is made from) a byte of input, likewise
 _DEFAULTS = CorpusOptions()
 
 
@@ -36,11 +34,11 @@ def plan_corpus(name: str, root: Path | None, options: CorpusOptions = _DEFAULTS
     corpus = corpus_for(name)
     corpus.described(options)
     recordings = [each for group in find_groups(corpus, root, options) for each in group.recordings]
-    size = sum(each.size for each in recordings if each.skip_reason is None)
+    costs = [each.cost for each in recordings if each.skip_reason is None]
     return CorpusPlan(
         recordings=tuple(each.belonging.recording_id for each in recordings),
         skipped=tuple(each.belonging.recording_id for each in recordings if each.skip_reason is not None),
-        input_bytes=size,
-        estimated_seconds=size / _READING_RATE,
-        estimated_disk_bytes=round(size * _TABLE_SHARE),
+        input_bytes=sum(cost.input_bytes for cost in costs),
+        estimated_seconds=sum(cost.seconds for cost in costs),
+        estimated_disk_bytes=round(sum(cost.disk_bytes for cost in costs)),
     )

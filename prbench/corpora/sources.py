@@ -35,6 +35,16 @@ class Belonging:
 
 
 @dataclass(frozen=True)
+class Cost:
+    """What one recording costs, for the dry run; rates were measured on synthetic files, one core."""
+
+    input_bytes: int
+    seconds: float
+    disk_bytes: float
+    """Of its rows in the table and in the parts that the table is made from."""
+
+
+@dataclass(frozen=True)
 class ReadRecording:
     """What reading one recording gave."""
 
@@ -64,8 +74,8 @@ class CorpusRecording(Protocol):
         ...
 
     @property
-    def size(self) -> int:
-        """Bytes of all input files."""
+    def cost(self) -> Cost:
+        """About what reading it takes."""
         ...
 
     def input_digest(self) -> str:

@@ -14,7 +14,7 @@ from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.source import NymeriaOptions, recording_clips
 from prbench.corpora.nymeria.suit import clean_suit
 from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, ReadRecording
+from prbench.corpora.sources import Belonging, Cost, ReadRecording
 from prbench.errors import UsageError
 from prbench.formats.nymeria import SUIT_RATE
 from prbench.manifests import Manifest, load_manifest
@@ -26,6 +26,7 @@ from prbench.synthetic.activities import cast_of, narrated_recording
 from prbench.synthetic.sensors.nymeria import sense_nymeria
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"
+_COST = Cost(0, 1.2, 0.5e6)
 POSE_SOURCE = "invented-xsens"
 
 
@@ -51,7 +52,7 @@ class SyntheticSource:
     options: SyntheticOptions
     limits: ClipLimits
     skip_reason: None = None
-    size: int = 0
+    cost: Cost = _COST
 
     def input_digest(self) -> str:
         """Of what the recording is made from."""

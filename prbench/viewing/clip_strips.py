@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.skeleton import Joint
+from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.storage import atomic_path
+from prbench.synthetic.activities import narrated_recording
 from prbench.viewing.stick_figure import draw_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_FPS = 20.0
+_RECORDINGS = 16
 _N_FIGURES = 10
 _SPACING = 1.05  # metres between the figures of a strip
 _SIDEWAYS = np.array([0.5, 0.0, 0.8660254])  # seen from half the side: faces point to the right and towards the viewer
@@ -30,6 +33,21 @@ class Strip:
     joints: Float[np.ndarray, "n 22 3"]
     """Canonical frame, metres."""
     head_tilt_deg: float
+
+
+def invented_strips(seed: int) -> tuple[Strip, ...]:
+    """One clip of every activity that invented people do, by name; from the first recordings of a seed."""
+    strips: dict[str, Strip] = {}
+    for index in range(_RECORDINGS):
+        motion = narrated_recording(seed, index)
+        for row in motion.narrations:
+            if row.kind != "atomic_action" or len(row.activities) != 1 or row.activities[0] in strips:
+                continue
+            first, last = (round(time * motion.rate) for time in (row.start, row.end))
+            joints = motion.joints[first : last + 1 : round(motion.rate / _FPS)]
+            canonical = transform_points(invert_rigid(canonical_frame(joints)), joints)
+            strips[row.activities[0]] = Strip(f"[{row.activities[0]}] {row.texts[0]}", canonical, motion.neck_tilt_deg)
+    return tuple(strips[name] for name in sorted(strips))
 
 
 def render_strips(strips: Sequence[Strip], path: Path | str, *, columns: int = 2, dpi: int = 70) -> None:

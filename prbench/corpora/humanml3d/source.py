@@ -12,7 +12,7 @@ from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.motion import read_joints
 from prbench.corpora.humanml3d.texts import read_texts
 from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, ReadRecording
+from prbench.corpora.sources import Belonging, Cost, ReadRecording
 from prbench.errors import InputFileError, UsageError
 from prbench.formats import humanml3d as layout
 from prbench.manifests import Manifest, load_manifest
@@ -20,6 +20,7 @@ from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, text_digest
 
+_BYTES_A_SECOND, _TABLE_SHARE = 3.6e6, 2.7
 _UNKNOWN_PERSON = "unknown"
 _FILES_OF_A_GROUP = 2  # last digits that the names of a group do not share: a hundred motions
 
@@ -50,9 +51,10 @@ class HumanML3DSource:
     limits: ClipLimits
 
     @property
-    def size(self) -> int:
-        """Bytes of all input files."""
-        return sum(path.stat().st_size for path in self.files.used)
+    def cost(self) -> Cost:
+        """By the bytes of all input files."""
+        size = sum(path.stat().st_size for path in self.files.used)
+        return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
     def input_digest(self) -> str:
         """Names and contents of the files."""

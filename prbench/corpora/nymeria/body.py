@@ -68,9 +68,7 @@ def suit_motion(
     """
     rows = [SEGMENTS.index(name) for name in mapping]
     pieces = tuple(
-        MotionPiece(
-            piece.start, SUIT_RATE, y_up(clean.suit.position[piece.first : piece.stop, rows].astype(np.float64))
-        )
+        MotionPiece(piece.start, SUIT_RATE, y_up(clean.suit.position[piece.first : piece.stop, rows]))
         for piece in clean.pieces
     )
     messages = [*clean.messages, *_check_sides(clean, pieces, thresholds["walking_speed"], path)]
@@ -120,7 +118,7 @@ def _check_sides(
         speed = np.linalg.norm(velocity, axis=-1)
         fast = speed > walking_speed
         along.append(((velocity * forward[:-1]).sum(axis=-1) / np.maximum(speed, 1e-9))[fast])
-        w, x, y, z = clean.suit.rotation[span.first : span.stop : _SPEED_STEP, 0].T
+        w, x, y, z = clean.pelvis_rotation[span.first : span.stop : _SPEED_STEP].T
         axis = y_up(np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1))
         agrees.append((axis[:, [0, 2]] * forward).sum(axis=-1))
     walked = np.concatenate(along)

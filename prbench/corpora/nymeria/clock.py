@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
 from prbench.formats.aria_mps import LONGEST_POSE_STEP
-from prbench.formats.nymeria import SEGMENTS, SUIT_RATE, Narration
+from prbench.formats.nymeria import SUIT_RATE, Narration
 from prbench.storage import read_json
 from prbench.timelines import slerp
 
@@ -102,7 +102,7 @@ def offset_by_correlation(
     """
     rate = thresholds["correlation_rate"]
     piece = max(clean.pieces, key=lambda piece: piece.duration)
-    head = clean.suit.rotation[piece.first : piece.stop, SEGMENTS.index("Head")]
+    head = clean.head_rotation[piece.first : piece.stop]
     suit_times = piece.start + np.arange(len(head)) / SUIT_RATE
     suit = angular_speed(suit_times, head, rate)
     glasses = angular_speed(time_us.astype(np.float64) / 1e6, rotation, rate)

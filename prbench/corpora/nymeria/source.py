@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from prbench.corpora.nymeria.body import BodyMotion, suit_motion
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_by_starts, offset_from_file
@@ -16,16 +18,20 @@ from prbench.corpora.nymeria.narrations import read_narrations
 from prbench.corpora.nymeria.smpl import read_smpl_fit, smpl_motion
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
 from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, ReadRecording
+from prbench.corpora.sources import Belonging, Cost, ReadRecording
 from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.formats import nymeria
 from prbench.formats.nymeria import Narration, NymeriaRecording
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, described_options, read_synthetic_tree
-from prbench.readers.aria_mps import read_trajectory
+from prbench.readers.aria_mps.trajectory import read_near
+from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest
+
+_BYTES_A_SECOND, _TABLE_SHARE = 50e6, 0.06
+_NO_GAZE = np.empty(0, dtype=np.int64)
 
 
 class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -72,9 +78,10 @@ class NymeriaSource:
     limits: ClipLimits
 
     @property
-    def size(self) -> int:
-        """Bytes of all input files."""
-        return sum(file.size for file in self.found.files)
+    def cost(self) -> Cost:
+        """By the bytes of all input files."""
+        size = sum(file.size for file in self.found.files)
+        return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
     def input_digest(self) -> str:
         """Roles, names and contents of the files."""
@@ -158,7 +165,7 @@ class NymeriaSource:
         path = self.found.path(TRAJECTORY)
         if path is not None:
             try:
-                trajectory = read_trajectory(path)
+                trajectory = read_near(path, NearGaze(_NO_GAZE, thresholds["correlation_rate"]))
                 offset, why = offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
             except InputFileError as error:  # texts may still be placed by their starts
                 offset, why = None, str(error)
