@@ -33,7 +33,7 @@ TEST, TRAIN, TRAIN_LATER = 0, 1, 2
 FRAME_RATE = 30.0
 REST_PELVIS = (0.0031, -0.3514, 0.0120)
 """J0: the pelvis of SMPL-X neutral in its rest pose, metres."""
-N_LATENT, N_VERTICES, N_FACES = 32, 10475, 20908
+N_LATENT = 32
 NO_POINT = 1e-8
 """A gaze point whose coordinates sum to less is none."""
 OBJECT_ID = "target"
@@ -79,7 +79,7 @@ class Segment:
 
 
 def _plain(name: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in name)
+    return "".join(letter if letter.isalnum() or letter in "-._" else "-" for letter in name)
 
 
 @dataclass(frozen=True)

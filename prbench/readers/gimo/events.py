@@ -122,10 +122,23 @@ def hints_in_both_splits(rows: Sequence[Row]) -> frozenset[SegmentKey]:
     return frozenset(key for place in splits.values() if len(place) == 2 for keys in place.values() for key in keys)
 
 
-def unknown_segments(rows: Sequence[Row], table: Sequence[EventRow]) -> tuple[EventRow, ...]:
-    """Lines of the events table about segments that ``dataset.csv`` does not list."""
+def require_known_segments(path: Path, rows: Sequence[Row], table: Sequence[EventRow]) -> None:
+    """Refuse lines about segments that ``dataset.csv`` does not list: with a slip in a name they would say nothing.
+
+    Raises:
+        InputFileError: naming the first such line.
+    """
     known = {row.segment.key for row in rows}
-    return tuple(event for event in table if event.segment not in known)
+    lost = next((event for event in table if event.segment not in known), None)
+    if lost is not None:
+        scene, sequence, start, end = lost.segment
+        raise InputFileError(
+            path,
+            f"line {lost.line}",
+            expected=f"scene, sequence_path, start_frame and end_frame of a row of {gimo.TABLE_FILE}",
+            found=f"{scene}, {sequence}, {start}, {end}",
+            remedy="Copy the four cells from there.",
+        )
 
 
 def _row(path: Path, line: int, cells: Mapping[str, str]) -> EventRow:

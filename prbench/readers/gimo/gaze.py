@@ -24,7 +24,8 @@ def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[g
     Returns:
         The points, and remarks about damaged files.
     """
-    frames, points, damaged = [], [], []
+    frames, points = [], []
+    damaged: list[InputFileError] = []
     for frame in sorted(cones.keys() & centres.keys()):
         try:
             vertices = read_vertices(centres[frame])
@@ -35,5 +36,15 @@ def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[g
         if seen and np.isfinite(vertices[0]).all() and np.abs(vertices[0]).sum() >= gimo.NO_POINT:
             frames.append(frame)
             points.append(vertices[0])
-    remarks = () if not damaged else (f"{len(damaged)} damaged gaze files are left out, first: {damaged[0]}",)
-    return gimo.GazePoints(np.array(frames, dtype=np.int64), np.array(points, dtype=np.float64).reshape(-1, 3)), remarks
+    found = gimo.GazePoints(np.array(frames, dtype=np.int64), np.array(points, dtype=np.float64).reshape(-1, 3))
+    return found, _remarks(damaged)
+
+
+def _remarks(damaged: list[InputFileError]) -> tuple[str, ...]:
+    if not damaged:
+        return ()
+    first = damaged[0]
+    return (
+        f"{len(damaged)} damaged gaze files are left out, first: {first.path.name}: expected {first.expected}, found"
+        f" {first.found}",
+    )

@@ -17,6 +17,7 @@ from prbench.readers.gimo.events import (
     events_of,
     hints_in_both_splits,
     read_events,
+    require_known_segments,
     require_one_split,
 )
 from prbench.readers.gimo.options import GimoOptions
@@ -43,6 +44,7 @@ def find_segments(root: Path, options: GimoOptions) -> tuple[RecordingFiles, ...
         raise InputFileError(root, "", expected="a folder of GIMO", found="no such folder")
     rows = read_segments(root / gimo.TABLE_FILE)
     table, events_path = _events(root, options)
+    require_known_segments(events_path, rows, table)
     require_one_split(events_path, rows, table)
     search = _Search(root, options, read_synthetic_tree(root), rows, table, events_path)
     found = tuple(sorted((search.segment(row) for row in rows), key=lambda recording: recording.recording_id))
@@ -59,9 +61,20 @@ def find_segments(root: Path, options: GimoOptions) -> tuple[RecordingFiles, ...
 
 
 def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Path]:
-    path = root / gimo.EVENTS_FILE if options.events is None else options.events.expanduser()
-    wanted = options.events is not None or path.is_file()
-    return (read_events(path) if wanted else ()), path
+    """The table of events and where it lies; an empty one where the user has none."""
+    if options.events is None:
+        path = root / gimo.EVENTS_FILE
+        return (read_events(path) if path.is_file() else ()), path
+    path = options.events.expanduser()
+    if not path.is_file():
+        raise InputFileError(
+            path,
+            "",
+            expected="the table of events that the option names",
+            found="no such file",
+            remedy="Correct the option, or make the table: `prbench candidates gimo` proposes one.",
+        )
+    return read_events(path), path
 
 
 def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:

@@ -11,7 +11,7 @@ from prbench.formats import gimo
 from prbench.synthetic.defects import Defect
 from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
 
-_SHORT_GAP, _LONG_GAP = 3, 30  # frames
+_SHORT_GAP, _LONG_GAP = 3, 15  # frames
 _FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."
 
 
@@ -130,7 +130,9 @@ DEFECTS: tuple[Defect, ...] = (
     Defect("missing-sequence", "the sequence is not unpacked", _remove_sequence, "skipped", "its folder is missing"),
     Defect("not-annotated", "nobody annotated a pick", _not_annotated, "skipped", "no event is annotated"),
     Defect("few-missing-poses", "three frames without pose", _remove_poses(_SHORT_GAP), "read", "3 of"),
-    Defect("many-missing-poses", "a second without poses", _remove_poses(_LONG_GAP), "read", "30 in gaps too long"),
+    Defect(
+        "many-missing-poses", "half a second without poses", _remove_poses(_LONG_GAP), "read", "15 in gaps too long"
+    ),
     Defect("foreign-pickle", "a pose that calls a function", _foreign_pickle, "failed", "the name 'builtins.print'"),
     Defect("short-latent", "the code of another pose prior", _short_latent, "failed", "expected 32 numbers, found 8"),
     Defect("no-scale", "transform_info without scale", _no_scale, "failed", "missing required field `scale`"),

@@ -28,7 +28,7 @@ ACTIVITY = "take object"
 
 _FIRST_FRAMES = 300  # of the video, before the segment
 _SKELETON_LEAD = (20, 90)  # frames of the suit before the segment: its clock is its own
-_GAZE_BIAS = _GAZE_JITTER = np.deg2rad(1.0) / np.sqrt(2)  # per axis
+_GAZE_BIAS = _GAZE_JITTER = np.deg2rad(1.0) / 2  # per axis and each: 1 degree of all four together
 _GAZE_LOSS = 0.25
 _ROOT_NOISE, _ANGLE_NOISE = 1e-3, 0.1  # m, degrees
 _SCALE = (0.98, 1.06)

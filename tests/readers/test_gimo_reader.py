@@ -1,0 +1,230 @@
+"""GIMO segments: what is written comes back, and what is damaged is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prbench.curation import build_dataset
+from prbench.curation.options import BuildOptions
+from prbench.errors import InputFileError
+from prbench.formats import gimo
+from prbench.manifests import load_manifest
+from prbench.readers import reader_for
+from prbench.recording.from_gimo import recording_from_gimo
+from prbench.skeleton import Joint, transform_points
+from prbench.synthetic.layouts.gimo import write_events
+from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
+from tests.comparing import differences
+from tests.readers import gimo_sample as sample
+
+
+@pytest.fixture
+def root(tmp_path):
+    return sample.write_root(tmp_path / "GIMO", sample.readings())
+
+
+def only(root, **options: str):
+    reader = reader_for("gimo", options)
+    (found,) = reader.find(root)
+    return reader, found
+
+
+def test_files_and_memory_give_the_same_recording_bit_for_bit(root) -> None:
+    reader, found = only(root)
+    assert found.recording_id == "room1_2022-01-23-080759_100-144"
+    assert (found.split, found.skip_reason) == ("train", None)
+    assert list(differences(reader.read(found), sample.recording(sample.readings()))) == []
+
+
+def test_the_body_is_where_scale_and_both_transforms_put_it(root) -> None:
+    """x_c = Nn T x with the translations of both divided by the scale, written out by hand."""
+    readings = sample.readings()
+    reader, found = only(root)
+    recording = reader.read(found)
+    local = sample.STANDING - sample.STANDING[0] + sample.path_of_pelvis(np.arange(sample.N_FRAMES) / 30)[:, None]
+    first, second = readings.transform.scene_from_body, readings.transform.room_from_scene
+    in_scene = local @ first[:3, :3].T + first[:3, 3] / 1.25
+    expected = in_scene @ second[:3, :3].T + second[:3, 3] / 1.25
+    np.testing.assert_allclose(recording.body.joints, expected, atol=2e-6)
+    gaze = (readings.gaze.points / 1.25) @ second[:3, :3].T + second[:3, 3] / 1.25
+    toward = gaze - expected[:, Joint.HEAD]
+    np.testing.assert_allclose(
+        recording.gaze.direction, toward / np.linalg.norm(toward, axis=1, keepdims=True), atol=1e-5
+    )
+    np.testing.assert_allclose(transform_points(recording.world_from_source, readings.gaze.points), gaze, atol=1e-12)
+
+
+def test_the_target_is_the_wrist_on_the_event_frame(root) -> None:
+    reader, found = only(root)
+    recording = reader.read(found)
+    (event,) = recording.annotated_events
+    assert (event.action, event.hand, event.event_time) == ("pick", "right", pytest.approx(139 / 30))
+    np.testing.assert_array_equal(event.location, recording.body.joints[39, Joint.RIGHT_WRIST])
+    np.testing.assert_array_equal(event.box_min, event.location)
+    (cube,) = only(root, target="cube")[0].read(found).annotated_events
+    np.testing.assert_allclose(cube.box_max - cube.box_min, 0.10)
+
+
+def test_an_unnamed_hand_is_the_one_that_moves_more(root) -> None:
+    readings = sample.readings()
+    joints = np.tile(sample.STANDING, (sample.N_FRAMES, 1, 1))
+    joints[30:40, Joint.LEFT_WRIST, 0] += np.linspace(0, 0.3, 10)
+    joints[:20, Joint.RIGHT_WRIST, 0] += np.linspace(0, 3.0, 20)  # longer ago than half a second
+    event = gimo.EventFrame(readings.segment.start_frame + 39)
+    moved = replace(readings, body=gimo.LocalJoints(readings.segment.frames, joints, "smplx"), events=(event,))
+    recording = sample.recording(moved)
+    assert recording.annotated_events[0].hand == "left"
+    assert "hand of frame 139 not annotated: the left one moves more before it" in recording.messages
+
+
+@pytest.mark.parametrize(("missing", "invalid"), [(3, 0), (4, 4)])
+def test_three_missing_frames_are_filled_and_four_are_a_gap(root, missing, invalid) -> None:
+    for frame in range(120, 120 + missing):
+        (root / "room1" / "2022-01-23-080759" / "smplx_local" / f"{frame}.pkl").unlink()
+    reader, found = only(root)
+    recording = reader.read(found)
+    assert int((~recording.body.valid).sum()) == invalid
+    assert f"{missing} of 45 frames have no pose, {invalid} in gaps too long to fill" in recording.messages
+    true = sample.recording(sample.readings())
+    if not invalid:
+        np.testing.assert_allclose(recording.body.joints, true.body.joints, atol=0.01)
+
+
+@pytest.mark.parametrize(("lost", "valid"), [(6, True), (7, False)])
+def test_gaze_is_interpolated_up_to_a_quarter_second(lost, valid) -> None:
+    readings = sample.readings()
+    kept = np.delete(np.arange(sample.N_FRAMES), range(10, 10 + lost))
+    gaze = gimo.GazePoints(readings.gaze.frames[kept], readings.gaze.points[kept])
+    recording = sample.recording(replace(readings, gaze=gaze))
+    assert recording.gaze.valid[10 : 10 + lost].all() == valid
+    assert recording.gaze.valid[kept].all()
+    if valid:
+        full = sample.recording(readings)
+        np.testing.assert_allclose(recording.gaze.direction, full.gaze.direction, atol=1e-9)
+
+
+def test_splits_are_official_and_2_is_a_choice(tmp_path) -> None:
+    segments = [sample.readings(), sample.readings(sequence="B"), sample.readings(sequence="C")]
+    segments = [replace(s, segment=replace(s.segment, training=t)) for s, t in zip(segments, (1, 0, 2), strict=True)]
+    root = sample.write_root(tmp_path, *segments)
+    assert [found.split for found in reader_for("gimo").find(root)] == ["train", "test", "train"]
+    reasons = [found.skip_reason for found in reader_for("gimo", {"training_2": "drop"}).find(root)]
+    assert [reason is not None for reason in reasons] == [False, False, True]
+
+
+def test_segments_of_one_recording_belong_together(tmp_path) -> None:
+    first = sample.readings()
+    later = replace(first.segment, start_frame=120, end_frame=140)
+    root = sample.write_root(tmp_path, first, table=[first.segment, later])
+    write_events(root / gimo.EVENTS_FILE, [(s, gimo.EventFrame(130, "left")) for s in (first.segment, later)])
+    reader = reader_for("gimo")
+    recordings = [reader.read(found) for found in reader.find(root)]
+    assert {recording.split_group for recording in recordings} == {"room1_2022-01-23-080759"}
+    assert "shares frames with the segment room1_2022-01-23-080759_120-140" in recordings[0].messages
+
+
+def test_a_build_names_what_is_missing_and_goes_on(tmp_path) -> None:
+    first = sample.readings()
+    absent = [replace(first.segment, sequence=name) for name in ("2022-02-02-000000", "2022-02-03-000000")]
+    root = sample.write_root(tmp_path / "GIMO", first, table=[first.segment, *absent, absent[0]])
+    report = build_dataset("gimo", root, tmp_path / "table")
+    assert [record.status for record in report.records] == ["read", "skipped", "skipped"]
+    assert all("its folder is missing; unpack or download it" in record.message for record in report.records[1:])
+    assert (report.info.counts.recordings_found, report.info.counts.recordings_failed) == (3, 0)
+
+
+def test_nothing_but_missing_sequences_is_an_error_that_lists_them(tmp_path, root) -> None:
+    shutil.rmtree(root / "room1")
+    with pytest.raises(InputFileError, match=r"found none of the 1: room1/2022-01-23-080759\."):
+        reader_for("gimo").find(root)
+
+
+def test_a_segment_without_event_is_skipped_and_counted(tmp_path) -> None:
+    root = sample.write_root(tmp_path / "GIMO", replace(sample.readings(), events=()))
+    report = build_dataset("gimo", root, tmp_path / "table")
+    assert (report.records[0].status, report.info.counts.recordings_skipped) == ("skipped", 1)
+    assert "no event is annotated for it" in report.records[0].message
+
+
+@pytest.mark.parametrize("where", ["pose", "latent", "scale", "norm"])
+def test_a_damaged_file_is_named(root, where) -> None:
+    folder = root / "room1" / "2022-01-23-080759"
+    says = {
+        "pose": r"101\.pkl: expected a pickled dictionary",
+        "latent": r"101\.pkl, latent: expected 32 numbers, found 16",
+        "scale": r"transform_info_0\.json.*scale",
+        "norm": r"transform_norm\.txt: expected a 4x4 matrix, found 12 numbers",
+    }[where]
+    if where == "pose":
+        (folder / "smplx_local" / "101.pkl").write_bytes(b"\x80\x04\x95")
+    elif where == "latent":
+        sizes = {"orient": 3, "trans": 3, "latent": 16}
+        content = pickled_tensors({name: np.zeros(size, np.float32) for name, size in sizes.items()})
+        (folder / "smplx_local" / "101.pkl").write_bytes(content)
+    elif where == "scale":
+        (folder / "transform_info_0.json").write_text(json.dumps({"transformation": np.eye(4).tolist()}))
+    else:
+        path = root / "room1" / "scene_obj" / "transform_norm.txt"
+        path.write_text("\n".join(path.read_text().splitlines()[:3]))
+    reader, found = only(root)
+    with pytest.raises(InputFileError, match=says):
+        reader.read(found)
+
+
+def test_without_a_way_to_the_joints_the_message_says_what_each_needs(root) -> None:
+    (root / "room1" / "2022-01-23-080759" / "skeleton.bvh").unlink()
+    reader, found = only(root)
+    with pytest.raises(InputFileError, match="smplx lacks --option vposer_model") as error:
+        reader.read(found)
+    for part in ("mesh lacks --option smplx_model", "bvh lacks skeleton.bvh", "https://smpl-x.is.tue.mpg.de"):
+        assert part in str(error.value)
+
+
+def test_a_row_cannot_lead_out_of_the_folder(tmp_path) -> None:
+    first = sample.readings()
+    root = sample.write_root(tmp_path / "GIMO", first, table=[replace(first.segment, sequence="../../elsewhere")])
+    with pytest.raises(InputFileError, match="a path that leads out of it"):
+        reader_for("gimo").find(root)
+
+
+def test_options_stand_in_the_table(root, tmp_path) -> None:
+    options = BuildOptions(reader=(("target", "cube"), ("training_2", "drop")))
+    report = build_dataset("gimo", root, tmp_path / "table", options=options)
+    assert {"cube", "drop"} <= set(report.info.options.values())
+
+
+def test_a_scene_mesh_is_moved_into_the_room(root) -> None:
+    (root / "room1" / "scene_obj" / "textured_output.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    reader, found = only(root, meshes="true")
+    (occluder,) = reader.read(found).occluders
+    shift = sample.readings().transform.room_from_scene[:3, 3] / 1.25
+    np.testing.assert_allclose(occluder.vertices[0], shift, atol=1e-12)
+    assert np.linalg.norm(occluder.vertices[1] - occluder.vertices[0]) == pytest.approx(1 / 1.25)
+    assert only(root)[0].read(found).occluders == ()
+
+
+def test_the_pose_source_tells_the_route() -> None:
+    readings = sample.readings()
+    manifest = load_manifest("gimo")
+    assert recording_from_gimo(readings, manifest, dataset="gimo").pose_source == "gimo-bvh"
+    joints = np.tile(sample.STANDING, (sample.N_FRAMES, 1, 1))
+    for route, source in (("smplx", "gimo-smplx"), ("mesh", "gimo-mesh")):
+        body = gimo.LocalJoints(readings.segment.frames, joints, route)  # type: ignore[arg-type]
+        assert recording_from_gimo(replace(readings, body=body), manifest, dataset="gimo").pose_source == source
+
+
+def test_a_table_of_events_that_is_not_there_is_named(root) -> None:
+    with pytest.raises(InputFileError, match="expected the table of events that the option names"):
+        reader_for("gimo", {"events": str(root / "mine.csv")}).find(root)
+
+
+def test_an_event_of_an_unknown_segment_is_refused(root) -> None:
+    path = root / gimo.EVENTS_FILE
+    path.write_text(path.read_text() + "room1,2022-01-23-080759,100,999,139,pick,\n")
+    with pytest.raises(InputFileError, match=r"line 3: expected scene, .*, found room1, 2022-01-23-080759, 100, 999"):
+        reader_for("gimo").find(root)

@@ -1,0 +1,167 @@
+"""``dataset.csv`` and the table of events: what they may look like, and what is refused with its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prbench.errors import InputFileError
+from prbench.formats import gimo
+from prbench.readers.gimo.dataset_csv import overlapping, read_segments
+from prbench.readers.gimo.events import events_of, hints_in_both_splits, read_events, require_one_split
+
+HEADER = "sequence_path,start_frame,end_frame,scene,transformation,training"
+FULL = f"{HEADER},action,,,"
+EVENTS = "scene,sequence_path,start_frame,end_frame,event_frame,action,hand"
+
+
+def table(folder: Path, *lines: str, header: str = HEADER) -> Path:
+    path = folder / "dataset.csv"
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8-sig")
+    return path
+
+
+def events(folder: Path, *lines: str, header: str = EVENTS) -> Path:
+    path = folder / "prbench_events.csv"
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_mark_unnamed_columns_and_hints_are_understood(tmp_path) -> None:
+    path = table(
+        tmp_path,
+        "S,10,50,room,t.json,2,take book,33,,",
+        "S,60,90,room,t.json,0,sit,95,,",
+        "S,100,120,room,t.json,1,walk,,x,",
+        header=FULL,
+    )
+    first, second, third = (row.segment for row in read_segments(path))
+    assert first == gimo.Segment("room", "S", 10, 50, "t.json", 2, "take book", 33)
+    assert (second.hint, third.hint) == (None, None), "a frame outside of the segment is no hint"
+    assert first.name == "room_S_10-50"
+
+
+def test_without_action_and_unnamed_columns_too(tmp_path) -> None:
+    (row,) = read_segments(table(tmp_path, "S,10,50,room,t.json,1"))
+    assert (row.segment.activity, row.segment.hint, row.remarks) == ("", None, ())
+
+
+def test_a_named_eighth_column_is_no_hint(tmp_path) -> None:
+    (row,) = read_segments(table(tmp_path, "S,10,50,room,t.json,1,a,33", header=f"{HEADER},action,person"))
+    assert row.segment.hint is None
+
+
+def test_a_repeated_row_is_dropped_and_reported(tmp_path) -> None:
+    line = "2022-01-21-200703,209,613,room,t.json,1"
+    first, _ = read_segments(table(tmp_path, line, "S,1,2,room,t.json,1", line))
+    assert first.remarks == ("line 2 of dataset.csv is repeated in line 4; the repetition is left out",)
+
+
+def test_names_of_recordings_hold_no_character_that_files_forbid(tmp_path) -> None:
+    (row,) = read_segments(table(tmp_path, "2022:01/x,1,2,living room,t.json,1"))
+    assert row.segment.name == "living-room_2022-01-x_1-2"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("S,50,10,room,t.json,1", "line 2: expected a start_frame that is not behind the end_frame, found 50 to 10"),
+        ("S,10,50,room,t.json,3", "line 2: expected training 1 .*, found 3"),
+        ("S,10,50,room,t.json,", "line 2: expected a whole number 'training', found ''"),
+        ("S,ten,50,room,t.json,1", "line 2: expected a whole number 'start_frame', found 'ten'"),
+        ("S,10.5,50,room,t.json,1", "line 2: expected a whole number 'start_frame', found '10.5'"),
+        ("S,10,50,,t.json,1", "line 2: expected a 'scene', found nothing"),
+    ],
+)
+def test_a_bad_row_is_named(tmp_path, line, says) -> None:
+    with pytest.raises(InputFileError, match=says):
+        read_segments(table(tmp_path, line))
+
+
+def test_one_segment_with_two_splits_is_refused(tmp_path) -> None:
+    with pytest.raises(InputFileError, match="line 3: expected the same split and transformation as line 2"):
+        read_segments(table(tmp_path, "S,1,9,room,t.json,1", "S,1,9,room,t.json,0"))
+
+
+def test_a_missing_column_is_named(tmp_path) -> None:
+    with pytest.raises(InputFileError, match="header: expected a column 'training'"):
+        read_segments(table(tmp_path, header="sequence_path,start_frame,end_frame,scene,transformation"))
+
+
+def test_overlapping_segments_know_each_other(tmp_path) -> None:
+    rows = read_segments(
+        table(tmp_path, "S,1,10,a,t.json,1", "S,10,20,a,t.json,1", "S,21,30,a,t.json,1", "T,1,10,a,t.json,1")
+    )
+    assert [segment.start_frame for segment in overlapping(rows, rows[0])] == [10]
+    assert overlapping(rows, rows[2]) == ()
+
+
+def test_events_decide_where_they_name_a_segment_and_hints_elsewhere(tmp_path) -> None:
+    named, hinted, neither = read_segments(
+        table(tmp_path, "S,1,90,a,t.json,1,x,50", "T,1,90,a,t.json,1,x,60", "U,1,90,a,t.json,1", header=FULL)
+    )
+    rows = read_events(events(tmp_path, "a,S,1,90,42,pick,left", "a,S,1,90,30,PICK,"))
+    found = events_of(named, rows, hints=True)
+    assert found.events == (gimo.EventFrame(30), gimo.EventFrame(42, "left"))
+    assert events_of(hinted, rows, hints=True).events == (gimo.EventFrame(60, None, "hint"),)
+    assert events_of(hinted, rows, hints=False).reason == "no event is annotated for it"
+    assert events_of(neither, rows, hints=True).events == ()
+
+
+def test_only_confirmed_rows_count_and_a_no_silences_the_hint(tmp_path) -> None:
+    (row,) = read_segments(table(tmp_path, "S,1,90,a,t.json,1,x,50", header=FULL))
+    header = f"{EVENTS},confirmed,confidence"
+    for word, n in (("yes", 1), ("X", 1), ("no", 0), ("", 0)):
+        rows = read_events(events(tmp_path, f"a,S,1,90,42,pick,left,{word},0.9", header=header))
+        assert len(events_of(row, rows, hints=True).events) == n, word
+    assert events_of(row, rows, hints=True).reason == "none of its 1 proposed events is confirmed"
+
+
+def test_puts_are_left_out_with_a_word(tmp_path) -> None:
+    (row,) = read_segments(table(tmp_path, "S,1,90,a,t.json,1"))
+    found = events_of(row, read_events(events(tmp_path, "a,S,1,90,42,put,left")), hints=True)
+    assert (found.events, found.reason) == ((), "only puts are annotated for it")
+    assert found.remarks == ("line 2 of the events names a put, GIMO has none: left out",)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("a,S,1,90,95,pick,left", "line 2, column 'event_frame': expected a frame from 1 to 90, found 95"),
+        ("a,S,1,90,,pick,left", "line 2, column 'event_frame': expected a frame number, found ''"),
+        ("a,S,x,90,4,pick,left", "line 2, column 'start_frame': expected a frame number, found 'x'"),
+        ("a,S,1,90,4,grab,left", "line 2, column 'action': expected pick or put, found 'grab'"),
+        ("a,S,1,90,4,pick,both", "line 2, column 'hand': expected left, right, or nothing, found 'both'"),
+    ],
+)
+def test_a_bad_event_names_row_and_column(tmp_path, line, says) -> None:
+    with pytest.raises(InputFileError, match=says):
+        read_events(events(tmp_path, line))
+
+
+def test_an_unclear_confirmation_is_refused(tmp_path) -> None:
+    with pytest.raises(InputFileError, match="line 2, column 'confirmed': expected yes, no, or nothing"):
+        read_events(events(tmp_path, "a,S,1,90,4,pick,,maybe", header=f"{EVENTS},confirmed"))
+
+
+def test_an_event_in_both_splits_is_refused_with_both_lines(tmp_path) -> None:
+    rows = read_segments(table(tmp_path, "S,1,50,a,t.json,1", "S,40,90,a,t.json,0", "T,40,90,a,t.json,0"))
+    path = events(tmp_path, "a,S,1,50,45,pick,", "a,T,40,90,45,pick,", "a,S,40,90,45,pick,")
+    with pytest.raises(InputFileError, match=r"line 4: expected an event in one split only, .*the other is line 2"):
+        require_one_split(path, rows, read_events(path))
+    apart = events(tmp_path, "a,S,1,50,45,pick,", "a,S,40,90,46,pick,")
+    require_one_split(apart, rows, read_events(apart))
+
+
+def test_hints_that_collide_are_found(tmp_path) -> None:
+    rows = read_segments(
+        table(
+            tmp_path,
+            "S,1,50,a,t.json,1,x,45",
+            "S,40,90,a,t.json,0,x,45",
+            "S,41,91,a,t.json,0,x,60",
+            header=FULL,
+        )
+    )
+    assert hints_in_both_splits(rows) == {rows[0].segment.key, rows[1].segment.key}

@@ -1,0 +1,128 @@
+"""Synthetic GIMO: files and memory agree, bytes repeat, and the truth is what the dataset can know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prbench.formats import gimo
+from prbench.manifests import load_manifest
+from prbench.readers import reader_for
+from prbench.readers.gimo import GimoOptions, read_readings
+from prbench.skeleton import WRISTS
+from prbench.synthetic.layouts.gimo import LAYOUT
+from prbench.synthetic.people import perform
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.gimo import sense
+from prbench.synthetic.write_tree import synthesize_tree
+from prbench.timelines import interpolate
+from tests.comparing import differences
+
+
+@pytest.fixture(scope="module")
+def performance() -> Performance:
+    return perform("gimo", seed=11, index=0, n_events=2, provocations={})
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    root = tmp_path_factory.mktemp("gimo") / "tree"
+    synthesize_tree("gimo", root, recordings=2, seed=11, n_events=2, provocations={})
+    return root
+
+
+def test_files_and_memory_give_the_same_recording_bit_for_bit(tree, performance) -> None:
+    reader = reader_for("gimo")
+    found = reader.find(tree)
+    assert [each.recording_id for each in found] == ["gimo_synthetic_seed11_0000", "gimo_synthetic_seed11_0001"]
+    assert {each.dataset for each in found} == {"synthetic-gimo"}
+    readings = sense(performance)
+    assert list(differences(read_readings(found[0], load_manifest("gimo"), GimoOptions()), readings)) == []
+    assert list(differences(reader.read(found[0]), LAYOUT.recording(readings))) == []
+
+
+def test_the_table_is_as_real_copies_have_it(tree) -> None:
+    content = (tree / "dataset.csv").read_bytes()
+    assert content.startswith(b"\xef\xbb\xbfsequence_path,")
+    lines = content.decode("utf-8-sig").splitlines()
+    assert lines[0].endswith("training,action,,,")
+    assert len(lines) == 4
+    assert lines[-1] == lines[-2], "one row is repeated"
+    reader = reader_for("gimo")
+    assert "line 3 of dataset.csv is repeated in line 4" in reader.read(reader.find(tree)[1]).messages[0]
+
+
+def test_two_writings_give_the_same_bytes(performance, tmp_path) -> None:
+    short = sense(performance)
+    poses = short.body.poses  # type: ignore[union-attr]
+    few = replace(poses, **{name: getattr(poses, name)[:5] for name in ("frames", "orient", "trans", "latent")})
+    short = replace(
+        short, body=replace(short.body, poses=few), gaze=gimo.GazePoints(short.gaze.frames[:5], short.gaze.points[:5])
+    )
+    for name in ("first", "second"):
+        LAYOUT.write(short, tmp_path / name)
+        LAYOUT.finish(tmp_path / name)
+    for path in sorted((tmp_path / "first").rglob("*")):
+        other = tmp_path / "second" / path.relative_to(tmp_path / "first")
+        assert path.is_dir() or path.read_bytes() == other.read_bytes(), path.name
+
+
+def test_with_ideal_sensors_the_body_is_the_truth(performance) -> None:
+    recording = LAYOUT.recording(sense(performance, noise=0.0))
+    offset = float(performance.times[0]) - LAYOUT.clock_start(performance)
+    true = interpolate(performance.times, performance.joints, recording.body.times + offset)
+    np.testing.assert_allclose(recording.body.joints, true, atol=5e-5)
+    assert recording.gaze.valid.all()
+
+
+def test_gaze_points_lie_on_the_ray_and_on_something(performance) -> None:
+    recording = LAYOUT.recording(sense(performance, noise=0.0))
+    offset = float(performance.times[0]) - LAYOUT.clock_start(performance)
+    eye = interpolate(performance.times, performance.eye, recording.gaze.times + offset)
+    gaze = interpolate(performance.times, performance.gaze, recording.gaze.times + offset)
+    room_from_scan = recording.world_from_source
+    points = sense(performance, noise=0.0).gaze.points @ room_from_scan[:3, :3].T + room_from_scan[:3, 3]
+    along = ((points - eye) * gaze).sum(axis=1)
+    np.testing.assert_allclose(points, eye + along[:, None] * gaze, atol=1e-3)
+    assert along.min() > 0.05
+    assert along.max() < 10
+
+
+def test_switching_one_error_off_leaves_the_others_alone(performance) -> None:
+    all_on = sense(performance)
+    still = sense(performance, switches=replace(Switches(), gaze_losses=False))
+    assert len(still.gaze.frames) > len(all_on.gaze.frames)
+    assert list(differences(all_on.body, still.body)) == []
+    kept = np.isin(still.gaze.frames, all_on.gaze.frames)
+    np.testing.assert_array_equal(still.gaze.points[kept], all_on.gaze.points)
+
+
+def test_rooms_share_their_scan() -> None:
+    pair = [perform("gimo", seed=11, index=index, n_events=1, provocations={}) for index in (0, 1)]
+    same = [replace(each, room_id="R000") for each in pair]
+    first, second = (sense(each).transform for each in same)
+    np.testing.assert_array_equal(first.room_from_scene, second.room_from_scene)
+    assert first.scale == second.scale
+    assert not np.array_equal(first.scene_from_body, second.scene_from_body)
+
+
+def test_true_goals_are_wrists_on_annotated_frames(performance) -> None:
+    recording = LAYOUT.recording(sense(performance, noise=0.0))
+    true = LAYOUT.events(performance)
+    assert len(true) == len(recording.annotated_events) == 2
+    for event, found in zip(true, recording.annotated_events, strict=True):
+        assert event.action == "pick"
+        np.testing.assert_allclose(found.location, event.goal, atol=1e-4)
+        since = np.array([event.event_time])
+        wrist = interpolate(performance.times, performance.joints[:, WRISTS[event.hand == "right"]], since)[0]
+        assert np.linalg.norm(wrist - event.goal) < 0.02
+
+
+def test_doors_and_near_events_are_not_annotated() -> None:
+    provoked = perform("gimo", seed=11, index=2, n_events=4, provocations={"hinge": 0.3, "touch": 0.3, "pass_by": 0.3})
+    tags = {event.tag for event in provoked.events}
+    assert tags & {"hinge", "touch", "pass_by"}
+    assert not {event.tag for event in LAYOUT.events(provoked)} & {"hinge", "touch", "pass_by"}

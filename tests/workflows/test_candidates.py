@@ -1,0 +1,68 @@
+"""``prbench candidates``: the table of proposals, from files to a build."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import pytest
+
+from prbench.cli.main import main
+from prbench.curation import build_dataset
+from prbench.curation.options import BuildOptions
+from prbench.errors import StorageError, UsageError
+from prbench.formats import gimo
+from prbench.workflows.candidates import COLUMNS, write_candidates
+from tests.readers import gimo_sample as sample
+
+
+@pytest.fixture
+def root(tmp_path):
+    first = replace(sample.readings(), events=())
+    first = replace(first, segment=replace(first.segment, hint=130))
+    second = sample.readings(sequence="2022-02-02-000000")
+    absent = replace(first.segment, sequence="2022-03-03-000000")
+    return sample.write_root(tmp_path / "GIMO", first, second, table=[first.segment, second.segment, absent])
+
+
+def rows_of(path) -> list[dict[str, str]]:
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_segment_has_a_line_and_none_counts_before_it_is_confirmed(root, tmp_path, capsys) -> None:
+    out = tmp_path / "candidates.csv"
+    assert main(["candidates", "gimo", "--root", str(root), "--out", str(out)]) == 3, "one segment could not be read"
+    rows = rows_of(out)
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["sequence_path"] for row in rows] == ["2022-01-23-080759", "2022-02-02-000000", "2022-03-03-000000"]
+    assert {row["confirmed"] for row in rows} == {""}
+    assert rows[0]["event_frame"] == "130"
+    assert rows[0]["reason"].startswith("hint +0.00 s away")
+    assert rows[2]["reason"].startswith("not read: ")
+    assert "1 not read" in capsys.readouterr().out
+    options = BuildOptions(reader=(("events", str(out)),))
+    records = build_dataset("gimo", root, tmp_path / "before", options=options).records
+    assert [record.status for record in records] == ["skipped"] * 3
+
+    rows[0]["confirmed"] = "yes"
+    with open(out, "w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    records = build_dataset("gimo", root, tmp_path / "after", options=options).records
+    assert [record.status for record in records] == ["read", "skipped", "skipped"]
+    assert sum(records[0].outcomes.values()) == 1
+
+
+def test_annotations_are_never_overwritten(root, tmp_path) -> None:
+    mine = tmp_path / gimo.EVENTS_FILE
+    mine.write_text("my work")
+    with pytest.raises(StorageError, match="annotations are never overwritten"):
+        write_candidates("gimo", root, mine)
+    assert mine.read_text() == "my work"
+
+
+def test_datasets_with_events_of_their_own_need_none(root, tmp_path) -> None:
+    with pytest.raises(UsageError, match="candidates are for: gimo"):
+        write_candidates("adt", root, tmp_path / "a.csv")
