@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, StreamsDoNotOverlap
+from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
 from prbench.formats.aria_mps import device_from_cpf
 from prbench.manifests import load_manifest
@@ -109,3 +110,32 @@ def test_clocks_that_do_not_meet_are_refused() -> None:
         recording_from_hd_epic(
             _readings(frames, hd_epic.VideoClock(frames.tracking_ns // 1000)), MANIFEST, dataset="hd-epic"
         )
+
+
+def _mps(confidence: float) -> mps.MpsReadings:
+    """A second of still glasses, and a right wrist that is seen with one confidence."""
+    time_us = START // 1000 + np.arange(0, 1_000_000, 1000)
+    n, upright = len(time_us), np.array([1.0, 0.0, 0.0, 0.0])
+    gaze_us = time_us[::100]
+    angles, ranges = np.zeros(len(gaze_us)), np.zeros((len(gaze_us), 2))
+    points = np.full((len(gaze_us), 2, 3), np.nan)
+    points[:, 1] = (0.1, 0.2, 0.3)
+    return mps.MpsReadings(
+        mps.AriaTrajectory(
+            time_us, np.zeros((n, 3)), np.tile(upright, (n, 1)), np.ones(n), np.array([0.0, 0.0, 1.0]), ("w",), 0
+        ),
+        mps.GazeAngles(gaze_us, angles, angles, angles, ranges, ranges),
+        "general",
+        mps.WristPositions(gaze_us, np.tile([-1.0, confidence], (len(gaze_us), 1)), points, points),
+        "DVT-S",
+        None,
+    )
+
+
+@pytest.mark.parametrize(("confidence", "counts"), [(0.69, False), (0.71, True)])
+def test_only_surely_tracked_wrists_count(confidence, counts) -> None:
+    streams = glasses_streams(_mps(confidence), THRESHOLDS, world_from_source=np.eye(4))
+    left, right = streams.wrists
+    assert not left.valid.any()
+    assert right.valid[1:-1].all() == counts
+    assert any("general gaze" in message for message in streams.messages)
