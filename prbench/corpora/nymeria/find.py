@@ -58,8 +58,15 @@ def find_sequences(root: Path, dataset: str) -> tuple[RecordingFiles, ...]:
 
 
 def _interesting_files(root: Path) -> list[Path]:
-    paths = []
-    for folder, inner, names in os.walk(root):
+    """By name, in a fixed order; links to folders are followed, each folder is entered once."""
+    paths: list[Path] = []
+    entered: set[str] = set()
+    for folder, inner, names in os.walk(root, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in entered:
+            inner.clear()
+            continue
+        entered.add(real)
         videos = Path(folder).name.startswith("recording_")
         inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
         paths += [Path(folder) / name for name in sorted(names) if name in _ROLES]

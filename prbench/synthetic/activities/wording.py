@@ -126,6 +126,6 @@ def _reach_height(joints: np.ndarray, hand: int) -> str:
     out = np.linalg.norm((wrist - joints[:, Joint.PELVIS])[:, [0, 2]], axis=1)
     frame = int(out.argmax())
     height = float(wrist[frame, 1])
-    if height > float(shoulder[frame, 1]):
+    if height > float(shoulder[frame, 1]) + 0.1:
         return "high up"
     return "low down" if height < float(joints[frame, Joint.PELVIS, 1]) - 0.12 else "forward"
