@@ -80,6 +80,26 @@ def test_rows_at_a_place_that_comes_twice_are_dropped() -> None:
     assert abs(match.offset_ns - OFFSET) <= match.half_width_ns
 
 
+def test_rows_of_a_short_rest_are_dropped_and_not_guessed() -> None:
+    """Three milliseconds at rest: each of the rows would be near enough, and two of them wrong."""
+    device = _device(10.0)
+    time_ns, position, rotation = _headset(device)
+    row = np.rint((time_ns - START) / 1e6).astype(int)[10::10]
+    resting = device[1].copy(), device[2].copy()
+    for column in resting:
+        column[row - 1] = column[row + 1] = column[row]
+    match = _match((time_ns, position, rotation), (device[0], *resting))
+    assert match.matched == len(time_ns) - len(row)
+    assert abs(match.offset_ns - OFFSET) <= match.half_width_ns
+
+
+def test_a_head_that_hardly_moves_is_found_to_the_last_digit() -> None:
+    """Neighbouring rows are closer than a micrometre, but only one is bit-identical."""
+    time_ns, position, rotation = _device(10.0)
+    slow = time_ns, position * 1e-3, np.tile(rotation[:1], (len(rotation), 1))
+    assert _match(_headset(slow), slow).matched == 300
+
+
 def test_rounded_rows_are_found_as_well() -> None:
     device = _device(10.0)
     time_ns, position, rotation = _headset(device)
