@@ -82,7 +82,7 @@ def gaze_directions(
         NaN where an input is NaN or the point is the origin.
     """
     ahead = np.where(points[:, 2:] < 0, -points, points)
-    turned = np.einsum("nij,jk,nk->ni", goggles_rotation, calibration, ahead)
+    turned = (goggles_rotation @ calibration @ ahead[:, :, None])[:, :, 0]
     aimed = turned - goggles_position if legacy else turned
     length = np.linalg.norm(aimed, axis=1, keepdims=True)
     return np.divide(aimed, length, out=np.full_like(aimed, np.nan), where=length > 0)

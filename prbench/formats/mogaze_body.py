@@ -99,8 +99,8 @@ def forward_kinematics(
     positions[:, 0], rotations[:, 0] = state[:, :3], local[:, 0]
     for index, link in enumerate(LINKS[1:], start=1):
         parent = LINKS.index(PARENT_LINKS[link])
-        positions[:, index] = positions[:, parent] + np.einsum("nij,j->ni", rotations[:, parent], offsets[index])
-        rotations[:, index] = np.einsum("nij,njk->nik", rotations[:, parent], local[:, index])
+        positions[:, index] = positions[:, parent] + rotations[:, parent] @ offsets[index]
+        rotations[:, index] = rotations[:, parent] @ local[:, index]
     return positions, rotations
 
 

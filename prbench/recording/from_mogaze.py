@@ -137,7 +137,7 @@ def _head(
     known = np.isfinite(head_link).all(axis=(1, 2))
     face = np.array(mogaze_body.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
-    rotation = Rotation.from_matrix(np.einsum("ij,njk,kl->nil", _TO_WORLD, turned, face))
+    rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
     return PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
 
 
@@ -162,7 +162,7 @@ def _gaze(
     measured = confident & np.isfinite(native).all(axis=1)
     source, recent = held_index(measured, int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING))
     usable = measured[source]
-    held = np.einsum("ij,nj->ni", _TO_WORLD, native[source])
+    held = native[source] @ _TO_WORLD.T
     return np.where(usable[:, None], held, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
 
 
