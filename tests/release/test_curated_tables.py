@@ -21,7 +21,7 @@ PRESETS = sorted(set(LAYOUT_MODULES) & set(load_known().datasets))
 @pytest.fixture(scope="module", params=PRESETS)
 def table(request, tmp_path_factory) -> SequenceTable:
     folder = tmp_path_factory.mktemp("curated") / "table"
-    build_synthetic_table(request.param, 2, 3, folder, n_events=6)
+    build_synthetic_table(request.param, 1, 3, folder, n_events=6)
     return SequenceTable.open(folder)
 
 

@@ -20,7 +20,7 @@ from prbench.sequences import SequenceTable
 from prbench.skeleton import transform_points
 from tests.release.releases import Style, in_world, plain_entry, rows, write_release
 
-ROWS = rows(10)
+ROWS = rows(6)
 
 
 def imported(folder, sequences=ROWS, style=None, *, options=None, **kinds) -> ImportReport:

@@ -16,7 +16,7 @@ from prbench.release.layout import index_of
 from prbench.sequences import SequenceTable
 from tests.release.releases import NAMES, SHAPES, Style, plain_entry, rows, write_release
 
-SEQUENCES = rows(8)
+SEQUENCES = rows(5)
 ALIASES = {rule.canonical: rule.aliases for rule in FIELDS}
 SPELLINGS = {
     "train": ["train", "Train", "training", "tr"],
@@ -52,7 +52,7 @@ def reference(tmp_path_factory):
     return report.info
 
 
-@settings(max_examples=25, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(data=st.data())
 def test_shape_names_and_forms_leave_no_trace(data, reference, tmp_path_factory) -> None:
     names = {
