@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import TableError
 from prbench.sequences import SequenceTable
+from prbench.sequences.digests import identity_digest
 from tests.fakes import fake_dataset
 
 LATER = {
@@ -40,3 +43,8 @@ def test_a_table_of_version_2_must_hold_them(tmp_path) -> None:
     _as_version(table, "events", "2", ["left_wrist"])
     with pytest.raises(TableError, match="expected a column 'left_wrist'"):
         table.events()
+
+
+def test_the_identity_of_sequences_outlives_columns_of_other_tables() -> None:
+    of_version_1 = hashlib.sha256(b"prbench schema 1 protocol 1\nd/r/o/pick/1/egoallo\ttest\tpick\t7\n").hexdigest()
+    assert identity_digest(["d/r/o/pick/1/egoallo"], ["test"], ["pick"], [7], protocol_version=1) == of_version_1
