@@ -33,6 +33,8 @@ TOUCHED = {
 OTHER_SENSORS = {
     "egoallo": {"limb_wobble", "foot_slip", "root_height"},
     "aria_mps": {"pose_drift", "pose_clock", "hand_noise", "hand_losses"},
+    "hot3d": {"hand_start", "object_gaps", "clock_drift"},
+    "hd_epic": {"video_clock", "annotated_times", "annotated_points", "mask_losses"},
 }
 """Switches of errors that ADT's sensors do not have, by the module whose own test covers them."""
 
