@@ -77,6 +77,8 @@ class BodyWindow:
     """World of the trajectory, metres."""
     samples: int = 1
     """Guesses in the file, of which the first is taken."""
+    guidance: str = ""
+    """What EgoAllo was told to follow (``guidance_mode``: ``no_hands``, ``aria_wrist_only``, …); empty if unknown."""
 
 
 @dataclass(frozen=True)

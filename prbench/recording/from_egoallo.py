@@ -110,6 +110,9 @@ def _remarks(windows: Sequence[ego.BodyWindow], time_ns: np.ndarray) -> tuple[st
     several = sum(window.samples > 1 for window in windows)
     if several:
         remarks.append(f"{several} of {len(windows)} EgoAllo outputs hold several samples; the first is taken")
+    followed = sorted({window.guidance for window in windows if window.guidance})
+    if followed:
+        remarks.append(f"EgoAllo was guided by: {', '.join(followed)}")
     gaps = int((np.diff(time_ns) > ego.LONGEST_STEP * 1e9).sum())
     if gaps:
         remarks.append(f"{gaps} gaps of more than {ego.LONGEST_STEP * 1e3:.0f} ms in the EgoAllo body")

@@ -48,10 +48,11 @@ def test_no_outputs_no_body(root):
 
 def test_outputs_of_the_first_place_that_has_some(root, tmp_path):
     write(poses_folder(root, "rec"), output(0, 5))
-    assert len(_found(root).files) == 2
+    assert len(_found(root).files) == 3
     write(root / "rec" / "egoallo_outputs", output(0, 6), output(6, 9))
     assert {file.role for file in _found(root).files} == {
         "egoallo/20240101-120000_0-6.npz", "egoallo/20240101-120000_6-9.npz", "smplh_model",
+        "egoallo options/20240101-120000_0-6_args.yaml", "egoallo options/20240101-120000_6-9_args.yaml",
     }  # fmt: skip
     write(poses_folder(root, "rec", tmp_path / "poses"), output(0, 7))
     first = _found(root, poses_root=tmp_path / "poses").files[0]
@@ -115,6 +116,24 @@ def test_of_several_samples_the_first_is_taken_and_told(root):
     assert body.messages == ("1 of 1 EgoAllo outputs hold several samples; the first is taken",)
     write(poses_folder(root, "rec"), output())
     np.testing.assert_array_equal(body.joints, _body(root).joints)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("guidance_mode: no_hands\n", ("EgoAllo was guided by: no_hands",)),
+        (
+            "!!python/object:__main__.Args\nguidance_mode: 'aria_wrist_only'\n",
+            ("EgoAllo was guided by: aria_wrist_only",),
+        ),
+        ("guidance_mode: !!python/object/apply:os.system [exit]\n", ()),
+        ("", ()),
+    ],
+)
+def test_options_are_looked_at_as_text(root, text, told):
+    path = write(poses_folder(root, "rec"), output())
+    path.with_name(f"{path.stem}_args.yaml").write_text(text)
+    assert _body(root).messages == told
 
 
 def test_the_shape_is_averaged_over_time(root):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import zipfile
 import zlib
 from pathlib import Path
@@ -18,6 +19,8 @@ from prbench.readers.egoallo.outputs import JointsOnly, parse_output
 from prbench.recording.from_egoallo import window_joints
 from prbench.storage import atomic_path, bytes_digest, cache_folder
 
+_GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
+_OPTIONS_BYTES = 65536
 _VERSION = 1  # of what is kept; raise it when the arithmetic changes
 
 
@@ -35,6 +38,7 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
     output = parse_output(path, content)
     if isinstance(output, JointsOnly):
         return ego.BodyWindow(path.name, output.time_ns, output.joints), None
+    guidance = read_guidance(path)
     head = output.world_from_cpf[:, 4:].astype(np.float64)
     samples = len(output.world_from_root)
     kept = cache_folder() / "egoallo" / f"{bytes_digest(content)}.npz"
@@ -51,7 +55,22 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
             )
         joints = window_joints(output, read_smplh_rest(model)).joints
         _keep(kept, joints, wanted)
-    return ego.BodyWindow(path.name, output.time_ns, joints, samples), head
+    return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
+
+
+def read_guidance(path: Path) -> str:
+    """``guidance_mode`` of an output, from the options beside it; empty where they are missing or say nothing.
+
+    The file is YAML that may name Python objects: it is looked at as text and never loaded.
+    """
+    options = path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}")
+    try:
+        with open(options, "rb") as file:
+            text = file.read(_OPTIONS_BYTES).decode("utf-8", errors="replace")
+    except OSError:
+        return ""
+    found = _GUIDANCE.search(text)
+    return found[1] if found else ""
 
 
 def _content(path: Path) -> bytes:

@@ -10,6 +10,8 @@ from prbench.readers.found import InputFile, input_file
 
 OUTPUT_ROLE = "egoallo/"
 """Roles of output files are this and the file's name."""
+OPTIONS_ROLE = "egoallo options/"
+"""Roles of the options beside them, likewise."""
 MODEL_ROLE = "smplh_model"
 MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
 
@@ -41,7 +43,7 @@ def find_outputs(
         smplh_model: The body model; the environment's or the one below ``root`` by default.
 
     Returns:
-        Files with the roles ``egoallo/<file name>`` and ``smplh_model``.
+        Files with the roles ``egoallo/<file name>``, ``egoallo options/<file name>`` and ``smplh_model``.
     """
     places = [poses_folder(root, recording_id, poses_root)] if poses_root is not None else []
     places += [folder / ego.OUTPUT_FOLDER] if folder is not None else []
@@ -51,6 +53,8 @@ def find_outputs(
         if outputs:
             model = find_model(root, smplh_model)
             files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
+            options = [path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}") for path in outputs]
+            files += [input_file(f"{OPTIONS_ROLE}{path.name}", path) for path in options if path.is_file()]
             return (*files, *([input_file(MODEL_ROLE, model)] if model is not None and model.is_file() else []))
     return ()
 

@@ -43,7 +43,7 @@ def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
             )
         with atomic_path(folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}") as temporary:
             temporary.write_text(
-                f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\nguidance_mode: synthetic\n",
+                f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
                 encoding="utf-8",
             )
 
