@@ -60,5 +60,5 @@ def _instants(hand: hot3d.HandPoints) -> hot3d.HandPoints:
 def _remarks(posed: Sequence[hot3d.HandPoints]) -> tuple[str, ...]:
     remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
     if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
-        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only, and no event is found by their vertices")
+        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
     return tuple(remarks)

@@ -17,6 +17,7 @@ from prbench.recording import HandStream, ObjectTrack
 from prbench.recording.surfaces import surface_points
 from tests.curation.scenes import RULE, scene
 
+assert RULE is not None
 SURFACE = msgspec.structs.replace(RULE, contact="hand_vertex", target="surface", distance=0.05)
 ORIGIN = msgspec.structs.replace(SURFACE, target="origin")
 UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0]])

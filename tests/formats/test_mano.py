@@ -49,8 +49,8 @@ def _posed_slowly(model: ManoModel, betas, coefficients, rotation, translation) 
         world.append(step if joint == 0 else world[parent] @ step)
     vertices = []
     for vertex, weights in zip(posed, model.weights, strict=True):
-        mixed = sum(w * (g @ np.append(vertex - j, 1.0)) for w, g, j in zip(weights, world, joints, strict=True))
-        vertices.append(mixed[:3] + translation)
+        moved = [g @ np.append(vertex - j, 1.0) for g, j in zip(world, joints, strict=True)]
+        vertices.append((weights @ np.array(moved))[:3] + translation)
     return world[0][:3, 3] + translation, np.array(vertices)
 
 

@@ -6,6 +6,7 @@ import json
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def tree(tmp_path) -> Path:
     return tmp_path / "hot3d"
 
 
-def _arrays(seed: int) -> dict[str, np.ndarray]:
+def _arrays(seed: int) -> dict[str, Any]:
     """An invented model under the keys of MANO's file."""
     model = invented_model(mano.N_VERTICES, seed)
     parents = model.parents.copy()

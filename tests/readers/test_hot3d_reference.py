@@ -77,7 +77,7 @@ def test_headset_and_object_poses(readings, reference_values) -> None:
     expect = reference_values["hot3d-object-coffee_pot-33"]["expect"]
     rows = _object(readings, "coffee_pot").rows
     (row,) = np.flatnonzero(rows.time_ns == expect["timestamp_ns"])
-    assert _matrix(rows, row) == pytest.approx(np.array(expect["T_world_object"]), abs=1e-6)
+    assert _matrix(rows, int(row)) == pytest.approx(np.array(expect["T_world_object"]), abs=1e-6)
 
 
 def test_box_of_the_keyboard(readings, reference_values) -> None:
