@@ -119,7 +119,8 @@ def test_a_pickle_is_never_opened(tree, models, tmp_path) -> None:
     (models / "MANO_LEFT.npz").write_bytes(pickle.dumps(_Trap(sprung)))
     with pytest.raises(InputFileError, match="opens no pickles"):
         _read(tree, models)
-    np.savez(models / "MANO_LEFT.npz", **_arrays(0) | {"v_template": np.array([_Trap(sprung)], dtype=object)})
+    trapped: dict[str, Any] = _arrays(0) | {"v_template": np.array([_Trap(sprung)], dtype=object)}
+    np.savez(models / "MANO_LEFT.npz", **trapped)
     with pytest.raises(InputFileError, match="opens no pickles"):
         _read(tree, models)
     assert not sprung.exists()
