@@ -110,13 +110,14 @@ def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[Nat
     """The recordings of a dataset's folder that the options choose, sorted by id.
 
     Raises:
-        UsageError: for a dataset without a reader.
+        UsageError: for a dataset without a reader, or options that it cannot fulfil.
         InputFileError: if there is no recording, or none that matches the glob.
     """
     reader = reader_for(dataset, dict(options.reader))
+    manifest = load_manifest(reader.dataset)
+    options.curation.require_fits(manifest)
     found = {recording.recording_id: recording for recording in reader.find(root)}
     tree = read_synthetic_tree(root)
-    manifest = load_manifest(reader.dataset)
     return tuple(
         NativeSource(
             root,

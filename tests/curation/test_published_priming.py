@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.curation import build_dataset, curate_recording
+from prbench.curation import build_dataset, curate_recording, plan_build
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.errors import RecordingUnusable, UsageError
 from prbench.manifests import load_manifest, load_protocol
@@ -74,11 +74,11 @@ def test_a_recording_of_which_nothing_is_published_is_refused() -> None:
 
 
 def test_a_dataset_without_published_priming_is_a_usage_error(tmp_path) -> None:
-    from prbench.synthetic.write_tree import synthesize_tree
-
-    root = synthesize_tree("adt", tmp_path / "tree", recordings=1, n_events=1).root
+    options = BuildOptions(curation=PUBLISHED)
     with pytest.raises(UsageError, match="adt publishes no priming of its own"):
-        build_dataset("adt", root, tmp_path / "table", options=BuildOptions(curation=PUBLISHED))
+        build_dataset("adt", tmp_path, tmp_path / "table", options=options)
+    with pytest.raises(UsageError, match="adt publishes no priming of its own"):
+        plan_build("adt", tmp_path, options)
 
 
 def test_the_choice_stands_in_the_options_of_the_build() -> None:
