@@ -74,15 +74,18 @@ def extrapolate(found: dict[str, dict], minutes: float, size: int) -> None:
     """What all of HD-EPIC would take, with the arithmetic."""
     factor = HD_EPIC_HOURS * 60 / minutes
     print(f"\nall of HD-EPIC: {HD_EPIC_VIDEOS} videos, {HD_EPIC_HOURS} h = {factor:.1f} times this recording,")
-    print(f"{factor * size / 1e9:.0f} GB of text. One core reads one recording at a time; recordings are independent.")
+    print(
+        f"{factor * size / 1e9:.0f} GB of text. One core reads one recording at a time, in the processor seconds above;"
+    )
+    print("recordings are independent, so cores divide them.")
     for way in ("prbench", "prbench, zipped", "prbench, kept from before", "digest of the content", "official reader"):
         result = found[way]
         if "missing" in result:
             continue
-        total = factor * result["seconds"]
+        total = factor * result["processor"]
         each = ", ".join(f"{total / cores:.0f} s on {cores} cores" for cores in CORES)
-        print(f"  {way}: {factor:.1f} x {result['seconds']:.3f} s = {total:.0f} s on one core, {each}")
-    rate = size / found["prbench"]["seconds"] / 1e9
+        print(f"  {way}: {factor:.1f} x {result['processor']:.3f} s = {total:.0f} s on one core, {each}")
+    rate = size / found["prbench"]["processor"] / 1e9
     print(
         f"  Plain text passes at {rate:.1f} GB/s a core; a disk that is slower than the cores together decides instead."
     )
