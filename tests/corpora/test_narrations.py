@@ -30,6 +30,12 @@ def test_answer_columns_are_found_by_the_beginning_of_their_name(tmp_path):
     assert (row.start, row.end, row.annotator) == (1.0, 4.0, "")
 
 
+def test_a_byte_order_mark_is_no_part_of_the_first_column(tmp_path):
+    text = "start_time,end_time,Describe my activity\n1,4,C sits.\n"
+    (row,) = read_narrations(write(tmp_path, text, encoding="utf-8-sig"), "activity_summarization")
+    assert (row.start, row.end) == (1.0, 4.0)
+
+
 def test_an_empty_file_has_no_rows_and_empty_answers_are_kept(tmp_path):
     assert read_narrations(write(tmp_path, ""), "atomic_action") == ()
     assert read_narrations(write(tmp_path, f"{HEADER}Describe my activity\n"), "atomic_action") == ()
