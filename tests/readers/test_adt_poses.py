@@ -81,7 +81,7 @@ def test_bodies_come_back_into_the_scene(root, performance, readings):
     assert body is not None
     true = interpolate(performance.times, performance.joints, body.times - readings.glasses.time_us[0] / 1e6)
     errors = np.linalg.norm(body.joints - true, axis=2)
-    assert errors[:, Joint.HEAD].max() < 0.04  # Z up taken for Y up would be metres off
+    assert errors[:, Joint.NECK].max() < 0.04  # Z up taken for Y up would be metres off
     assert np.median(errors) < 0.03
 
 

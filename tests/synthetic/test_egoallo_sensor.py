@@ -12,12 +12,13 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import InputFileError
 from prbench.formats.aria_mps import AriaTrajectory, device_from_cpf
 from prbench.formats.egoallo import EgoAlloBody
+from prbench.manifests import load_manifest
 from prbench.readers.egoallo import find_outputs, read_bodies
 from prbench.readers.egoallo.model import read_smplh_rest
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
 from prbench.recording.from_egoallo import body_from_outputs, body_stream
-from prbench.skeleton import Joint, bone_lengths, invert_rigid
+from prbench.skeleton import Joint, bone_lengths, head_forward, invert_rigid
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
@@ -75,9 +76,29 @@ def test_an_ideal_estimate_is_the_truth(preset):
     person = perform(preset, seed=5, index=1, n_events=1, provocations={})
     outputs = sense_egoallo(person, _trajectory(person), switches=Switches.ideal())
     errors = _errors(person, outputs)
+    if preset == "adt":  # a body model's head joint, not the suit's
+        assert errors[:, Joint.HEAD].min() > 0.04
+        assert errors[:, Joint.HEAD].max() < 0.09
+        errors = np.delete(errors, Joint.HEAD, axis=1)
     # Between frames of the truth a turning limb is interpolated along its arc here, along the chord there.
     assert np.median(errors) < 1e-5
     assert errors.max() < 4e-3
+
+
+@pytest.mark.parametrize("preset", ["hd-epic", "adt"])
+def test_the_head_tilt_of_the_model_shows_where_the_head_looks(preset):
+    person = perform(preset, seed=5, index=1, n_events=1, provocations={})
+    body = _body(sense_egoallo(person, _trajectory(person), switches=Switches.ideal()))
+    stream = body_stream(body, world_from_source=NATIVE_FROM_WORLD.T, seconds_before_device=START_US / 1e6)
+    seen, _ = head_forward(stream.joints, 38.3)
+    native, _ = head_forward(
+        interpolate(person.times, person.joints, stream.times), load_manifest("adt").body.head_tilt_deg
+    )
+    if preset == "adt":  # the suit's own bone under this tilt would be 31 degrees off
+        between = np.rad2deg(np.arccos(np.clip((seen * native).sum(axis=1), -1, 1)))
+        assert between.mean() < 6
+    head = Rotation.from_quat(slerp(person.times, person.head_rotation, stream.times), scalar_first=True)
+    assert (seen * head.apply([0.0, 0, 1])).sum(axis=1).mean() > np.cos(np.deg2rad(20))
 
 
 def test_default_errors_are_those_of_the_page(person, trajectory):
