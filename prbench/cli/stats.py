@@ -56,6 +56,12 @@ def _stats(arguments: argparse.Namespace) -> int:
         rows,
         numbers=range(1, 9),
     )
+    for each in statistics:
+        if each.participants_in_two_splits:
+            print(
+                f"{each.dataset}: {each.participants_in_two_splits} participants have sequences in both train and test;"
+                " the protocol splits by recording, as the study does."
+            )
     if any(each.dataset.startswith("synthetic-") for each in statistics):
         print("Synthetic sequences imitate the published means; their counts and scores are not comparable with them.")
     if arguments.draw is not None:

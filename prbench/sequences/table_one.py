@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from jaxtyping import Float
 
 from prbench.published import QUANTITIES, Spread
@@ -30,6 +32,8 @@ class TableStatistics:
     dataset: str
     sequences: int
     by_split: dict[str, int]
+    participants_in_two_splits: int
+    """People of whom there are both training and test sequences: the study splits by recording, not by person."""
     pose_sources: tuple[str, ...]
     duration: Float[np.ndarray, " n"]
     prime_gap: Float[np.ndarray, " n"]
@@ -71,6 +75,7 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
         dataset=table.info.dataset,
         sequences=len(splits),
         by_split={split: splits.count(split) for split in ("train", "validation", "test")},
+        participants_in_two_splits=len(_people(scalars, "train") & _people(scalars, "test")),
         pose_sources=tuple(sorted(set(scalars["pose_source"].to_pylist()))),
         duration=(scalars["event_time"].to_numpy() - scalars["start_time"].to_numpy()),
         **{name: scalars[name].to_numpy() for name in QUANTITIES if name != "duration"},
@@ -80,6 +85,10 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
         gaze_shift_times=times,
         gaze_shift_deg=quartiles,
     )
+
+
+def _people(scalars: pa.Table, split: str) -> set[str]:
+    return set(scalars.filter(pc.field("split") == split)["participant_id"].to_pylist())
 
 
 def _goal_from_start(chunk: SequenceChunk) -> Float[np.ndarray, "b 3"]:

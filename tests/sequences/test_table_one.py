@@ -43,6 +43,14 @@ def test_means_and_spreads_are_those_of_the_columns(tmp_path) -> None:
     assert statistics.spread("prime_gap").mean == pytest.approx(np.mean(scalars["prime_gap"].to_pylist()))
 
 
+def test_people_on_both_sides_of_the_split_are_counted(tmp_path) -> None:
+    rows = [
+        dataclasses.replace(fake_sequence(index), split=split, participant_id=person)
+        for index, (split, person) in enumerate([("train", "a"), ("test", "a"), ("train", "b"), ("validation", "b")])
+    ]
+    assert statistics_of(tmp_path / "t", rows).participants_in_two_splits == 1
+
+
 def test_the_goal_is_seen_from_the_pelvis_of_the_first_frame(tmp_path) -> None:
     row = fake_sequence(0)
     pelvis = row.joints[0, 0]
