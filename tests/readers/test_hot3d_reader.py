@@ -176,6 +176,9 @@ def test_the_library_s_headsets_are_no_objects(readings, folder, tree) -> None:
     content[readings.objects[0].object_id]["instance_type"] = "headset"
     names.write_text(json.dumps(content))
     assert readings.objects[0].object_id not in {track.object_id for track in _read(tree).objects}
+    names.write_text(names.read_text().replace('"object"', '"headset"'))
+    with pytest.raises(InputFileError, match="expected objects, found headsets only"):
+        _read(tree)
 
 
 def test_lines_that_do_not_parse_are_left_out_and_counted(folder, tree) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.errors import InputFileError
 from prbench.formats import hot3d
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
@@ -30,20 +31,23 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     An object without a model keeps its poses; without a name it is called by its uid.
 
     Raises:
-        InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
+        InputFileError: for a missing or damaged file, a pose that is no pose, a clock that runs backwards, no object.
     """
-    rows = read_pose_rows(found.require(layout.OBJECTS, hot3d.OBJECTS_FILE))
+    path = found.require(layout.OBJECTS, hot3d.OBJECTS_FILE)
+    rows = read_pose_rows(path)
     instances = read_instances(found.require(layout.INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"))
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
-    paths = {uid: found.path(f"{layout.MODEL_PREFIX}{uid}") for uid in held}
+    if not held:
+        raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
+    models = {uid: found.path(f"{layout.MODEL_PREFIX}{uid}") for uid in held}
     objects = tuple(
         hot3d.Hot3dObject(
             object_id=uid,
             name=instances[uid].instance_name if uid in instances else uid,
             rows=rows[uid],
-            mesh=None if path is None else read_glb(path),
+            mesh=None if model is None else read_glb(model),
         )
-        for uid, path in paths.items()
+        for uid, model in models.items()
     )
     nameless = [uid for uid in held if uid not in instances]
     return objects, (f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}",) if nameless else ()
