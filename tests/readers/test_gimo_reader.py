@@ -187,7 +187,8 @@ def test_without_a_way_to_the_joints_the_message_says_what_each_needs(root) -> N
 
 def test_a_row_cannot_lead_out_of_the_folder(tmp_path) -> None:
     first = sample.readings()
-    root = sample.write_root(tmp_path / "GIMO", first, table=[replace(first.segment, sequence="../../elsewhere")])
+    outside = replace(first.segment, sequence="../../elsewhere")
+    root = sample.write_root(tmp_path / "GIMO", first, table=[first.segment, outside])
     with pytest.raises(InputFileError, match="a path that leads out of it"):
         reader_for("gimo").find(root)
 
@@ -228,3 +229,8 @@ def test_an_event_of_an_unknown_segment_is_refused(root) -> None:
     path.write_text(path.read_text() + "room1,2022-01-23-080759,100,999,139,pick,\n")
     with pytest.raises(InputFileError, match=r"line 3: expected scene, .*, found room1, 2022-01-23-080759, 100, 999"):
         reader_for("gimo").find(root)
+
+
+def test_nothing_of_gimo_may_be_passed_on(root, tmp_path) -> None:
+    assert load_manifest("gimo").redistribution == "none"
+    assert build_dataset("gimo", root, tmp_path / "table").info.redistribution == "none"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.curation import curate_recording
+from prbench.curation import build_dataset, curate_recording
 from prbench.manifests import load_manifest, load_protocol
+from prbench.sequences import SequenceTable
 from prbench.synthetic.statistics import TARGETS
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.workflows.synthetic_table import Staging
+from prbench.workflows.synthetic_table import Staging, build_synthetic_table
 from prbench.workflows.verify_synthetic import LEVELS, limits, verify_level, verify_tree
 
 SEED = 301
@@ -23,12 +24,18 @@ def test_events_and_primes_are_found_within_the_limits(level) -> None:
     assert [limit for limit in limits(level, result, preset="gimo") if not limit.holds] == []
 
 
-def test_native_files_give_the_same_verdict(tmp_path) -> None:
+def test_native_files_give_what_the_recording_exit_gives(tmp_path) -> None:
     synthesize_tree("gimo", tmp_path / "tree", recordings=1, seed=SEED, n_events=3, provocations={})
     result = verify_tree(tmp_path / "tree", dataset="gimo")
     assert (result.recall, result.precision) == (1.0, 1.0)
     assert result.matched + result.thin == 3
     assert result.timing.largest < 1 / 30
+    build_dataset("gimo", tmp_path / "tree", tmp_path / "native")
+    build_synthetic_table("gimo", 1, SEED, tmp_path / "direct", n_events=3, provocations={})
+    native, direct = (SequenceTable.open(tmp_path / name) for name in ("native", "direct"))
+    assert native.events().equals(direct.events())
+    assert native.info.identity_digest == direct.info.identity_digest
+    assert native.info.content_digest == direct.info.content_digest
 
 
 def test_the_row_of_table_1_is_met_within_a_third_of_its_spread() -> None:
