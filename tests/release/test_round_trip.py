@@ -11,7 +11,7 @@ import pytest
 from prbench.errors import TableError, UsageError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
-from prbench.release import export_release, import_release
+from prbench.release import ImportOptions, export_release, import_release
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SEQUENCES
 from prbench.workflows.explain import explain_event
@@ -134,6 +134,16 @@ def test_an_edited_motion_no_longer_gets_what_belonged_to_the_old_one(tmp_path) 
     assert "synthetic-adt/0000000002/release" in ids
     assert len(ids) == 6
     assert any(each.value == "not the same" for each in result.reports[0].inferences)
+
+
+def test_at_another_rate_what_belonged_to_the_old_one_is_not_used(tmp_path) -> None:
+    table = looking_table(tmp_path / "table", 4)
+    export_release([table.folder], tmp_path / "release")
+    options = ImportOptions(fps=30.0)
+    import_release(tmp_path / "release", tmp_path / "back", dataset="synthetic-adt", options=options)
+    back = SequenceTable.open(tmp_path / "back").scalars()
+    assert set(back["fps"].to_pylist()) == {30.0}
+    assert set(back["prime_kind"].to_pylist()) == {"unknown"}
 
 
 def test_a_table_that_is_no_table_is_told(tmp_path) -> None:

@@ -79,6 +79,16 @@ def test_shape_names_and_forms_leave_no_trace(data, reference, tmp_path_factory)
     assert all(choice.certainty == "certain" for choice in report.fields)
 
 
+def test_the_order_of_the_entries_leaves_no_trace(reference, tmp_path) -> None:
+    path = write_release(tmp_path / "release", SEQUENCES) / "target_information.json"
+    entries = json.loads(path.read_text("utf-8"))
+    path.write_text(json.dumps(dict(reversed(entries.items()))), encoding="utf-8")
+    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
+    assert report.info.content_digest == reference.content_digest
+    ids = SequenceTable.open(tmp_path / "table").scalars()["sequence_id"].to_pylist()
+    assert ids == sorted(ids)
+
+
 @pytest.mark.parametrize("shape", sorted(SHAPES))
 def test_every_shape_is_named(shape, tmp_path) -> None:
     write_release(tmp_path / "release", SEQUENCES, Style(shape=shape))
