@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,6 @@ def write_arrays(path: Path, suit: Suit, **changed: np.ndarray | None) -> Path:
         "segment_qWXYZ": suit.rotation.reshape(n, -1),
         "tpose_segment_tXYZ": None if suit.tpose is None else suit.tpose.ravel(),
     }
-    kept = {key: value for key, value in (arrays | changed).items() if value is not None}
+    kept: dict[str, Any] = {key: value for key, value in (arrays | changed).items() if value is not None}
     np.savez(path, **kept)
     return path

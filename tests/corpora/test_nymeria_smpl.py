@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,8 +28,8 @@ def write_model(path: Path) -> Path:
     return path
 
 
-def write_fit(path: Path, n: int = 1200, **changed: np.ndarray) -> Path:
-    arrays = {
+def write_fit(path: Path, n: int = 1200, **changed: Any) -> Path:
+    arrays: dict[str, Any] = {
         "betas": np.zeros((n, 10)),
         "body_pose": np.zeros((n, 69)),
         "global_orient": np.zeros((n, 3)),
@@ -39,7 +40,7 @@ def write_fit(path: Path, n: int = 1200, **changed: np.ndarray) -> Path:
     return path
 
 
-def read(tmp_path, **changed: np.ndarray):
+def read(tmp_path, **changed: Any):
     fit, model = write_fit(tmp_path / "fit.npz", **changed), write_model(tmp_path / "model.npz")
     return read_smpl_fit(fit, model, tolerance=0.001, shortest=2.0)
 
