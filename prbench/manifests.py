@@ -44,6 +44,15 @@ class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     drop_hinged: bool
 
 
+class BuildEstimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How long a build takes and what it leaves, measured with one core on synthetic recordings of the dataset."""
+
+    megabytes_per_second: float
+    """Input files, read and curated."""
+    table_share: float
+    """Bytes of table (and as many of the parts that it is made from) a byte of input."""
+
+
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One dataset: origin, licence, layout, and every number that its curation uses."""
 
@@ -62,6 +71,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     knows it."""
     wanted_roles: dict[str, str] = {}
     """The same for files without which a recording is read, and yields less."""
+    estimate: BuildEstimate | None = None
+    """What ``--dry-run`` reckons with; None for corpora."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
     """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""

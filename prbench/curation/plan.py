@@ -7,6 +7,8 @@ from pathlib import Path
 
 from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.curation.sources import native_sources
+from prbench.manifests import BuildEstimate, load_manifest
+from prbench.readers import SYNTHETIC_PREFIX
 
 
 @dataclass(frozen=True)
@@ -22,8 +24,7 @@ class BuildPlan:
     estimated_disk_bytes: int
 
 
-_READING_RATE = 60e6  # bytes of input a second and worker, measured on synthetic ADT files
-_TABLE_SHARE = 0.02  # bytes of table (with the parts it is made from) a byte of input, likewise
+_UNMEASURED = BuildEstimate(megabytes_per_second=30.0, table_share=0.02)
 
 
 def plan_build(dataset: str, root: Path, options: BuildOptions = NO_OPTIONS) -> BuildPlan:
@@ -34,11 +35,12 @@ def plan_build(dataset: str, root: Path, options: BuildOptions = NO_OPTIONS) -> 
         InputFileError: if there is nothing to read.
     """
     sources = native_sources(dataset, root, options)
+    estimate = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)).estimate or _UNMEASURED
     size = sum(source.size for source in sources if source.skip_reason is None)
     return BuildPlan(
         recordings=tuple(source.recording_id for source in sources),
         skipped=tuple(source.recording_id for source in sources if source.skip_reason is not None),
         input_bytes=size,
-        estimated_seconds=size / _READING_RATE,
-        estimated_disk_bytes=round(size * _TABLE_SHARE),
+        estimated_seconds=size / (estimate.megabytes_per_second * 1e6),
+        estimated_disk_bytes=round(size * 2 * estimate.table_share),
     )
