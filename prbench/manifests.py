@@ -91,7 +91,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     excluded: dict[str, str] = {}
     """Recording that is left out unless the reader's option ``include_excluded`` is on, and why."""
     object_extents: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[float, float]]] = {}
-    """Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z of the object, metres."""
+    """Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z, metres."""
     test_recordings: tuple[str, ...] = ()
     validation_recordings: tuple[str, ...] = ()
     train_recordings: tuple[str, ...] = ()
