@@ -11,6 +11,7 @@ from typing import Literal
 from prbench.errors import PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
+from prbench.readers.aria_mps import check_trajectory, source_of
 from prbench.readers.discover import BrokenDataset, FoundDataset, discover
 from prbench.readers.integrity import damage
 
@@ -66,7 +67,8 @@ def inspect_folder(
 
     Args:
         root: A dataset's folder, or one that holds several.
-        thorough: Read every recording as a build would, instead of looking for its files and at their ends.
+        thorough: Read every recording as a build would, and every row of its trajectory, instead of looking for its
+            files and at their ends.
         progress: Called with done, total and the recording's name.
 
     Raises:
@@ -102,6 +104,8 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     if not thorough:
         return InspectedRecording(recording.recording_id, "complete", size, wanted)
     try:
+        for trajectory in (file for file in recording.files if file.role == "trajectory"):
+            check_trajectory(source_of(trajectory))  # reading one looks at the wanted rows alone
         messages = reader_for(found.dataset).read(recording).messages
     except PrbenchError as error:
         return InspectedRecording(recording.recording_id, "unreadable", size, (str(error),))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import InputFileError
+from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.catalogue import catalogue
 from prbench.workflows.inspection import inspect_folder
 
@@ -79,3 +80,16 @@ def test_a_folder_of_something_else_is_refused_with_what_it_holds(tmp_path) -> N
         inspect_folder(tmp_path)
     with pytest.raises(InputFileError, match="expected a folder, found nothing"):
         inspect_folder(tmp_path / "nowhere")
+
+
+def test_a_thorough_look_sees_rows_of_a_trajectory_that_reading_passes_over(tmp_path) -> None:
+    root = synthesize_tree("hot3d", tmp_path / "HOT3D", recordings=1, seed=4, n_events=2).root
+    (path,) = root.glob("*/mps/slam/closed_loop_trajectory.csv")
+    lines = path.read_text().splitlines(keepends=True)
+    broken = len(lines) // 2
+    lines[broken] = lines[broken].replace(",", ",nan,", 1).rsplit(",", 1)[0] + "\n"
+    path.write_text("".join(lines))
+    assert states(root)[0][0] == "complete"
+    state, remarks = states(root, thorough=True)[0]
+    assert state == "unreadable"
+    assert "closed_loop_trajectory.csv" in remarks[0]
