@@ -12,7 +12,14 @@ from typing import Protocol, runtime_checkable
 from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
-from prbench.readers import Reader, RecordingFiles, described_options, read_synthetic_tree, reader_for
+from prbench.readers import (
+    Reader,
+    RecordingFiles,
+    described_options,
+    read_synthetic_tree,
+    reader_for,
+    require_one_origin,
+)
 from prbench.readers.digests import remembered_digest
 from prbench.recording import Recording
 from prbench.storage import text_digest
@@ -117,6 +124,7 @@ def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[Nat
     manifest = load_manifest(reader.dataset)
     options.curation.require_fits(manifest)
     found = {recording.recording_id: recording for recording in reader.find(root)}
+    require_one_origin(root, (recording.dataset for recording in found.values()))
     tree = read_synthetic_tree(root)
     return tuple(
         NativeSource(

@@ -15,7 +15,13 @@ from typing import Protocol, runtime_checkable
 from prbench.errors import UsageError
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.options import ReaderOptions, described_options, parse_options
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, SyntheticTree, read_synthetic_tree
+from prbench.readers.synthetic_tree import (
+    SYNTHETIC_PREFIX,
+    SyntheticTree,
+    read_synthetic_tree,
+    require_one_origin,
+    synthetic_tree_around,
+)
 from prbench.recording import Recording
 
 __all__ = [
@@ -28,6 +34,8 @@ __all__ = [
     "described_options",
     "read_synthetic_tree",
     "reader_for",
+    "require_one_origin",
+    "synthetic_tree_around",
 ]
 
 READER_MODULES: dict[str, str] = {

@@ -5,11 +5,13 @@ Nothing else of the truth is ever read: the folder ``truth/`` beside it is for c
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
+from prbench.errors import InputFileError
 from prbench.readers.files import decode_json
 
 SYNTHETIC_FILE = "synthetic.json"
@@ -44,3 +46,32 @@ def read_synthetic_tree(root: Path) -> SyntheticTree | None:
         if (folder / SYNTHETIC_FILE).is_file():
             return decode_json(folder / SYNTHETIC_FILE, _TREE)
     return None
+
+
+def synthetic_tree_around(folder: Path, root: Path) -> SyntheticTree | None:
+    """The mark that a recording's folder lies under: the nearest one on the way up to ``root``, or beside it.
+
+    Roots may be given one level too high; what is invented has to keep its name and splits there, too.
+
+    Raises:
+        InputFileError: if the mark is damaged.
+    """
+    way = [place for place in (folder, *folder.parents) if place.is_relative_to(root)]
+    return next((tree for tree in map(read_synthetic_tree, (*way, root)) if tree is not None), None)
+
+
+def require_one_origin(root: Path, datasets: Iterable[str]) -> None:
+    """Refuse a folder in which real and invented recordings lie together: one table may not mix them.
+
+    Raises:
+        InputFileError: if the names of the recordings' datasets differ.
+    """
+    names = sorted(set(datasets))
+    if len(names) > 1:
+        raise InputFileError(
+            root,
+            "",
+            expected="recordings that are all real or all invented",
+            found=f"{' and '.join(names)} together",
+            remedy=f"Give a folder that holds one of them; {SYNTHETIC_FILE} marks what is invented.",
+        )

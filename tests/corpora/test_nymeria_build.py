@@ -10,6 +10,7 @@ import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus, plan_corpus
 from prbench.corpora.nymeria.find import find_sequences
+from prbench.corpora.nymeria.source import CORPUS
 from prbench.corpora.splits import split_by_participant
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
@@ -104,6 +105,18 @@ def test_a_synthetic_tree_is_never_called_nymeria_and_keeps_its_splits(built, ny
     assert {row["recording_id"]: row["split"] for row in rows} == marks
 
 
+def test_a_synthetic_tree_is_known_from_the_folder_above_and_not_mixed_with_others(nymeria_tree, tmp_path):
+    shutil.copytree(nymeria_tree, tmp_path / "above" / "tree")
+    marks = json.loads((nymeria_tree / "synthetic.json").read_text())["split"]
+    sources = CORPUS.find(tmp_path / "above", CorpusOptions())
+    assert {source.belonging.dataset for source in sources} == {"synthetic-nymeria"}
+    assert {source.belonging.recording_id: source.belonging.split for source in sources} == marks
+    real = tmp_path / "above" / "20230607_s0_james_johnson_act0_e72nhq" / "body"
+    shutil.copytree(next((nymeria_tree).glob("*/body")), real)
+    with pytest.raises(InputFileError, match="nymeria and synthetic-nymeria together"):
+        CORPUS.find(tmp_path / "above", CorpusOptions())
+
+
 def test_without_the_mark_licence_and_citation_are_those_of_the_dataset(nymeria_tree, tmp_path):
     tree = tmp_path / "tree"
     shutil.copytree(nymeria_tree, tree)
@@ -180,7 +193,7 @@ def test_participants_decide_the_split_and_sessions_do_not():
 
 def test_nothing_to_read_is_said(tmp_path):
     with pytest.raises(InputFileError, match="sequence folders"):
-        find_sequences(tmp_path, "nymeria")
+        find_sequences(tmp_path)
     with pytest.raises(UsageError, match="--root"):
         build_corpus("nymeria", None, tmp_path / "out")
 

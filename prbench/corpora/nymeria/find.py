@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prbench.errors import InputFileError
 from prbench.formats import nymeria
-from prbench.readers import InputFile, RecordingFiles
+from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
 from prbench.readers.found import input_file
 
 SUIT, SMPL, METADATA, TRAJECTORY, OFFSET = "suit", "smpl", "metadata", "trajectory", "time_offset"
@@ -24,7 +24,7 @@ _ROLES = {
 _INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER)
 
 
-def find_sequences(root: Path, dataset: str) -> tuple[RecordingFiles, ...]:
+def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
     """All sequences of which a suit, a fit or a text was found.
 
     A file belongs to the sequence whose name stands in its path, so that trees of one group each (all bodies, all
@@ -54,7 +54,7 @@ def find_sequences(root: Path, dataset: str) -> tuple[RecordingFiles, ...]:
             found="none",
             remedy="Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders.",
         )
-    return tuple(_files(root, dataset, name, sequences[name], shared) for name in sorted(sequences))
+    return tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
 
 
 def _interesting_files(root: Path) -> list[Path]:
@@ -83,10 +83,12 @@ def _sequence_of(path: Path, root: Path) -> str:
     return outer[-1] if outer else root.name
 
 
-def _files(root: Path, dataset: str, name: str, files: dict[str, Path], shared: Path | None) -> RecordingFiles:
+def _files(root: Path, name: str, files: dict[str, Path], shared: Path | None) -> RecordingFiles:
     if shared is not None:
         files = {OFFSET: shared, **files}
     inputs: list[InputFile] = [input_file(role, files[role]) for role in sorted(files)]
     suit = files.get(SUIT)
     folder = root / name if suit is None else suit.parent.parent
-    return RecordingFiles(dataset=dataset, recording_id=name, folder=folder, files=tuple(inputs))
+    tree = next(filter(None, (synthetic_tree_around(file.path.parent, root) for file in inputs)), None)
+    dataset, splits = ("nymeria", {}) if tree is None else (f"{SYNTHETIC_PREFIX}nymeria", tree.split)
+    return RecordingFiles(dataset, name, folder, tuple(inputs), split=splits.get(name))

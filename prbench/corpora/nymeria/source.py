@@ -24,7 +24,7 @@ from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.formats import nymeria
 from prbench.formats.nymeria import Narration, NymeriaRecording
 from prbench.manifests import Manifest, load_manifest
-from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, described_options, read_synthetic_tree
+from prbench.readers import RecordingFiles, described_options, require_one_origin
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.options import ReaderOptions, parse_options
@@ -223,15 +223,14 @@ class NymeriaCorpus:
         if root is None:
             raise UsageError("--root DIR is needed: your copy of Nymeria.")
         chosen, limits = self._options(options), ClipLimits.of(options, self.manifest.thresholds)
-        tree = read_synthetic_tree(root.expanduser())
-        dataset = f"{SYNTHETIC_PREFIX}nymeria" if tree else "nymeria"
         sources = []
-        for found in find_sequences(root, dataset):
-            name = found.recording_id
+        for found in find_sequences(root):
+            name, dataset = found.recording_id, found.dataset
             participant = _participant(found)
-            split = (tree.split.get(name) if tree else None) or split_by_participant(self.manifest, participant)
+            split = found.split or split_by_participant(self.manifest, participant)
             belonging = Belonging(dataset, name, participant, split, participant)
             sources.append(NymeriaSource(root, found, belonging, self.manifest.why_bad(name), chosen, limits))
+        require_one_origin(root, (source.belonging.dataset for source in sources))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
