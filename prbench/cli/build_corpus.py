@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command, key_value, positive
-from prbench.cli.build_dataset import NOT_EVERYTHING
+from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.builds import NOT_EVERYTHING, add_on_error, add_reader_options, print_plan, print_unread
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from prbench.corpora import CorpusOptions, CorpusPlan, CorpusReport
+    from prbench.corpora import CorpusOptions, CorpusReport
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -36,20 +35,8 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--fps", type=float, metavar="N", help="frames a second of the clips (default 20)")
     parser.add_argument("--max-frames", type=positive, metavar="N", help="cut longer clips (default: 12 s)")
     parser.add_argument("--dry-run", action="store_true", help="say what would be read, and write nothing")
-    parser.add_argument(
-        "--on-error",
-        choices=["skip", "fail"],
-        default="skip",
-        help="go on without a recording that cannot be read and name it (default), or fail at once",
-    )
-    parser.add_argument(
-        "--option",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="an option of the corpus' reader; repeatable (a wrong name lists them)",
-    )
+    add_on_error(parser)
+    add_reader_options(parser, whose="corpus'")
     add_workers(parser)
 
 
@@ -60,7 +47,7 @@ def _build(arguments: argparse.Namespace) -> int:
 
     options = _options(arguments)
     if arguments.dry_run:
-        _print_plan(plan_corpus(arguments.corpus, arguments.root, options), arguments.workers)
+        print_plan(plan_corpus(arguments.corpus, arguments.root, options), arguments.workers, unfit="unfit")
         return 0
     if arguments.out is None:
         raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
@@ -94,23 +81,8 @@ def _options(arguments: argparse.Namespace) -> CorpusOptions:
     )
 
 
-def _print_plan(plan: CorpusPlan, workers: int) -> None:
-    print(f"{len(plan.recordings)} recordings, {plan.input_bytes / 1e6:,.1f} MB to read")
-    if plan.skipped:
-        shown = ", ".join(plan.skipped[:10]) + (" …" if len(plan.skipped) > 10 else "")
-        print(f"{len(plan.skipped)} of them are known to be unfit and would be skipped: {shown}")
-    seconds = plan.estimated_seconds / workers
-    duration = f"{seconds:,.0f} s" if seconds < 120 else f"{seconds / 60:,.0f} minutes"
-    print(
-        f"estimated: {duration} with {workers} worker{'s' if workers > 1 else ''},"
-        f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
-    )
-
-
 def _print_report(report: CorpusReport) -> int:
     counts, info = report.info.counts, report.info
-    if report.reused:
-        print(f"{report.reused} recordings were taken over from an interrupted build.", file=sys.stderr)
     left_out = counts.recordings_failed + counts.recordings_skipped
     why = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
     rows = [
@@ -127,9 +99,7 @@ def _print_report(report: CorpusReport) -> int:
     print_table(f"{info.title}: from files to clips", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
     if counts.approximate_clips:
         print(f"{counts.approximate_clips} clips are marked approximate: their texts were placed by aligning starts")
-    for record in report.records:
-        if record.status != "read":
-            print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
+    print_unread(report.records, reused=report.reused)
     print(f"corpus: {report.folder}")
     return NOT_EVERYTHING if counts.recordings_failed else 0
 

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command, key_value, positive
+from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.builds import NOT_EVERYTHING, add_on_error, add_reader_options, print_plan, print_unread
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from prbench.curation import BuildPlan, BuildReport
+    from prbench.curation import BuildReport
     from prbench.curation.options import BuildOptions
 
 EVERYTHING = "all"
 """In place of a dataset's name: whatever is found."""
-NOT_EVERYTHING = 3
-"""Exit code of a build that finished, but had to leave recordings out because they could not be read."""
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -62,25 +60,13 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         metavar="MEASURE",
         help="what must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement",
     )
-    parser.add_argument(
-        "--on-error",
-        choices=["skip", "fail"],
-        default="skip",
-        help="go on without a recording that cannot be read and name it (default), or fail at once",
-    )
+    add_on_error(parser)
     parser.add_argument(
         "--poses",
         metavar="SOURCE",
         help="where bodies come from, for example egoallo in place of ADT's suit; short for --option poses=SOURCE",
     )
-    parser.add_argument(
-        "--option",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="an option of the dataset's reader; repeatable (a wrong name lists them)",
-    )
+    add_reader_options(parser)
     add_workers(parser)
 
 
@@ -92,7 +78,7 @@ def _build(arguments: argparse.Namespace) -> int:
     if arguments.dataset == EVERYTHING:
         return _build_all(arguments, options)
     if arguments.dry_run:
-        _print_plan(plan_build(arguments.dataset, arguments.root, options), arguments.workers)
+        print_plan(plan_build(arguments.dataset, arguments.root, options), arguments.workers, unfit="bad")
         return 0
     _require_out(arguments)
     with progress(f"building {arguments.dataset}") as show:
@@ -114,7 +100,7 @@ def _build_all(arguments: argparse.Namespace, options: BuildOptions) -> int:
     if arguments.dry_run:
         for name, root, plan in plan_all(arguments.root, options):
             print(f"{name} in {root}:")
-            _print_plan(plan, arguments.workers)
+            print_plan(plan, arguments.workers, unfit="bad")
         return 0
     _require_out(arguments)
     with progress("building") as show:
@@ -182,29 +168,13 @@ def _poses(arguments: argparse.Namespace) -> dict[str, str]:
     return {} if arguments.poses is None else {"poses": arguments.poses}
 
 
-def _print_plan(plan: BuildPlan, workers: int) -> None:
-    print(f"{len(plan.recordings)} recordings, {plan.input_bytes / 1e6:,.1f} MB to read")
-    if plan.skipped:
-        print(f"{len(plan.skipped)} of them are known to be bad and would be skipped: {', '.join(plan.skipped)}")
-    seconds = plan.estimated_seconds / workers
-    duration = f"{seconds:,.0f} s" if seconds < 120 else f"{seconds / 60:,.0f} minutes"
-    print(
-        f"estimated: {duration} with {workers} worker{'s' if workers > 1 else ''},"
-        f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
-    )
-
-
 def _print_report(report: BuildReport) -> int:
     from prbench.curation.funnel import funnel_rows
 
-    if report.reused:
-        print(f"{report.reused} recordings were taken over from an interrupted build.", file=sys.stderr)
     rows = [(row.stage, str(row.kept), str(row.dropped or ""), row.reason) for row in funnel_rows(report.info)]
     print_table(
         f"{report.info.title}: from files to sequences", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2)
     )
-    for record in report.records:
-        if record.status != "read":
-            print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
+    print_unread(report.records, reused=report.reused)
     print(f"table: {report.folder}")
     return NOT_EVERYTHING if report.info.counts.recordings_failed else 0

@@ -6,11 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from prbench.cli.arguments import add_workers, command, key_value
+from prbench.cli.arguments import add_workers, command
+from prbench.cli.builds import NOT_EVERYTHING, add_reader_options
 from prbench.cli.progress import progress
-
-NOT_EVERYTHING = 3
-"""Exit code when segments could not be read; their lines say why."""
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -25,14 +23,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("dataset", help="gimo: its events are annotated by hand")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="new CSV file; never overwritten")
-    parser.add_argument(
-        "--option",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="an option of the dataset's reader; repeatable (a wrong name lists them)",
-    )
+    add_reader_options(parser)
     add_workers(parser)
 
 

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_permission, command, key_value
+from prbench.cli.builds import NOT_EVERYTHING, add_on_error
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
     from prbench.release import ImportReport
-
-NOT_EVERYTHING = 3
-"""Exit code of an import that finished, but had to leave sequences or datasets out."""
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -51,12 +49,7 @@ def _add_import(commands: argparse._SubParsersAction) -> None:
         default="sequence",
         help="frame 0 belongs to the sequence (default), or is the frame before it",
     )
-    parser.add_argument(
-        "--on-error",
-        choices=["skip", "fail"],
-        default="skip",
-        help="go on without sequences that cannot be read and name them (default), or fail at once",
-    )
+    add_on_error(parser, what="sequences", them="them")
 
 
 def _add_export(commands: argparse._SubParsersAction) -> None:

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command, key_value, positive
-from prbench.cli.build_dataset import NOT_EVERYTHING
+from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.builds import NOT_EVERYTHING, add_reader_options
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -30,14 +30,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     where.add_argument("--data", type=Path, metavar="DIR", help="a table of it that was built by the rule")
     parser.add_argument("--recordings", default="*", metavar="GLOB", help="only videos with such names (with --root)")
     parser.add_argument("--limit", type=positive, metavar="N", help="only the first N videos, by name (with --root)")
-    parser.add_argument(
-        "--option",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="an option of the dataset's reader; repeatable (with --root)",
-    )
+    add_reader_options(parser, remark="with --root")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the numbers as JSON, too")
     add_workers(parser)
 

@@ -1,0 +1,66 @@
+"""What the commands that read recordings share: their options, their plan, and what they say of recordings left out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from prbench.cli.arguments import key_value
+
+if TYPE_CHECKING:
+    from prbench.corpora import CorpusPlan
+    from prbench.curation import BuildPlan
+    from prbench.sequences import RecordingRecord
+    from prbench.sequences.corpus import CorpusRecord
+
+NOT_EVERYTHING = 3
+"""Exit code of a command that finished, but had to leave out something that could not be read."""
+
+
+def add_on_error(parser: argparse.ArgumentParser, *, what: str = "a recording", them: str = "it") -> None:
+    """``--on-error skip|fail``."""
+    parser.add_argument(
+        "--on-error",
+        choices=["skip", "fail"],
+        default="skip",
+        help=f"go on without {what} that cannot be read and name {them} (default), or fail at once",
+    )
+
+
+def add_reader_options(
+    parser: argparse.ArgumentParser, *, whose: str = "dataset's", remark: str = "a wrong name lists them"
+) -> None:
+    """``--option NAME=VALUE``, repeatable."""
+    parser.add_argument(
+        "--option",
+        type=key_value,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"an option of the {whose} reader; repeatable ({remark})",
+    )
+
+
+def print_plan(plan: BuildPlan | CorpusPlan, workers: int, *, unfit: str) -> None:
+    """Say what would be read, what is known to be ``unfit``, and about what it takes."""
+    print(f"{len(plan.recordings)} recordings, {plan.input_bytes / 1e6:,.1f} MB to read")
+    if plan.skipped:
+        shown = ", ".join(plan.skipped[:10]) + (" …" if len(plan.skipped) > 10 else "")
+        print(f"{len(plan.skipped)} of them are known to be {unfit} and would be skipped: {shown}")
+    seconds = plan.estimated_seconds / workers
+    duration = f"{seconds:,.0f} s" if seconds < 120 else f"{seconds / 60:,.0f} minutes"
+    print(
+        f"estimated: {duration} with {workers} worker{'s' if workers > 1 else ''},"
+        f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
+    )
+
+
+def print_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: int) -> None:
+    """Name the recordings that are not in the result, and why."""
+    if reused:
+        print(f"{reused} recordings were taken over from an interrupted build.", file=sys.stderr)
+    for record in records:
+        if record.status != "read":
+            print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
