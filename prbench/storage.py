@@ -134,12 +134,28 @@ def require_replaceable(folder: Path, marker: str, *, kind: str) -> None:
         )
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        StorageError: if the folder cannot be written or the disk is full.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text, line ends as they are, whole or not at all.
+
+    Raises:
+        StorageError: if the folder cannot be written or the disk is full.
+    """
+    write_bytes(path, text.encode())
+
+
 def write_json(path: Path, value: object) -> None:
     """Write JSON with sorted keys, two-space indent and a final newline; equal values give equal bytes."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(
-            json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
-        )
+    write_text(path, json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> object:

@@ -71,7 +71,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 def _export(arguments: argparse.Namespace) -> int:
     from prbench.leaderboard import collect_runs, export, make_leaderboard
-    from prbench.storage import atomic_path
+    from prbench.storage import write_text
 
     collected = collect_runs(arguments.runs)
     for reason in collected.left_out:
@@ -80,7 +80,6 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         print(text, end="")
         return 0
-    with atomic_path(arguments.out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(arguments.out, text)
     print(f"leaderboard: {arguments.out}")
     return 0

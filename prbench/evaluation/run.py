@@ -27,7 +27,7 @@ from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences.redistribution import run_notice
-from prbench.storage import atomic_path
+from prbench.storage import write_text
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,7 @@ def _write_notice(prepared: PreparedRun, dataset: PreparedDataset, folder: RunFo
     recorded = prepared.request.method == GROUND_TRUTH
     text = run_notice(dataset.selection.table.info, recorded_motion=recorded)
     if text and not files.notice.is_file():
-        with atomic_path(files.notice) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(files.notice, text)
 
 
 def _generate(

@@ -15,7 +15,7 @@ from prbench.manifests import load_manifest
 from prbench.recording import Recording
 from prbench.recording.adt_for_egoallo import prepared_trajectory
 from prbench.recording.from_adt import recording_from_adt
-from prbench.storage import atomic_folder, atomic_path, write_json
+from prbench.storage import atomic_folder, write_bytes, write_json
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.performance import Performance, TrueEvent
@@ -261,5 +261,4 @@ def _write_skeleton(path: Path, person: adt.AdtSkeleton) -> None:
         for frame_markers, frame_joints, time in zip(markers.tolist(), joints, person.time_ns.tolist(), strict=True)
     ]
     content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(msgspec.json.encode(content))
+    write_bytes(path, msgspec.json.encode(content))

@@ -9,7 +9,7 @@ import numpy as np
 
 from prbench.formats import egoallo as ego
 from prbench.skeleton import PARENTS
-from prbench.storage import atomic_path
+from prbench.storage import atomic_path, write_text
 from prbench.synthetic.sensors.smplh import invented_smplh
 
 _NO_PARENT = 2**32 - 1
@@ -41,11 +41,10 @@ def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
                     ego.TIMES: output.time_ns,
                 },
             )
-        with atomic_path(folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}") as temporary:
-            temporary.write_text(
-                f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
-                encoding="utf-8",
-            )
+        write_text(
+            folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}",
+            f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
+        )
 
 
 def write_smplh_model(path: Path) -> None:

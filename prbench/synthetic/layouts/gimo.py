@@ -17,7 +17,7 @@ from prbench.manifests import load_manifest
 from prbench.recording import Recording
 from prbench.recording.from_gimo import recording_from_gimo
 from prbench.skeleton import WRISTS, Joint
-from prbench.storage import atomic_folder, atomic_path, write_json
+from prbench.storage import atomic_folder, atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
 from prbench.synthetic.people.truth import seen_again
@@ -49,7 +49,7 @@ class GimoLayout:
         segment = readings.segment
         write_sequence(readings, root / segment.scene / segment.sequence)
         norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
-        _write_text(norm, _matrix_text(readings.transform.room_from_scene))
+        write_text(norm, _matrix_text(readings.transform.room_from_scene))
         events = [[event.frame, event.hand] for event in readings.events]
         write_json(
             root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events}
@@ -137,7 +137,7 @@ def write_bvh(motion: BvhMotion, path: Path) -> None:
     lines = ["HIERARCHY", *_joint_lines(motion, 0, ""), "MOTION", f"Frames: {len(motion.values)}"]
     lines.append(f"Frame Time: {motion.frame_time!r}")
     lines += [" ".join(f"{value:.6f}" for value in row) for row in motion.values.tolist()]
-    _write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _joint_lines(motion: BvhMotion, index: int, indent: str) -> list[str]:
@@ -188,11 +188,6 @@ def write_events(path: Path, events: Sequence[tuple[gimo.Segment, gimo.EventFram
 def _write_csv(path: Path, rows: Sequence[Sequence[object]], *, encoding: str) -> None:
     with atomic_path(path) as temporary, open(temporary, "w", encoding=encoding, newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
-
-
-def _write_text(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:

@@ -13,7 +13,7 @@ from prbench.formats.umetrack import HandModel
 from prbench.manifests import load_manifest
 from prbench.recording import Recording
 from prbench.recording.from_hot3d import recording_from_hot3d
-from prbench.storage import atomic_folder, atomic_path, read_json, write_json
+from prbench.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
@@ -121,8 +121,8 @@ def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
     write_json(folder / hot3d.INSTANCES_FILE, instances)
     for entry in readings.objects:
         if entry.mesh is not None:
-            with atomic_path(folder / f"{entry.object_id}.glb") as temporary:
-                temporary.write_bytes(glb_bytes(entry.mesh, name=entry.name, turned=int(entry.object_id) % 2 == 1))
+            content = glb_bytes(entry.mesh, name=entry.name, turned=int(entry.object_id) % 2 == 1)
+            write_bytes(folder / f"{entry.object_id}.glb", content)
 
 
 def finish(root: Path) -> None:
@@ -176,8 +176,7 @@ def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
                 "hand_confidence": 1.0,
             }
     records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
+    write_bytes(path, b"".join(msgspec.json.encode(record) + b"\n" for record in records))
 
 
 def profile(model: HandModel) -> dict[str, object]:

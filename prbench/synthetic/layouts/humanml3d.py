@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from prbench.formats import humanml3d as layout
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
-from prbench.storage import atomic_path
+from prbench.storage import atomic_path, write_text
 from prbench.synthetic.activities import NarratedMotion
 
 LONGEST = 9.9
@@ -77,16 +77,14 @@ def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
     with atomic_path(root / layout.JOINTS_FOLDER / f"{name}.npy") as temporary:
         np.save(temporary, motion.joints.astype(np.float32), allow_pickle=False)
     lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion.lines]
-    with atomic_path(root / layout.TEXTS_FOLDER / f"{name}.txt") as temporary:
-        temporary.write_bytes("".join(lines).encode())
+    write_text(root / layout.TEXTS_FOLDER / f"{name}.txt", "".join(lines))
 
 
 def write_lists(root: Path, splits: dict[str, str]) -> None:
     """Write ``train.txt``, ``val.txt`` and ``test.txt``."""
     for split, name in layout.SPLIT_FILES.items():
         members = "".join(f"{motion}\n" for motion, chosen in sorted(splits.items()) if chosen == split)
-        with atomic_path(root / name) as temporary:
-            temporary.write_bytes(members.encode())
+        write_text(root / name, members)
 
 
 def _canonical(joints: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from prbench.formats.mogaze_body import STATE_COLUMNS
 from prbench.manifests import load_manifest
 from prbench.recording import Recording
 from prbench.recording.from_mogaze import recording_from_mogaze
-from prbench.storage import atomic_path, write_json
+from prbench.storage import atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import mogaze as sensors
@@ -117,8 +117,8 @@ def write_scene(root: Path, entries: dict[int, SceneEntry]) -> None:
             lines.append(f"    <meshfile src={quoteattr(f'mogaze/{mogaze.MESH_FOLDER}/{entry.mesh}')}/>")
         lines += [f"    <color>{_COLOUR}</color>", "  </body>"]
     for name, entry in sorted(meshes.items()):
-        _write_text(root / mogaze.MESH_FOLDER / name, box_mesh(np.array(entry.low), np.array(entry.high)))
-    _write_text(root / mogaze.SCENE_FILE, "\n".join([*lines, "</scene>", ""]))
+        write_text(root / mogaze.MESH_FOLDER / name, box_mesh(np.array(entry.low), np.array(entry.high)))
+    write_text(root / mogaze.SCENE_FILE, "\n".join([*lines, "</scene>", ""]))
 
 
 def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
@@ -166,9 +166,3 @@ def _scene_entry(body: mogaze.MogazeBody) -> SceneEntry:
     shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
     mesh = "" if body.name == mogaze.GOGGLES else f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
     return SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")

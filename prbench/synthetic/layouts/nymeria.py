@@ -11,7 +11,7 @@ import numpy as np
 from prbench.formats import aria_mps as mps
 from prbench.formats import nymeria
 from prbench.formats.nymeria import Narration
-from prbench.storage import atomic_path, write_json
+from prbench.storage import atomic_path, write_bytes, write_json
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.sensors.nymeria import GlassesPoses, NymeriaReadings
 
@@ -82,8 +82,7 @@ def write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order
     for number, row in enumerate(rows):
         times = (f"{row.start:.6f}", f"{row.end:.6f}")
         writer.writerow([number, number, *times, row.annotator, _CREATED, *(answer for _, answer in row.texts)])
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(text.getvalue().encode("utf-8-sig" if byte_order_mark else "utf-8"))
+    write_bytes(path, text.getvalue().encode("utf-8-sig" if byte_order_mark else "utf-8"))
 
 
 def _trajectory_columns(glasses: GlassesPoses) -> dict[str, object]:
