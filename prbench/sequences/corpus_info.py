@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.errors import TableError
 from prbench.sequences.dataset_info import QuarantinedRecording
+from prbench.sequences.info_file import read_info
 from prbench.storage import write_json
 
 CORPUS_FILE = "corpus.json"
@@ -65,14 +65,4 @@ class CorpusInfo(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        path = folder / CORPUS_FILE
-        try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
-        except (FileNotFoundError, NotADirectoryError) as error:
-            found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-            raise TableError(
-                f"{folder}: expected a built corpus (a folder with {CORPUS_FILE}), found {found}."
-                " Make one with `prbench build-corpus`."
-            ) from error
-        except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise TableError(f"{path}: not a valid {CORPUS_FILE}: {error}. Build the corpus again.") from error
+        return read_info(folder / CORPUS_FILE, cls, what="corpus")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.errors import TableError
+from prbench.sequences.info_file import read_info
 from prbench.storage import write_json
 
 FILE_NAME = "dataset.json"
@@ -80,14 +80,4 @@ class DatasetInfo(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        path = folder / FILE_NAME
-        try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
-        except (FileNotFoundError, NotADirectoryError) as error:
-            found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-            raise TableError(
-                f"{folder}: expected a built dataset (a folder with {FILE_NAME}), found {found}."
-                " Make one with `prbench build-dataset`."
-            ) from error
-        except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise TableError(f"{path}: not a valid {FILE_NAME}: {error}. Build the dataset again.") from error
+        return read_info(folder / FILE_NAME, cls, what="dataset")

@@ -1,0 +1,31 @@
+"""JSON files beside a table that say what it is: ``dataset.json`` and ``corpus.json``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from prbench.errors import TableError
+
+Info = TypeVar("Info", bound=msgspec.Struct)
+
+
+def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
+    """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
+
+    Raises:
+        TableError: if the folder holds none, or it is damaged or of another version.
+    """
+    folder = path.parent
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        raise TableError(
+            f"{folder}: expected a built {what} (a folder with {path.name}), found {found}."
+            f" Make one with `prbench build-{what}`."
+        ) from error
+    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {what} again.") from error
