@@ -13,7 +13,7 @@ from prbench.formats.bvh import BvhMotion
 TABLE_FILE = "dataset.csv"
 EVENTS_FILE = "prbench_events.csv"
 """The user's own annotations, at the root unless a reader option names another file."""
-SCENE_FOLDER, POSE_FOLDER, GAZE_FOLDER, VIDEO_FOLDER = "scene_obj", "smplx_local", "eye_pc", "PV"
+SCENE_FOLDER, POSE_FOLDER, GAZE_FOLDER = "scene_obj", "smplx_local", "eye_pc"
 NORM_FILE = "transform_norm.txt"
 SCENE_MESHES = ("textured_output.obj", "scene_downsampled.ply")
 SKELETON_FILE = "skeleton.bvh"

@@ -46,7 +46,6 @@ SEGMENTS = (
     "L_UpperLeg", "L_LowerLeg", "L_Foot", "L_Toe",
 )  # fmt: skip
 """Segments of the suit in file order; the position of a segment is its joint nearest to the pelvis."""
-SEGMENT_PARENTS = (-1, 0, 1, 2, 3, 4, 5, 4, 7, 8, 9, 4, 11, 12, 13, 0, 15, 16, 17, 0, 19, 20, 21)
 N_SEGMENTS = len(SEGMENTS)
 
 SEQUENCE_NAME = re.compile(r"\d{8}_s\d+_[^_]+(?:_[^_]+)*_act\d+_[A-Za-z0-9]+")

@@ -208,7 +208,3 @@ def limits(level: SensorLevel, result: Verification, *, preset: str = "adt") -> 
         Limit("false primes", result.false_primes, 0.06, at_least=False),
         Limit("median prime time error, s", result.prime.median, 0.08, at_least=False),
     ]
-
-
-def _point(value: list[float] | None) -> np.ndarray | None:
-    return None if value is None else np.array(value)

@@ -35,11 +35,6 @@ def _body(root, cpf: PoseStream | None = None, **options) -> EgoAlloBody:
     return body
 
 
-def _shifted(metres: float) -> PoseStream:
-    glasses = walk()
-    return PoseStream(glasses.times, glasses.position + np.array([0, metres, 0]), glasses.rotation, glasses.valid)
-
-
 def test_no_outputs_no_body(root):
     assert _found(root).files == ()
     assert read_bodies(_found(root), cpf=walk()) is None

@@ -25,8 +25,6 @@ class Stage:
         self.script = Script(person, self.base)
         self.now = 0.0
         self.is_seated = False
-        self.carrying: int | None = None
-        """The hand that holds something; 2 for both."""
 
     @property
     def stature(self) -> float:
