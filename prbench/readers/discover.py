@@ -7,6 +7,7 @@ from pathlib import Path
 
 from prbench.errors import InputFileError, PrbenchError
 from prbench.readers import READER_MODULES, Reader, RecordingFiles, read_synthetic_tree, reader_for
+from prbench.readers.found import names_in
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE
 
 
@@ -63,12 +64,11 @@ def discover(root: Path) -> Discovery:
             elif answer is not None:
                 found.append(answer)
     if not found and not broken:
-        held = ", ".join(sorted(entry.name for entry in root.iterdir())[:8]) or "nothing"
         raise InputFileError(
             root,
             "",
             expected=f"recordings of {', '.join(READER_MODULES)}, here or one folder below",
-            found=held,
+            found=names_in(root),
             remedy="`prbench datasets` says which files each dataset consists of.",
         )
     return Discovery(tuple(sorted(found, key=lambda each: (each.dataset, str(each.root)))), tuple(broken))

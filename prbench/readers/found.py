@@ -8,6 +8,9 @@ from typing import Literal
 
 from prbench.errors import InputFileError
 
+_SHOWN = 8
+"""Names that a message lists."""
+
 
 @dataclass(frozen=True)
 class InputFile:
@@ -63,3 +66,10 @@ class RecordingFiles:
 def input_file(role: str, path: Path) -> InputFile:
     """An existing file with its size."""
     return InputFile(role, path, path.stat().st_size)
+
+
+def names_in(folder: Path) -> str:
+    """What lies in a folder, for a message: the first names, and how many more there are."""
+    names = [path.name for path in sorted(folder.iterdir())]
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return (", ".join(names[:_SHOWN]) + more) or "an empty folder"

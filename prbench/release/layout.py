@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import InputFileError
+from prbench.readers.found import names_in
 from prbench.release.known import dataset_of
 
 TARGETS = "target_information.json"
@@ -78,8 +79,7 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
             found.append((name, folder))
     if not found:
         wanted = f"a folder of {dataset}" if dataset else "folders HD-EPIC, MoGaze, HOT3D, ADT or GIMO"
-        names = ", ".join(sorted(path.name for path in root.iterdir())[:8]) or "nothing"
-        raise InputFileError(root, "", expected=wanted, found=names)
+        raise InputFileError(root, "", expected=wanted, found=names_in(root))
     return found
 
 

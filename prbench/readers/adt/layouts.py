@@ -13,7 +13,7 @@ from prbench.readers.adt.options import AdtOptions
 from prbench.readers.aria_mps import find_gaze_file
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json
-from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.storage import inside
 
@@ -103,13 +103,11 @@ def find_recordings(root: Path, options: AdtOptions = _DEFAULTS) -> tuple[Record
     dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
     found = [recording for folder in folders for recording in _recordings_in(folder, root, dataset, options)]
     if not found:
-        names = [path.name for path in sorted(root.iterdir())]
-        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise InputFileError(
             root,
             "",
             expected=f"recordings of ADT: folders that hold {adt.METADATA_FILE} (or {adt.METADATA_FILE_BEFORE_1_1})",
-            found=listed or "an empty folder",
+            found=names_in(root),
             remedy="Give the folder whose sub-folders are the recordings, or one recording.",
         )
     return tuple(sorted(found, key=lambda recording: recording.recording_id))

@@ -11,7 +11,7 @@ from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
 from prbench.readers.aria_mps import find_mps_files
 from prbench.readers.egoallo import find_outputs
-from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.slam_map import slam_number
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -58,14 +58,12 @@ def find_recordings(root: Path, options: HdEpicOptions) -> tuple[RecordingFiles,
     dataset = f"{SYNTHETIC_PREFIX}hd-epic" if read_synthetic_tree(root) is not None else "hd-epic"
     videos = _videos(copy)
     if not videos:
-        names = [path.name for path in sorted(root.iterdir())]
-        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise InputFileError(
             root,
             "",
             expected=f"videos of HD-EPIC: {hd_epic.DATA_FOLDER}/{hd_epic.VIDEOS_FOLDER}/P0X/*{hd_epic.TIME_SUFFIX},"
             f" {hd_epic.MPS_FOLDER}/P0X/{hd_epic.GAZE_FOLDER}/mps_*_vrs.zip, or the intermediate data",
-            found=listed or "an empty folder",
+            found=names_in(root),
             remedy=f"Give the folder that holds {hd_epic.DATA_FOLDER} and {hd_epic.ANNOTATIONS_FOLDER}.",
         )
     return tuple(_recording(copy, dataset, videos[name], name, options) for name in sorted(videos))

@@ -8,7 +8,7 @@ from pathlib import Path
 from prbench.errors import InputFileError
 from prbench.formats import mogaze
 from prbench.manifests import load_manifest
-from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.mogaze.scene import read_scene
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
 
@@ -39,13 +39,11 @@ def find_recordings(root: Path, *, include_excluded: bool = False) -> tuple[Reco
     folder = root if _parts_in(root) else root / "mogaze"
     parts = _parts_in(folder) if folder.is_dir() else {}
     if not parts:
-        names = [path.name for path in sorted(root.iterdir())]
-        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise InputFileError(
             root,
             "",
             expected="recordings of MoGaze: files like p1_1_human_data.hdf5",
-            found=listed or "an empty folder",
+            found=names_in(root),
             remedy="Give the folder that the archive unpacks to (mogaze).",
         )
     tree = read_synthetic_tree(folder)
