@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.curation import build_dataset
+from prbench.curation import BuildOptions, build_dataset
+from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError, PrbenchError, RecordingUnusable
 from prbench.formats import hot3d
 from prbench.readers import reader_for
@@ -276,6 +277,23 @@ def test_a_synthetic_mark_names_the_dataset(tree) -> None:
     mark = {"generator": "x", "version": 1, "seed": 0, "preset": "hot3d", "world": "default", "split": {}}
     (tree / "synthetic.json").write_text(json.dumps(mark))
     assert {found.dataset for found in READER.find(tree)} == {"synthetic-hot3d"}
+
+
+def test_a_synthetic_tree_keeps_its_splits_where_the_folder_above_is_given(readings, tree) -> None:
+    mark = {"generator": "x", "version": 1, "seed": 0, "preset": "hot3d", "world": "default"}
+    for split in ("validation", "test"):
+        (tree / "synthetic.json").write_text(json.dumps({**mark, "split": {readings.recording_id: split}}))
+        assert [source.split for source in native_sources("hot3d", tree, BuildOptions())] == [split]
+        assert [source.split for source in native_sources("hot3d", tree.parent, BuildOptions())] == [split]
+
+
+def test_real_and_invented_recordings_do_not_mix(readings, tree) -> None:
+    (tree.parent / "invented").mkdir()
+    shutil.copytree(tree / readings.recording_id, tree.parent / "invented" / "other")
+    mark = {"generator": "x", "version": 1, "seed": 0, "preset": "hot3d", "world": "default", "split": {}}
+    (tree.parent / "invented" / "synthetic.json").write_text(json.dumps(mark))
+    with pytest.raises(InputFileError, match="hot3d and synthetic-hot3d together"):
+        native_sources("hot3d", tree.parent, BuildOptions())
 
 
 def test_changed_models_change_the_digest_of_the_inputs(readings, tree) -> None:

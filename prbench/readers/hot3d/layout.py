@@ -11,9 +11,9 @@ from prbench.formats import hot3d
 from prbench.readers.aria_mps import find_mps_files
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json, read_columns
-from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.hot3d.options import Hot3dOptions
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, synthetic_tree_around
 
 METADATA, OBJECTS, HEADSET, INSTANCES = "metadata", "objects", "headset", "instances"
 UMETRACK, PROFILE, MANO = "umetrack", "hand profile", "mano"
@@ -84,28 +84,27 @@ def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, 
         if not any(part.startswith(".") for part in path.relative_to(root).parts) and _is_hot3d(path.parent)
     ]
     if not found:
-        names = [path.name for path in sorted(root.iterdir())]
-        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise InputFileError(
             root,
             "",
             expected=f"recordings of HOT3D: folders that hold {hot3d.METADATA_FILE}, at most two levels down",
-            found=listed or "an empty folder",
+            found=names_in(root),
             remedy="Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format.",
         )
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
 def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
-    synthetic = any(read_synthetic_tree(place) is not None for place in (root, folder, folder.parent))
+    tree = synthetic_tree_around(folder, root)
     files = [input_file(METADATA, folder / hot3d.METADATA_FILE)]
     files += [input_file(role, folder / name) for role, name in _FILES.items() if (folder / name).is_file()]
     files += find_mps_files(folder / hot3d.MPS_FOLDER)
     files += _library_files(root, folder)
     files += _mano_models(options)
     files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
-    dataset = f"{SYNTHETIC_PREFIX}hot3d" if synthetic else "hot3d"
-    return RecordingFiles(dataset, folder.name, folder, tuple(files), skip_reason=_skip_reason(folder))
+    dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
+    split, skip = splits.get(folder.name), _skip_reason(folder)
+    return RecordingFiles(dataset, folder.name, folder, tuple(files), split=split, skip_reason=skip)
 
 
 def _is_hot3d(folder: Path) -> bool:
