@@ -38,14 +38,6 @@ NO_FIXTURE = "Null"
 NOT_PRIMED, EXCLUDED = -1, -2
 """Values of ``frame_primed`` that are no frames: tested in vain, never tested."""
 
-WORLD_FROM_SOURCE = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, -1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-"""Z up to Y up: (x, y, z) becomes (x, z, -y)."""
-
-
-def world_from_source() -> Float[np.ndarray, "4 4"]:
-    """The kitchen's world (Z up) to the recording's (Y up)."""
-    return np.array(WORLD_FROM_SOURCE)
-
 
 @dataclass(frozen=True)
 class Thresholds:

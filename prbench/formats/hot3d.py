@@ -55,16 +55,6 @@ def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     return np.diff(time_ns, prepend=time_ns[:1] - PAIR_NS) >= PAIR_NS
 
 
-def y_up(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Native world (Z up) to that of recordings (Y up), without rounding: (x, y, z) becomes (x, z, -y)."""
-    return points[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
-
-
-def z_up(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """The inverse of :func:`y_up`."""
-    return points[..., [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
-
-
 @dataclass(frozen=True)
 class PoseRows:
     """One body of ``dynamic_objects.csv`` or ``headset_trajectory.csv``: its frame to the world."""

@@ -41,9 +41,6 @@ LONGEST_LENGTH_DIFFERENCE = 0.01
 UNREMARKABLE_LENGTH_DIFFERENCE = 2
 """Frames."""
 
-WORLD_FROM_MOGAZE = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
-"""Z up to Y up: (x, y, z) -> (x, z, -y)."""
-
 
 def kind_of_body(name: str) -> str:
     """What a body is: ``cup``, ``plate``, ``jug``, ``bowl``, ``table``, ``laiva_shelf``, ``red_chair`` → ``chair``.

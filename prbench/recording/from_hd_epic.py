@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.errors import InputFileError
 from prbench.formats import hd_epic
 from prbench.formats.aria_mps import LONGEST_POSE_STEP, MpsReadings, cpf_from_rgb, device_from_cpf
@@ -41,7 +42,7 @@ def recording_from_hd_epic(
         StreamsDoNotOverlap: if video, glasses, gaze and body share no instant.
         InputFileError: if there is no pose of the glasses at all.
     """
-    world = hd_epic.world_from_source()
+    world = Y_UP_FROM_Z_UP
     thresholds = hd_epic.Thresholds(**manifest.thresholds)
     streams = glasses_streams(readings.glasses, thresholds, world_from_source=world)
     body = None if readings.body is None else body_stream(readings.body, world_from_source=world)

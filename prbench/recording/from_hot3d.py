@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP, y_up
 from prbench.formats import hot3d
 from prbench.formats.aria_mps import MpsReadings, thinned
 from prbench.manifests import Manifest
 from prbench.recording.clock_match import ClockMatch, match_clocks
 from prbench.recording.from_egoallo import body_stream
-from prbench.recording.from_mps import Z_UP_TO_Y_UP, MpsStreams, mps_streams
+from prbench.recording.from_mps import MpsStreams, mps_streams
 from prbench.recording.hot3d_hands import hand_streams
 from prbench.recording.streams import ObjectTrack, Occluder, Recording
 from prbench.recording.surfaces import surface_points
@@ -44,12 +45,12 @@ def recording_from_hot3d(
     """
     clock = _align(readings)
     mps = _on_truth_clock(thinned(readings.mps), clock)
-    streams = mps_streams(mps, world_from_source=Z_UP_TO_Y_UP)
+    streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
     frames = GoodFrames(readings, skipped_start=manifest.thresholds["skipped_start_without_qa"])
     body = None
     if readings.body is not None:
         retimed = replace(readings.body, time_ns=clock.truth_ns(readings.body.time_ns))
-        body = body_stream(retimed, world_from_source=Z_UP_TO_Y_UP)
+        body = body_stream(retimed, world_from_source=Y_UP_FROM_Z_UP)
     hands, hand_remarks = hand_streams(readings, lambda time_ns: frames.good(time_ns, "hand_pose_available"))
     longest_gap = manifest.thresholds["longest_interpolated_object_gap"]
     objects = tuple(
@@ -74,7 +75,7 @@ def recording_from_hot3d(
         objects=objects,
         split_group=readings.recording_id,
         occluders=_occluders(readings) if meshes else (),
-        world_from_source=Z_UP_TO_Y_UP,
+        world_from_source=Y_UP_FROM_Z_UP,
         messages=(
             *readings.messages,
             *streams.messages,
@@ -95,8 +96,8 @@ def object_track(
     whoever asks for a pose. Without a model the box is the object's origin.
     """
     kept = hot3d.first_of_pairs(entry.rows.time_ns)
-    times, position = entry.rows.time_ns[kept] / 1e9, hot3d.y_up(entry.rows.position[kept])
-    turned = Rotation.from_matrix(Z_UP_TO_Y_UP[:3, :3])
+    times, position = entry.rows.time_ns[kept] / 1e9, y_up(entry.rows.position[kept])
+    turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
     rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
     valid = good[kept]
     gaps = np.flatnonzero(np.diff(times) > longest_gap)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import mogaze, mogaze_body
 from prbench.manifests import Manifest
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
@@ -32,7 +33,7 @@ JointMapping = Literal["anatomical", "named"]
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 _UNIT_TOLERANCE = 0.1
-_TO_WORLD = np.array(mogaze.WORLD_FROM_MOGAZE)
+_TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _MILLIMETRES = 1000.0
 _ROUNDING = 1e-9  # s
 

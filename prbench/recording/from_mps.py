@@ -18,7 +18,6 @@ from prbench.timelines import covered, interpolate, slerp
 
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
 """Of glasses whose size no file tells."""
-Z_UP_TO_Y_UP = np.array([(1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, -1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)])
 """``world_from_source`` of every native world of the services: (x, y, z) → (x, z, -y)."""
 SAME_INSTANT = 1e-3
 """Seconds; the step of the poses."""

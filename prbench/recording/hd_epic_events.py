@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import hd_epic
 from prbench.recording.from_mps import MpsStreams
 from prbench.recording.hd_epic_priming import MaskedEvent, published_priming
@@ -133,7 +134,7 @@ def _event(
 ) -> AnnotatedEvent:
     location = None
     if side.mask is not None and side.mask.location is not None:
-        location = transform_points(hd_epic.world_from_source(), side.mask.location)
+        location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
     edge = None if location is None or boxes == "point" else _cube_edge(side, location, readings, streams)
     half = None if edge is None else np.full(3, edge / 2)
     return AnnotatedEvent(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Int
 
+from prbench.axes import y_up
 from prbench.formats import hot3d, umetrack
 from prbench.recording.streams import HandStream
 
@@ -31,9 +32,9 @@ def hand_streams(
         if len(hand.time_ns) == 0:
             continue
         times, valid = hand.time_ns / 1e9, good(hand.time_ns)
-        streams.append(HandStream(hand.side, "wrist", times, hot3d.y_up(hand.wrist)[:, None], valid))
+        streams.append(HandStream(hand.side, "wrist", times, y_up(hand.wrist)[:, None], valid))
         if hand.vertices.shape[1]:
-            points = hot3d.y_up(hand.vertices).astype(np.float32)
+            points = y_up(hand.vertices).astype(np.float32)
             streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
     return tuple(streams), _remarks(posed)
 

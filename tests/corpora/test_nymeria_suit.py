@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.corpora.nymeria.body import measured_head_tilt, suit_motion, y_up
+from prbench.axes import y_up
+from prbench.corpora.nymeria.body import measured_head_tilt, suit_motion
 from prbench.corpora.nymeria.suit import clean_suit, read_suit
 from prbench.errors import InputFileError
 from prbench.formats.nymeria import SEGMENTS, Suit

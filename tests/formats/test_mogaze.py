@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import mogaze
 from prbench.formats.mogaze_body import (
     HEAD_FORWARD,
@@ -114,7 +115,7 @@ def test_offsets_are_neither_clamped_nor_taken_from_joints_that_the_model_lacks(
 def test_the_zero_pose_faces_forward_with_its_left_on_the_left(samples) -> None:
     with np.load(samples / "mogaze" / "golden" / "golden_zero.npz") as golden:
         positions, _ = forward_kinematics(golden["state"], _offsets(golden))
-    joints = body_joints(positions, load_manifest("mogaze").body.joint_mapping) @ np.transpose(mogaze.WORLD_FROM_MOGAZE)
+    joints = body_joints(positions, load_manifest("mogaze").body.joint_mapping) @ Y_UP_FROM_Z_UP[:3, :3].T
     assert joints[0, Joint.LEFT_WRIST, 0] > 0.5 > -0.5 > joints[0, Joint.RIGHT_WRIST, 0]
     assert joints[0, Joint.HEAD, 1] > joints[0, Joint.PELVIS, 1] > joints[0, Joint.LEFT_FOOT, 1]
     assert joints[0, Joint.LEFT_FOOT, 2] > joints[0, Joint.LEFT_ANKLE, 2] + 0.1, "toes point along +Z"

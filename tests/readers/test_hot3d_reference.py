@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import z_up
 from prbench.curation.contact import contact_distance
 from prbench.formats import hot3d, umetrack
 from prbench.manifests import load_manifest
@@ -87,10 +88,10 @@ def test_box_of_the_keyboard(readings, reference_values) -> None:
     assert track.box_min == pytest.approx(expect["local_min"], abs=1e-5)
     assert track.box_max == pytest.approx(expect["local_max"], abs=1e-5)
     low, high = track.world_box(track.position[:1], track.rotation[:1])
-    corners = hot3d.z_up(np.stack([low[0], high[0]]))
+    corners = z_up(np.stack([low[0], high[0]]))
     assert corners.min(axis=0) == pytest.approx(expect["world_min"], abs=1e-5)
     assert corners.max(axis=0) == pytest.approx(expect["world_max"], abs=1e-5)
-    assert hot3d.z_up((low + high) / 2)[0] == pytest.approx(expect["centre_world"], abs=1e-5)
+    assert z_up((low + high) / 2)[0] == pytest.approx(expect["centre_world"], abs=1e-5)
 
 
 def test_a_turned_and_shifted_node_is_applied(samples) -> None:
@@ -189,8 +190,8 @@ def test_gaze_in_the_world_of_the_objects(found, readings, recording, reference_
     assert readings.mps.gaze.time_us[row] == expect["timestamp_us"]
     gaze = recording.gaze
     assert gaze.times[row] == pytest.approx(expect["gt_time_ns"] / 1e9, abs=1.5e-4)
-    assert hot3d.z_up(gaze.origin)[row] == pytest.approx(expect["origin_world"], abs=1e-4)
-    assert hot3d.z_up(gaze.direction)[row] == pytest.approx(expect["direction_world"], abs=1e-4)
+    assert z_up(gaze.origin)[row] == pytest.approx(expect["origin_world"], abs=1e-4)
+    assert z_up(gaze.direction)[row] == pytest.approx(expect["direction_world"], abs=1e-4)
     tracks = [track for track in recording.objects if (track.box_min != track.box_max).any()]
     assert sorted(track.name for track in tracks if _hit(track, gaze, row)) == expect["aabb_hits"]
     puzzle = next(track for track in tracks if track.name == "puzzle_toy")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.errors import InputFileError, StreamsDoNotOverlap
 from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
@@ -86,7 +87,7 @@ def test_without_any_pose_there_is_no_recording() -> None:
 
 
 def test_the_world_is_turned_as_a_whole() -> None:
-    frames, world = _frames(), hd_epic.world_from_source()
+    frames, world = _frames(), Y_UP_FROM_Z_UP
     native, turned = _streams(frames), _streams(frames, world)
     assert turned.gaze.direction == pytest.approx(native.gaze.direction @ world[:3, :3].T)
     assert turned.head.position == pytest.approx(native.head.position @ world[:3, :3].T)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps import (
     find_mps_files,
@@ -15,7 +16,7 @@ from prbench.readers.aria_mps import (
     read_trajectory,
     read_wrists,
 )
-from prbench.recording.from_mps import Z_UP_TO_Y_UP, MpsStreams, mps_streams
+from prbench.recording.from_mps import MpsStreams, mps_streams
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.aria_mps import sense_mps, with_slam_gaps
 from prbench.timelines import interpolate
@@ -34,7 +35,7 @@ def readings(performance) -> mps.MpsReadings:
 
 
 def streams(readings: mps.MpsReadings, **options) -> MpsStreams:
-    return mps_streams(readings, world_from_source=Z_UP_TO_Y_UP, **options)
+    return mps_streams(readings, world_from_source=Y_UP_FROM_Z_UP, **options)
 
 
 def assert_same_gaze(one: MpsStreams, other: MpsStreams) -> None:
@@ -116,7 +117,7 @@ def test_the_recording_clock_and_the_world_are_the_callers(readings) -> None:
     assert shifted.gaze.times == pytest.approx(streams(readings).gaze.times - 7000.0)
     moved = np.eye(4)
     moved[:3, 3] = (1.0, 2.0, 3.0)
-    away = mps_streams(readings, world_from_source=moved @ Z_UP_TO_Y_UP)
+    away = mps_streams(readings, world_from_source=moved @ Y_UP_FROM_Z_UP)
     assert away.camera.position == pytest.approx(np.add(streams(readings).camera.position, (1.0, 2.0, 3.0)))
     assert away.gaze.direction == pytest.approx(streams(readings).gaze.direction)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import mogaze
 from prbench.formats.mogaze_body import MODEL_OFFSETS, body_joints, forward_kinematics, link_offsets
 from prbench.manifests import load_manifest
@@ -48,7 +49,7 @@ def recording(performance):
 def test_solved_joints_are_exact_below_the_chest_and_within_three_centimetres_above(performance) -> None:
     solved = solve_body(performance.joints, performance.rotations)
     positions, rotations = forward_kinematics(solved.state, link_offsets(solved.fixed))
-    world = np.array(mogaze.WORLD_FROM_MOGAZE)
+    world = Y_UP_FROM_Z_UP[:3, :3]
     joints = body_joints(positions, load_manifest("mogaze").body.joint_mapping) @ world.T
     error = np.linalg.norm(joints - performance.joints, axis=-1)
     direct = [joint for joint in Joint if joint not in DERIVED]

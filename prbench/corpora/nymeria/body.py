@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.axes import y_up
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
 from prbench.formats.nymeria import SEGMENTS, SUIT_RATE, Suit
@@ -37,11 +38,6 @@ class BodyMotion:
     head_tilt_deg: float
     messages: tuple[str, ...]
     measured: tuple[tuple[str, str], ...]
-
-
-def y_up(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """(x, y, z) with Z up as (x, z, -y) with Y up."""
-    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 
 def suit_motion(

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import aria_mps as mps
-from prbench.recording.from_mps import Z_UP_TO_Y_UP
 from prbench.skeleton import WRISTS, invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import Performance
@@ -108,7 +108,7 @@ def true_device_poses(
     cpf_from_device = invert_rigid(mps.device_from_cpf(GLASSES_SIZE))
     rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
     position = interpolate(performance.times, performance.eye, times) + cpf.apply(cpf_from_device[:3, 3])
-    native_from_world = Z_UP_TO_Y_UP[:3, :3].T
+    native_from_world = Y_UP_FROM_Z_UP[:3, :3].T
     return position @ native_from_world.T, Rotation.from_matrix(native_from_world) * rotation
 
 
@@ -214,7 +214,7 @@ def _in_device(
 ) -> Float[np.ndarray, "n 2 3"]:
     """Points of the performance's world in the true device frame."""
     position, rotation = true_device_poses(performance, times)
-    native = points @ Z_UP_TO_Y_UP[:3, :3] - position[:, None]
+    native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
     return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import z_up
 from prbench.formats import hot3d
 from prbench.recording.from_egoallo import body_from_outputs
 from prbench.skeleton import Joint
@@ -222,7 +223,7 @@ def _native_rows(
     quaternion = turned.as_quat(canonical=True, scalar_first=True)
     return hot3d.PoseRows(
         time_ns[seen],
-        np.round(hot3d.z_up(position), _METRES)[seen],
+        np.round(z_up(position), _METRES)[seen],
         np.round(quaternion, _QUATERNION)[seen],
     )
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import hd_epic
 from prbench.skeleton import transform_points
 from prbench.synthetic.performance import Performance
@@ -45,7 +46,7 @@ def invented_priming(
 def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) -> int:
     """The frame of the first look, or -1, or -2 for an event that is not tested."""
     assert mask.location is not None
-    goal = transform_points(hd_epic.world_from_source(), mask.location)
+    goal = transform_points(Y_UP_FROM_Z_UP, mask.location)
     if not _in_view(performance, goal, mask.frame):
         return hd_epic.EXCLUDED
     for frame in range(first, mask.frame + 1):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import mogaze
 from prbench.formats.aria_mps import gaze_angles, gaze_directions_cpf
 from prbench.manifests import load_manifest
@@ -29,7 +30,7 @@ _CONFIDENT, _BLINKING = (0.8, 1.0), (0.0, 0.3)
 _BODY_TURN, _ROOT_NOISE = np.deg2rad(0.1), 1e-3
 _OBJECT_NOISE, _OBJECT_TURN = 0.5e-3, np.deg2rad(0.1)
 
-_TO_NATIVE = Rotation.from_matrix(np.transpose(mogaze.WORLD_FROM_MOGAZE))
+_TO_NATIVE = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3].T)
 _FACE_FROM_TRACKER = Rotation.from_matrix(np.diag([-1.0, -1.0, 1.0]))
 """The eye tracker's camera: x right, y down, z forward; the face: x left, y up, z forward."""
 _UPRIGHT_FROM_Z_UP = Rotation.from_matrix(np.transpose([(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)]))

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.formats.mogaze import WORLD_FROM_MOGAZE
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats.mogaze_body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS
 from prbench.skeleton import Joint
 
-_TO_WORLD = np.array(WORLD_FROM_MOGAZE)
+_TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _SEGMENT_AXES = _TO_WORLD
 """Columns: the link's axes (left, back, up) in the frame of a trunk segment (left, up, forward)."""
 _ARM_AXES = {"l": np.array([(0, 1, 0), (0, 0, 1), (1, 0, 0)]).T, "r": np.array([(0, -1, 0), (0, 0, 1), (-1, 0, 0)]).T}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.axes import Y_UP_FROM_Z_UP, z_up
 from prbench.formats import nymeria
 from prbench.formats.nymeria import SEGMENTS, SUIT_RATE, Narration, NymeriaRecording, Suit
 from prbench.manifests import load_manifest
@@ -25,7 +26,7 @@ _OFFSET = (0.1, 0.3)  # s, suit clock minus glasses' clock
 _DEVICE_START = (100.0, 60_000.0)  # s
 _ROUNDED = 1e5  # 10 micrometres
 
-_Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_Z_UP_FROM_Y_UP = Y_UP_FROM_Z_UP[:3, :3].T
 _OURS_FROM_SEGMENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """Segments: x forward, y left, z up; ours: x left, y up, z forward."""
 _JOINT_OF_SEGMENT = {
@@ -98,17 +99,13 @@ def answers_of(kind: str) -> tuple[str, ...]:
     return tuple(name[len(nymeria.ANSWER_PREFIX) :].strip() for name in nymeria.ANSWER_COLUMNS[kind])
 
 
-def _z_up(points: np.ndarray) -> np.ndarray:
-    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
-
-
 def _positions(motion: NarratedMotion, rng: np.random.Generator, noise: float) -> Float[np.ndarray, "n 23 3"]:
     joints = motion.joints
     points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in SEGMENTS], axis=1)
     points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
     drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
     points[..., [0, 2]] += drift[:, None]
-    return (np.rint(_z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32)
+    return (np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32)
 
 
 def _rotations(motion: NarratedMotion) -> Float[np.ndarray, "n 23 4"]:
@@ -123,7 +120,7 @@ def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generat
     on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
     turned = _Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head
     every = slice(None, None, GLASSES_STRIDE)
-    position = np.rint(_z_up(motion.eye) * _ROUNDED) / _ROUNDED
+    position = np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED
     return GlassesPoses(time_us[every], position[every], np.round(quaternion(turned), 8)[every])
 
 
@@ -150,4 +147,4 @@ def calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
         joints[child] = joints[PARENTS[child]] + lengths[child] * np.array(directions[Joint(child)])
     points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in SEGMENTS])
     points[0] = 0.5 * (joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_HIP])
-    return _z_up(points)
+    return z_up(points)
