@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_workers, command, positive
-from prbench.cli.builds import NOT_EVERYTHING, add_on_error, add_reader_options, print_plan, print_unread
+from prbench.cli.builds import (
+    NOT_EVERYTHING,
+    add_on_error,
+    add_reader_options,
+    print_fruitless,
+    print_plan,
+    print_unread,
+)
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
@@ -176,5 +183,6 @@ def _print_report(report: BuildReport) -> int:
         f"{report.info.title}: from files to sequences", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2)
     )
     print_unread(report.records, reused=report.reused)
+    print_fruitless(report.records)
     print(f"table: {report.folder}")
     return NOT_EVERYTHING if report.info.counts.recordings_failed else 0

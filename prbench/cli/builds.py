@@ -64,3 +64,11 @@ def print_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: i
     for record in records:
         if record.status != "read":
             print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
+
+
+def print_fruitless(records: Iterable[RecordingRecord]) -> None:
+    """Name the recordings that were read and gave no sequence, with what the reader remarked: gaze may be missing."""
+    for record in records:
+        if record.status == "read" and not record.outcomes.get("sequence"):
+            told = record.message or f"{sum(record.outcomes.values())} events, none of which passed"
+            print(f"no sequence: {record.recording_id}: {told}", file=sys.stderr)

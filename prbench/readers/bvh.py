@@ -30,7 +30,13 @@ def read_bvh(path: Path) -> BvhMotion:
         raise InputFileError(path, "", expected="a BVH text file", found="other bytes") from error
     hierarchy, found, motion = text.partition("MOTION")
     if not found or "HIERARCHY" not in hierarchy:
-        raise InputFileError(path, "", expected="the sections HIERARCHY and MOTION", found=f"'{text[:40].strip()}'")
+        raise InputFileError(
+            path,
+            "",
+            expected="the sections HIERARCHY and MOTION",
+            found=f"{text[:40].strip()!r} and no {'MOTION' if 'HIERARCHY' in hierarchy else 'HIERARCHY'}",
+            remedy="The file may be truncated; copy or download it again.",
+        )
     joints = _Hierarchy(path, hierarchy.split()[1:]).parse()
     frame_time, values = _motion(path, motion, sum(len(joint.channels) for joint in joints))
     return BvhMotion(joints, frame_time, values)

@@ -52,7 +52,7 @@ class RecordingFiles:
         """
         path = self.path(role)
         if path is None:
-            present = ", ".join(sorted(file.path.name for file in self.files)) or "none of the expected files"
+            present = _first_names(sorted({file.path.name for file in self.files})) or "none of the expected files"
             raise InputFileError(
                 self.folder / name,
                 "",
@@ -70,6 +70,9 @@ def input_file(role: str, path: Path) -> InputFile:
 
 def names_in(folder: Path) -> str:
     """What lies in a folder, for a message: the first names, and how many more there are."""
-    names = [path.name for path in sorted(folder.iterdir())]
+    return _first_names([path.name for path in sorted(folder.iterdir())]) or "an empty folder"
+
+
+def _first_names(names: list[str]) -> str:
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return (", ".join(names[:_SHOWN]) + more) or "an empty folder"
+    return ", ".join(names[:_SHOWN]) + more

@@ -78,7 +78,10 @@ def test_writing_and_reading_change_nothing(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("MOTION", "MOVEMENT"), "sections HIERARCHY and MOTION"),
+        (
+            ("MOTION", "MOVEMENT"),
+            r"sections HIERARCHY and MOTION, found 'HIERARCHY.* and no MOTION\. The file may be truncated",
+        ),
         (("CHANNELS 0", "CHANNELS 1 Wrotation"), "at Other: expected a channel such as"),
         (("OFFSET 0 0 3", "OFFSET 0 0 x"), "at Other: expected a number, found 'x'"),
         (("}\nMOTION", "MOTION"), "expected closed braces"),

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from prbench.errors import InputFileError, UsageError
-from prbench.readers import READER_MODULES, Reader, read_synthetic_tree, reader_for
+from prbench.readers import READER_MODULES, InputFile, Reader, RecordingFiles, read_synthetic_tree, reader_for
 
 
 @pytest.mark.parametrize("dataset", READER_MODULES)
@@ -51,3 +51,9 @@ def test_a_damaged_mark_is_refused_and_not_taken_for_real_data(folder) -> None:
     (folder.parent / "synthetic.json").write_text(json.dumps({**MARK, "split": {"still_life": "training"}}))
     with pytest.raises(InputFileError, match=r"synthetic\.json"):
         reader_for("adt").find(folder.parent)
+
+
+def test_a_missing_file_is_named_beside_the_first_others_only(tmp_path):
+    files = tuple(InputFile(f"part {index}", tmp_path / f"{index:03}.npz", 1) for index in range(100))
+    with pytest.raises(InputFileError, match=r"no such file beside 000\.npz, .*, 007\.npz and 92 more\. Download"):
+        RecordingFiles("adt", "somewhere", tmp_path, files).require("trajectory", "trajectory.csv")
