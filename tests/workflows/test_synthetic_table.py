@@ -43,7 +43,7 @@ def test_a_recording_does_not_depend_on_how_many_there_are(tmp_path: Path) -> No
 
 
 def test_a_preset_without_sensors_and_an_empty_table_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="gimo"):
-        build_synthetic_table("gimo", 1, 0, tmp_path / "t")
+    with pytest.raises(UsageError, match="kitchen"):
+        build_synthetic_table("kitchen", 1, 0, tmp_path / "t")
     with pytest.raises(UsageError, match="at least one"):
         build_synthetic_table("adt", 0, 0, tmp_path / "t")
