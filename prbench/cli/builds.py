@@ -70,5 +70,6 @@ def print_fruitless(records: Iterable[RecordingRecord]) -> None:
     """Name the recordings that were read and gave no sequence, with what the reader remarked: gaze may be missing."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
-            told = record.message or f"{sum(record.outcomes.values())} events, none of which passed"
-            print(f"no sequence: {record.recording_id}: {told}", file=sys.stderr)
+            told = f": {record.message}" if record.message else ""
+            events = sum(record.outcomes.values())
+            print(f"no sequence: {record.recording_id}, of {events} events{told}", file=sys.stderr)

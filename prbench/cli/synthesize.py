@@ -31,7 +31,9 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         execute=_synthesize,
     )
     parser.add_argument(
-        "layout", nargs="?", help="native layout to write (adt, nymeria); for --gallery alone any preset"
+        "layout",
+        nargs="?",
+        help="native layout to write (any dataset of `prbench datasets`); for --gallery alone any preset",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the recordings")
     parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")

@@ -24,8 +24,13 @@ def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     except (FileNotFoundError, NotADirectoryError) as error:
         found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise TableError(
-            f"{folder}: expected a built {what} (a folder with {path.name}), found {found}."
-            f" Make one with `prbench build-{what}`."
+            f"{folder}: expected a built {what} (a folder with {path.name}), found {found}. {_remedy(path, what)}"
         ) from error
     except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {what} again.") from error
+
+
+def _remedy(path: Path, what: str) -> str:
+    """Name the built ones that lie one folder farther down, where a folder of several was given."""
+    inner = sorted(str(file.parent) for file in path.parent.glob(f"*/{path.name}"))
+    return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench build-{what}`."

@@ -20,6 +20,6 @@ def test_recordings_that_gave_no_sequence_are_named_with_the_readers_remark(caps
         ]
     )
     assert capsys.readouterr().err.splitlines() == [
-        "no sequence: blind: no valid gaze, so no event can be primed",
-        "no sequence: idle: 0 events, none of which passed",
+        "no sequence: blind, of 2 events: no valid gaze, so no event can be primed",
+        "no sequence: idle, of 0 events",
     ]

@@ -8,6 +8,7 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.formats import gimo
+from prbench.readers.gimo import READER
 from prbench.readers.gimo.dataset_csv import overlapping, read_segments
 from prbench.readers.gimo.events import events_of, hints_in_both_splits, read_events, require_one_split
 
@@ -165,3 +166,10 @@ def test_hints_that_collide_are_found(tmp_path) -> None:
         )
     )
     assert hints_in_both_splits(rows) == {rows[0].segment.key, rows[1].segment.key}
+
+
+def test_a_folder_without_the_table_is_answered_with_the_folder_to_give(tmp_path) -> None:
+    table(tmp_path)
+    (tmp_path / "bedroom").mkdir()
+    with pytest.raises(InputFileError, match=r"Give the folder that holds dataset\.csv"):
+        READER.find(tmp_path / "bedroom")

@@ -139,6 +139,12 @@ def test_a_folder_without_dataset_is_refused(tmp_path):
         SequenceTable.open(tmp_path)
 
 
+def test_a_folder_of_several_datasets_is_answered_with_their_names(tmp_path):
+    folder = fake_dataset(tmp_path / "adt", 1).folder
+    with pytest.raises(TableError, match=f"Did you mean {folder}\\?"):
+        SequenceTable.open(tmp_path)
+
+
 def test_a_folder_with_other_files_is_never_replaced(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(StorageError, match="not empty"):

@@ -10,7 +10,7 @@ from typing import Literal
 
 from prbench.errors import InputFileError
 from prbench.formats import gimo
-from prbench.readers.found import InputFile, RecordingFiles, input_file
+from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.gimo.dataset_csv import Row, read_segments
 from prbench.readers.gimo.events import (
     EventRow,
@@ -42,6 +42,14 @@ def find_segments(root: Path, options: GimoOptions) -> tuple[RecordingFiles, ...
     root = root.expanduser().resolve()
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder of GIMO", found="no such folder")
+    if not (root / gimo.TABLE_FILE).is_file():
+        raise InputFileError(
+            root / gimo.TABLE_FILE,
+            "",
+            expected="this file",
+            found=f"{names_in(root)} in its place",
+            remedy=f"Give the folder that holds {gimo.TABLE_FILE} and the folders of the scenes.",
+        )
     rows = read_segments(root / gimo.TABLE_FILE)
     table, events_path = _events(root, options)
     require_known_segments(events_path, rows, table)

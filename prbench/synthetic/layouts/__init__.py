@@ -99,5 +99,5 @@ def layout_for(preset: str) -> Layout:
     """
     if preset not in LAYOUT_MODULES:
         known = ", ".join(LAYOUT_MODULES)
-        raise UsageError(f"preset '{preset}' has motion but no sensors and no native files; use one of: {known}.")
+        raise UsageError(f"there are no native files of '{preset}'; use one of: {known}.")
     return importlib.import_module(LAYOUT_MODULES[preset]).LAYOUT
