@@ -19,8 +19,8 @@ SEED = 301
 @pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
 def test_events_and_primes_are_found_within_the_limits(level) -> None:
     """All limits apply; events are annotated, so recall and precision say that no row is lost or invented."""
-    result = verify_level(level, preset="gimo", recordings=4, seed=SEED)
-    assert result.true_events >= 25
+    result = verify_level(level, preset="gimo", recordings=3, seed=SEED)
+    assert result.true_events >= 20
     assert [limit for limit in limits(level, result, preset="gimo") if not limit.holds] == []
 
 
@@ -38,15 +38,17 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path) -> None:
     assert native.info.content_digest == direct.info.content_digest
 
 
+@pytest.mark.slow
 def test_the_row_of_table_1_is_met_within_a_third_of_its_spread() -> None:
-    staging = Staging("gimo", SEED)
+    staging = Staging("gimo", SEED, n_events=6)
     rows = [
         (sequence.prime_gap + 2.0, sequence.prime_gap, sequence.body_movement, sequence.hand_movement)
-        for index in range(20)
+        for index in range(12)
         for sequence in curate_recording(
             staging.sense(staging.perform(index)), load_manifest("gimo"), load_protocol()
         ).sequences
     ]
+    assert len(rows) >= 60
     target = TARGETS["gimo"]
     study = (target.duration, target.gap, target.body, target.hand)
     means = np.mean(rows, axis=0)

@@ -27,11 +27,11 @@ def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> No
 
 
 def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None:
-    synthesize_tree("hot3d", tmp_path / "tree", recordings=2, seed=SEED, size="tiny")
+    synthesize_tree("hot3d", tmp_path / "tree", recordings=1, seed=SEED, size="tiny")
     from_files = verify_tree(tmp_path / "tree", dataset="hot3d")
     assert [limit for limit in limits(LEVELS[2], from_files, preset="hot3d") if not limit.holds] == []
     build_dataset("hot3d", tmp_path / "tree", tmp_path / "native")
-    build_synthetic_table("hot3d", 2, SEED, tmp_path / "direct", n_events=6)
+    build_synthetic_table("hot3d", 1, SEED, tmp_path / "direct", n_events=6)
     native, direct = (SequenceTable.open(tmp_path / name) for name in ("native", "direct"))
     assert native.info.dataset == "synthetic-hot3d"
     assert native.events().equals(direct.events())

@@ -23,7 +23,7 @@ from prbench.workflows.verify_synthetic import (
     verify_tree,
 )
 
-RECORDINGS, SEED = 4, 301
+RECORDINGS, SEED = 3, 301
 
 
 def broken(level: SensorLevel, result: Verification) -> list[str]:
@@ -33,7 +33,7 @@ def broken(level: SensorLevel, result: Verification) -> list[str]:
 @pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
 def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> None:
     result = verify_level(level, recordings=RECORDINGS, seed=SEED)
-    assert result.true_events >= 25
+    assert result.true_events >= 20
     assert broken(level, result) == []
 
 
