@@ -57,8 +57,8 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_table_of_twenty_recordings_resembles_table_1(tmp_path: Path) -> None:
-    build_synthetic_table("mogaze", 20, TABLE_SEED, tmp_path / "table", n_events=6)
+def test_a_table_of_twelve_recordings_resembles_table_1(tmp_path: Path) -> None:
+    build_synthetic_table("mogaze", 12, TABLE_SEED, tmp_path / "table", n_events=6)
     rows = SequenceTable.open(tmp_path / "table").scalars()
     gap, body, hand = (rows[name].to_numpy() for name in ("prime_gap", "body_movement", "hand_movement"))
     spreads = [Spread(float(values.mean()), float(values.std())) for values in (gap + 2.0, gap, body, hand)]
