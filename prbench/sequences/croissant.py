@@ -99,10 +99,15 @@ def _files(folder: Path, name: str) -> list[dict[str, Any]]:
     single, parts = folder / f"{name}.parquet", sorted((folder / name).glob("part-*.parquet"))
     if single.is_file():
         return [_file(single, single.name)]
-    pattern = {"@type": "cr:FileSet", "@id": name, "name": name, "encodingFormat": _PARQUET}
+    pattern = {"@type": "cr:FileSet", "@id": _part_set(name), "name": _part_set(name), "encodingFormat": _PARQUET}
     return [_file(path, f"{name}/{path.name}") for path in parts] + [
         pattern | {"includes": f"{name}/part-*.parquet"} | {"containedIn": [{"@id": f"{name}/{p.name}"} for p in parts]}
     ]
+
+
+def _part_set(name: str) -> str:
+    """Id of the set that a table's parts form; the table's own name is its record set's, and ids are unique."""
+    return f"{name}-parts"
 
 
 def _file(path: Path, name: str) -> dict[str, Any]:
@@ -119,7 +124,7 @@ def _file(path: Path, name: str) -> dict[str, Any]:
 
 def _record_set(folder: Path, name: str, schema: pa.Schema, description: str) -> dict[str, Any]:
     single = folder / f"{name}.parquet"
-    source = {"fileObject": {"@id": single.name}} if single.is_file() else {"fileSet": {"@id": name}}
+    source = {"fileObject": {"@id": single.name}} if single.is_file() else {"fileSet": {"@id": _part_set(name)}}
     return {
         "@type": "cr:RecordSet",
         "@id": name,
@@ -131,24 +136,36 @@ def _record_set(folder: Path, name: str, schema: pa.Schema, description: str) ->
 
 
 def _field(table: str, field: pa.Field, source: dict[str, Any]) -> dict[str, Any]:
-    shape, kind = _shape(field.type)
     described: dict[str, Any] = {
         "@type": "cr:Field",
         "@id": f"{table}/{field.name}",
         "name": field.name,
         "description": f"{field.type}, explained in the table page of prbench's documentation",
-        "dataType": kind,
-        "source": source | {"extract": {"column": field.name}},
     }
+    source = source | {"extract": {"column": field.name}}
+    if field.type == KEY_VALUES:
+        pair = [_of_pair(described["@id"], name, source) for name in ("key", "value")]
+        return described | {"isArray": True, "arrayShape": "-1", "subField": pair}
+    shape, kind = _shape(field.type)
+    described |= {"dataType": kind, "source": source}
     if shape:
         described |= {"isArray": True, "arrayShape": ",".join(map(str, shape))}
     return described
 
 
+def _of_pair(parent: str, name: str, source: dict[str, Any]) -> dict[str, Any]:
+    """The keys, or the values, of a column of key-value pairs."""
+    return {
+        "@type": "cr:Field",
+        "@id": f"{parent}/{name}",
+        "name": name,
+        "dataType": "sc:Text",
+        "source": source | {"transform": {"jsonPath": f"$[*].{name}"}},
+    }
+
+
 def _shape(kind: pa.DataType) -> tuple[list[int], str]:
     """Shape (-1 = any length) and Croissant type of one value of a column."""
-    if kind == KEY_VALUES:
-        return [-1, 2], "sc:Text"
     shape = []
     while pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
         shape.append(kind.list_size if pa.types.is_fixed_size_list(kind) else -1)
