@@ -164,6 +164,8 @@ def _meshes(arguments: argparse.Namespace) -> dict[str, str]:
     from prbench.errors import UsageError
     from prbench.readers import reader_for
 
+    if arguments.in_hand == "surface":
+        return {"meshes": "true"}
     if arguments.occlusion == "off":
         return {}
     if arguments.dataset != EVERYTHING and "meshes" not in reader_for(arguments.dataset).options.names():

@@ -32,6 +32,10 @@ def _stats(arguments: argparse.Namespace) -> int:
     from prbench.sequences import SequenceTable
     from prbench.sequences.table_one import table_statistics
 
+    if arguments.draw is not None:
+        from prbench.viewing.table_one import require_drawable
+
+        require_drawable(arguments.draw)
     statistics = [table_statistics(SequenceTable.open(folder)) for folder in arguments.data]
     published = load_table_one()
     rows = []

@@ -22,7 +22,7 @@ from prbench.curation.parts import (
 from prbench.curation.provenance import describe
 from prbench.curation.sources import NativeSource, RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, StorageError, TableError
 from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
@@ -107,6 +107,7 @@ def build_from_sources(
     sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
     _require_distinct(sources)
     dataset = sources[0].dataset
+    _require_same_dataset(out, dataset)
     manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
     options.curation.require_fits(manifest)
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
@@ -127,6 +128,18 @@ def build_from_sources(
     shutil.rmtree(work_folder(out), ignore_errors=True)
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
+
+
+def _require_same_dataset(out: Path, dataset: str) -> None:
+    """A table replaces an older one of its own dataset, never that of another."""
+    if not (out / FILE_NAME).is_file():
+        return
+    try:
+        there = DatasetInfo.read(out).dataset
+    except TableError:
+        return  # damaged or of another version: a build is the way to mend it
+    if there != dataset:
+        raise StorageError(f"{out}: holds a table of {there}, and {dataset} is built. Choose another folder for --out.")
 
 
 def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:

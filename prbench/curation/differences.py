@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
+from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
 
 LARGEST_SHIFT = 1.0
@@ -70,8 +71,12 @@ def compare_builds(first: Path, second: Path) -> Difference:
 
     Raises:
         TableError: if a folder holds no built dataset.
+        UsageError: if they are builds of different datasets.
     """
     tables = [SequenceTable(folder, DatasetInfo.read(folder)) for folder in (first, second)]
+    names = [table.info.dataset for table in tables]
+    if names[0] != names[1]:
+        raise UsageError(f"{first} holds {names[0]} and {second} holds {names[1]}; compare builds of one dataset.")
     before, after = (_events(table) for table in tables)
     statuses = [_statuses(table) for table in tables]
     contents = [_contents(table) for table in tables]

@@ -21,6 +21,7 @@ from prbench.readers import (
     require_one_origin,
 )
 from prbench.readers.digests import remembered_digest
+from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording
 from prbench.storage import text_digest
 
@@ -125,6 +126,7 @@ def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[Nat
     options.curation.require_fits(manifest)
     found = {recording.recording_id: recording for recording in reader.find(root)}
     require_one_origin(root, (recording.dataset for recording in found.values()))
+    require_marked(root, {name: recording.dataset for name, recording in found.items()})
     tree = read_synthetic_tree(root)
     return tuple(
         NativeSource(

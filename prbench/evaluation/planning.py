@@ -83,7 +83,10 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
     rows = table.scalars(split=split)
     if not rows.num_rows:
         counts = _split_counts(table)
-        raise TableError(f"{table.folder}: expected sequences in split '{split}', found none ({counts}).")
+        raise TableError(
+            f"{table.folder}: expected sequences in split '{split}', found none ({counts})."
+            " Build more recordings, or choose another split with --split."
+        )
     ids = rows["sequence_id"].to_pylist()
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")

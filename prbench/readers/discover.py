@@ -55,7 +55,7 @@ def discover(root: Path) -> Discovery:
     broken: list[BrokenDataset] = []
     for dataset in READER_MODULES:
         for folder in (root, *_subfolders(root)):
-            claimed = any(folder == other.root or _lies_in(folder, other.recordings) for other in found)
+            claimed = folder != root and any(_lies_in(folder, other.recordings) for other in found)
             if claimed or (folder != root and any(other.dataset == dataset and other.root == root for other in found)):
                 continue
             answer = _ask(reader_for(dataset), folder)

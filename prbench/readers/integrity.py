@@ -89,6 +89,17 @@ def _damaged_glb(path: Path) -> str:
     return "" if length == path.stat().st_size else f"cut off: {path.stat().st_size} of {length} bytes"
 
 
+def _damaged_bvh(path: Path) -> str:
+    """The motion part says how many frames follow."""
+    hierarchy, _, motion = path.read_bytes().partition(b"MOTION")
+    lines = motion.splitlines()[1:]
+    promised = next((line.split()[-1] for line in lines if line.startswith(b"Frames:")), b"")
+    frames = sum(1 for line in lines if line[:1] in b"-0123456789 " and line.strip())
+    if not hierarchy or not promised.isdigit():
+        return "cut off: it has no motion"
+    return "" if frames >= int(promised) else f"cut off: {frames} of {int(promised)} frames"
+
+
 def _damaged_pickle(path: Path) -> str:
     return "" if _tail(path).endswith(b".") else "cut off: it does not end with a stop mark"
 
@@ -112,5 +123,6 @@ _CHECKS: dict[str, Callable[[Path], str]] = {
     ".h5": _damaged_hdf5,
     ".npy": _damaged_npy,
     ".glb": _damaged_glb,
+    ".bvh": _damaged_bvh,
     ".pkl": _damaged_pickle,
 }

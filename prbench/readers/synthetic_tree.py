@@ -5,7 +5,8 @@ Nothing else of the truth is ever read: the folder ``truth/`` beside it is for c
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,8 @@ from prbench.readers.files import decode_json
 
 SYNTHETIC_FILE = "synthetic.json"
 SYNTHETIC_PREFIX = "synthetic-"
+INVENTED_NAME = re.compile(r"_synthetic_seed\d+_")
+"""Stands in the name of every invented recording."""
 
 
 class SyntheticTree(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,6 +61,27 @@ def synthetic_tree_around(folder: Path, root: Path) -> SyntheticTree | None:
     """
     way = [place for place in (folder, *folder.parents) if place.is_relative_to(root)]
     return next((tree for tree in map(read_synthetic_tree, (*way, root)) if tree is not None), None)
+
+
+def require_marked(root: Path, recordings: Mapping[str, str]) -> None:
+    """Refuse invented recordings that were copied without their mark: they would pass as real ones.
+
+    Args:
+        root: The folder that was searched.
+        recordings: Name of the dataset of each recording, by the recording's name.
+
+    Raises:
+        InputFileError: naming one of them.
+    """
+    for name, dataset in recordings.items():
+        if INVENTED_NAME.search(name) and not dataset.startswith(SYNTHETIC_PREFIX):
+            raise InputFileError(
+                root,
+                "",
+                expected=f"{SYNTHETIC_FILE} beside recordings whose names say that they are invented",
+                found=f"{name} without it",
+                remedy=f"Copy {SYNTHETIC_FILE} of the tree that they come from, too.",
+            )
 
 
 def require_one_origin(root: Path, datasets: Iterable[str]) -> None:

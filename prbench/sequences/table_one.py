@@ -60,7 +60,7 @@ class TableStatistics:
 def table_statistics(table: SequenceTable) -> TableStatistics:
     """Compute the statistics of a built dataset; rows are streamed.
 
-    The sequence's duration is that of the study: from 2 s before the prime to the event.
+    A sequence lasts from its first frame to the event: up to one frame less than from 2 s before the prime.
     """
     scalars = table.scalars()
     splits = scalars["split"].to_pylist()

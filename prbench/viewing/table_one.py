@@ -22,6 +22,16 @@ _BINS = 30
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 
 
+def require_drawable(path: Path) -> None:
+    """Refuse, before anything is computed, a kind of file that the figure is not written as.
+
+    Raises:
+        UsageError: for any but PNG and SVG.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
+
+
 def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: int = 110) -> None:
     """Draw goal distance, elevation and azimuth, body movement, gaze shift and prime gap.
 
@@ -37,8 +47,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    if path.suffix.lower() not in FORMATS:
-        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
+    require_drawable(path)
     import matplotlib as mpl
 
     with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):

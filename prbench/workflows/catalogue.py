@@ -10,11 +10,13 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import prbench
-from prbench.errors import UsageError
+from prbench.errors import InputFileError, UsageError
 from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
 from prbench.readers import READER_MODULES, reader_for
-from prbench.readers.discover import FoundDataset, discover
+from prbench.readers.discover import Discovery, FoundDataset, discover
 from prbench.sequences import DatasetInfo
+from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
+from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 from prbench.workflows.inspection import missing_files
 
 _TERMS = {
@@ -52,7 +54,7 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         near = get_close_matches(name, dataset_names(), n=1)
         hint = f" Did you mean '{near[0]}'?" if near else ""
         raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(dataset_names())}.")
-    discovery = None if root is None else discover(root)
+    discovery, corpora = (None, ()) if root is None else _look(root)
     entries = []
     for dataset in dataset_names() if name is None else (name,):
         here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
@@ -60,12 +62,30 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         entries.append(
             CatalogueEntry(
                 manifest=load_manifest(dataset),
-                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in here),
+                found="; ".join(
+                    f"{len(each.recordings)} recordings in {each.root}"
+                    for each in (*here, *(corpus for corpus in corpora if corpus.corpus == dataset))
+                ),
                 missing=(*(each.message for each in broken), *_missing(here, load_manifest(dataset))),
                 reader_options=_reader_options(dataset),
             )
         )
     return tuple(entries)
+
+
+def _look(root: Path) -> tuple[Discovery | None, tuple[FoundCorpus, ...]]:
+    """Datasets and corpora below a folder.
+
+    Raises:
+        InputFileError: if there is neither.
+    """
+    corpora = find_corpora(root) if root.is_dir() else ()
+    try:
+        return discover(root), corpora
+    except InputFileError:
+        if not corpora:
+            raise
+        return None, corpora
 
 
 def _missing(found: Sequence[FoundDataset], manifest: Manifest) -> Iterator[str]:
@@ -79,7 +99,9 @@ def _reader_options(dataset: str) -> tuple[str, ...]:
     if dataset not in READER_MODULES:
         return ()
     options = reader_for(dataset).options
-    return tuple(f"{name} (default {getattr(options, name)})" for name in options.names())
+    return tuple(
+        f"{name} (default {'none' if (value := getattr(options, name)) is None else value})" for name in options.names()
+    )
 
 
 def citation_text(folders: Sequence[Path]) -> str:
@@ -90,7 +112,7 @@ def citation_text(folders: Sequence[Path]) -> str:
     """
     terms, entries = [], []
     for folder in folders:
-        info = DatasetInfo.read(folder)
+        info = CorpusInfo.read(folder) if (folder / CORPUS_FILE).is_file() else DatasetInfo.read(folder)
         terms.append(f"% {info.dataset}: {info.title}")
         terms.append(f"%   licence: {info.licence}")
         terms.append(f"%   it {_TERMS.get(info.redistribution, info.redistribution)}.")

@@ -53,7 +53,7 @@ def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) 
         event=record,
         dataset=table.info.dataset,
         split=recordings["split"][index].as_py() if index >= 0 else "unknown",
-        stages=_stages(record, chunk, protocol, table.info.options),
+        stages=_stages(record, chunk, protocol, table.info.options, shown=may_pass_on(table.info, permitted)),
         neighbours=_neighbours(events, row),
         priming_window=protocol.curation.priming_window,
         lead=protocol.curation.lead,
@@ -126,12 +126,17 @@ def _sequence(table: SequenceTable, sequence_id: str | None) -> SequenceChunk | 
 
 
 def _stages(
-    event: EventRecord, chunk: SequenceChunk | None, protocol: BenchmarkProtocol, options: dict[str, str]
+    event: EventRecord,
+    chunk: SequenceChunk | None,
+    protocol: BenchmarkProtocol,
+    options: dict[str, str],
+    *,
+    shown: bool,
 ) -> tuple[StoryStage, ...]:
     decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     texts = {
         "in_hand": _in_hand(event, options),
-        "location": _location(event),
+        "location": _location(event, shown=shown),
         "priming": _priming(event, protocol),
         "clipping": _clipping(event, chunk, protocol),
         "body": _body(event, protocol),
@@ -156,7 +161,8 @@ def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
     return f"{hand} (rule: {options.get('in_hand_rule', 'default')})"
 
 
-def _location(event: EventRecord) -> str:
+def _location(event: EventRecord, *, shown: bool) -> str:
+    """Where the object is; not told where the licence keeps goals."""
     if event.outcome == "no_location":
         return "the object never came to rest, or the dataset gives no place"
     if event.location is None or event.box_min is None or event.box_max is None:
@@ -164,6 +170,8 @@ def _location(event: EventRecord) -> str:
     place = "rested" if event.action == "pick" else "will rest"
     sides = " × ".join(f"{side * 100:.0f}" for side in event.box_max - event.box_min)
     where = f"{place} at ({', '.join(f'{axis:.2f}' for axis in event.location)}) m, box {sides} cm (x, y, z)"
+    if not shown:
+        where = f"{place} (where is left out: the licence keeps goals)"
     if event.outcome == "tracking_lost":
         return f"{where}; not tracked for {event.value:.2f} s around the event, and no hand tells when in it"
     return where

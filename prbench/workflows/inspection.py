@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from prbench.errors import PrbenchError
+from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.aria_mps import check_trajectory, source_of
-from prbench.readers.discover import BrokenDataset, FoundDataset, discover
+from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
+from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 
 State = Literal["complete", "incomplete", "damaged", "left out", "unreadable"]
 
@@ -74,7 +75,13 @@ def inspect_folder(
     Raises:
         InputFileError: if nothing is recognised.
     """
-    discovery = discover(root)
+    corpora = find_corpora(root) if root.is_dir() else ()
+    try:
+        discovery = discover(root)
+    except InputFileError:
+        if not corpora:
+            raise
+        discovery = Discovery((), ())
     total = sum(len(found.recordings) for found in discovery.found)
     datasets, done = [], 0
     for found in discovery.found:
@@ -86,7 +93,21 @@ def inspect_folder(
                 progress(done, total, recording.recording_id)
         title = load_manifest(found.dataset).title
         datasets.append(InspectedDataset(found.name, title, found.root, tuple(inspected)))
-    return Inspection(tuple(datasets), discovery.broken)
+    return Inspection((*datasets, *(_inspect_corpus(corpus) for corpus in corpora)), discovery.broken)
+
+
+def _inspect_corpus(found: FoundCorpus) -> InspectedDataset:
+    """Corpora tell while they are searched which of their recordings cannot be used."""
+    recordings = tuple(
+        InspectedRecording(
+            each.belonging.recording_id,
+            "left out" if each.skip_reason else "complete",
+            each.cost.input_bytes,
+            (each.skip_reason,) if each.skip_reason else (),
+        )
+        for each in found.recordings
+    )
+    return InspectedDataset(found.name, load_manifest(found.corpus).title, found.root, recordings)
 
 
 def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> InspectedRecording:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from prbench.curation.differences import compare_builds
+from prbench.errors import UsageError
 from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
 from prbench.sequences.write_dataset import write_dataset
 from tests.fakes import fake_info, fake_sequence
@@ -102,8 +104,6 @@ def test_other_poses_under_the_same_name_are_seen(first, amount) -> None:
 
 
 def test_what_was_chosen_differently_is_listed(first) -> None:
-    import msgspec
-
     second = write(first.with_name("second"))
     info = msgspec.structs.replace(fake_info(), options={"ray_origin": "camera"}, protocol_digest="q")
     info.write(second)
@@ -111,3 +111,10 @@ def test_what_was_chosen_differently_is_listed(first) -> None:
         ("protocol_digest", "p", "q"),
         ("option ray_origin", "–", "camera"),
     )
+
+
+def test_builds_of_different_datasets_are_not_compared(first) -> None:
+    second = write(first.with_name("second"))
+    msgspec.structs.replace(fake_info(), dataset="synthetic-gimo").write(second)
+    with pytest.raises(UsageError, match="synthetic-gimo"):
+        compare_builds(first, second)

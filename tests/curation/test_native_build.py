@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import BuildOptions, build_dataset, plan_build
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import InputFileError, StorageError, UsageError
 from prbench.sequences import SequenceTable
 from prbench.storage import read_json
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.curation.sources import folder_bytes
+from tests.fakes import fake_dataset
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +75,20 @@ def test_a_wrong_root_and_an_unknown_dataset_are_refused(tmp_path: Path) -> None
         build_dataset("adt", tmp_path / "nowhere", tmp_path / "table")
     with pytest.raises(UsageError, match="adt"):
         build_dataset("adtt", tmp_path, tmp_path / "table")
+
+
+def test_invented_recordings_without_their_mark_are_refused(tmp_path) -> None:
+    tree = synthesize_tree("adt", tmp_path / "tree", recordings=1, seed=3, n_events=2)
+    (tree.root / "synthetic.json").unlink()
+    with pytest.raises(InputFileError, match=r"synthetic\.json"):
+        build_dataset("adt", tree.root, tmp_path / "table")
+    assert not (tmp_path / "table").exists()
+
+
+def test_a_table_of_another_dataset_is_not_replaced(tmp_path) -> None:
+    tree = synthesize_tree("adt", tmp_path / "tree", recordings=1, seed=3, n_events=2)
+    fake_dataset(tmp_path / "table", n=3, dataset="synthetic-mogaze")
+    before = (tmp_path / "table" / "dataset.json").read_bytes()
+    with pytest.raises(StorageError, match="synthetic-mogaze"):
+        build_dataset("adt", tree.root, tmp_path / "table")
+    assert (tmp_path / "table" / "dataset.json").read_bytes() == before

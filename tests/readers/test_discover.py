@@ -58,3 +58,13 @@ def test_a_whole_copy_has_every_required_file(copies, dataset) -> None:
     assert manifest.required_roles, "a manifest says which files a recording cannot do without"
     for recording in reader_for(dataset).find(copies / dataset):
         assert missing_files(recording, manifest.required_roles) == ()
+
+
+def test_two_datasets_in_one_and_the_same_folder_are_both_found(copies, tmp_path) -> None:
+    import shutil
+
+    root = tmp_path / "mixed"
+    for dataset in ("mogaze", "gimo"):
+        shutil.copytree(copies / dataset, root, dirs_exist_ok=True)
+    (root / "synthetic.json").unlink()
+    assert [each.dataset for each in discover(root).found] == ["gimo", "mogaze"]

@@ -82,9 +82,7 @@ def test_hands_are_posed_by_the_user_s_model(tree, models) -> None:
     for seed, hand in enumerate(recording.hand_streams("wrist")):
         model = invented_model(mano.N_VERTICES, seed)
         root = model.regressor[0] @ (model.template + model.shape_directions @ np.full(10, 0.2))
-        assert z_up(hand.points)[0, 0] == pytest.approx(root + np.array([1.0, 2.0, 3.0])), (
-            "not the translation alone"
-        )
+        assert z_up(hand.points)[0, 0] == pytest.approx(root + np.array([1.0, 2.0, 3.0])), "not the translation alone"
     assert {hand.points.shape[1] for hand in recording.hand_streams("hand_vertex")} == {mano.N_VERTICES}
 
 

@@ -44,13 +44,18 @@ def write_glb(path) -> None:
     path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body)
 
 
+def write_bvh(path) -> None:
+    frames = "".join(f"{frame}.0 -0.5 2\n" for frame in range(30))
+    path.write_text(f"HIERARCHY\nROOT Hips\n{{\n}}\nMOTION\nFrames: 30\nFrame Time: 0.033\n{frames}")
+
+
 def write_pickle(path) -> None:
     path.write_bytes(pickle.dumps({"a": list(range(100))}))
 
 
 KINDS = {
     "t.csv": write_csv, "t.json": write_json, "t.jsonl": write_json_lines, "t.hdf5": write_hdf5, "t.npy": write_npy,
-    "t.npz": write_npz, "t.glb": write_glb, "t.pkl": write_pickle,
+    "t.npz": write_npz, "t.glb": write_glb, "t.pkl": write_pickle, "t.bvh": write_bvh,
 }  # fmt: skip
 
 

@@ -3,10 +3,13 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from prbench.corpora import build_corpus
 from prbench.errors import InputFileError, TableError, UsageError
 from prbench.manifests import dataset_names, load_manifest
 from prbench.sequences import SequenceTable
+from prbench.synthetic.corpus_tree import synthesize_corpus_tree
 from prbench.workflows.catalogue import catalogue, citation_text
+from prbench.workflows.inspection import inspect_folder
 from tests.fakes import fake_dataset, fake_info
 
 
@@ -57,3 +60,15 @@ def test_a_citation_holds_terms_dataset_study_and_toolkit_each_once(tmp_path) ->
 def test_a_folder_that_is_no_table_is_refused(tmp_path) -> None:
     with pytest.raises(TableError, match=r"dataset\.json"):
         citation_text([tmp_path])
+
+
+def test_corpora_are_found_and_cited_like_datasets(tmp_path) -> None:
+    synthesize_corpus_tree("nymeria", tmp_path / "copies" / "Nymeria", recordings=1, seed=3)
+    (entry,) = catalogue(tmp_path / "copies", "nymeria")
+    assert entry.found.startswith("1 recordings in ")
+    build_corpus("nymeria", tmp_path / "copies" / "Nymeria", tmp_path / "corpus")
+    text = citation_text([tmp_path / "corpus"])
+    assert "% synthetic-nymeria" in text
+    assert "@software{prbench" in text
+    (inspected,) = inspect_folder(tmp_path / "copies").datasets
+    assert (inspected.name, inspected.usable) == ("synthetic-nymeria", 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import msgspec
 import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
@@ -15,6 +16,7 @@ from prbench.viewing.story import EventStory
 from prbench.workflows.explain import explain_event
 from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
 from tests.curation.sources import SceneSource
+from tests.fakes import fake_dataset
 
 
 class UnseenPut(SceneSource):
@@ -121,3 +123,12 @@ def test_looks_through_a_wall_are_told_where_that_decided(tmp_path: Path) -> Non
     story = explain_event(tmp_path / "adt", "room_c/cup/pick")
     assert stages(story)["priming"] == "stopped here"
     assert "15 gaze samples meet the place, and a mesh stands before it in all of them" in story.text()
+
+
+def test_where_the_licence_keeps_goals_the_story_does_not_tell_them(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "t", n=3)
+    event = table.events()["event_id"][0].as_py()
+    assert " m, box " in explain_event(table.folder, event).text()
+    msgspec.structs.replace(table.info, redistribution="none").write(table.folder)
+    assert " m, box " not in explain_event(table.folder, event).text()
+    assert " m, box " in explain_event(table.folder, event, permitted=["synthetic-adt"]).text()

@@ -148,14 +148,16 @@ def _hololens(found: RecordingFiles) -> gimo.HoloLens | None:
 
 
 def _meshes(found: RecordingFiles) -> tuple[gimo.SceneMesh, ...]:
-    """The scanned room as triangles.
+    """The scanned room as triangles; none where the copy lacks it, which curation reports.
 
     Raises:
-        InputFileError: if there is no mesh, it cannot be read, or it has points only.
+        InputFileError: if the mesh cannot be read, or has points only.
     """
+    path = found.path(segments.SCENE_MESH)
+    if path is None:
+        return ()
     import trimesh
 
-    path = found.require(segments.SCENE_MESH, f"../{gimo.SCENE_FOLDER}/{gimo.SCENE_MESHES[0]}")
     try:
         mesh = trimesh.load(path, process=False, force="mesh")
     except Exception as error:  # trimesh raises whatever the damaged file makes it stumble over
