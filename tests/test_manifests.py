@@ -59,3 +59,10 @@ def test_known_bad_recordings_are_found_by_their_beginning():
     manifest = load_manifest("adt")
     assert manifest.why_bad("Apartment_release_clean_seq139_M1292")
     assert manifest.why_bad("Apartment_release_clean_seq1390_M1292") is None
+
+
+def test_whoever_uses_estimated_bodies_is_told_to_cite_their_method() -> None:
+    for name in dataset_names():
+        manifest = load_manifest(name)
+        for body in (manifest.body, *manifest.other_bodies.values()):
+            assert ("yi2025egoallo" in body.citation) == (body.pose_source == "egoallo")
