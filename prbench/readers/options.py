@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -44,7 +45,18 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
     try:
         return msgspec.convert(dict(given), form, strict=False, dec_hook=_path)
     except msgspec.ValidationError as error:
-        raise UsageError(f"an option of the reader of {dataset} has a wrong value: {error}.") from error
+        raise UsageError(
+            f"an option of the reader of {dataset} has a wrong value: {error}.{_allowed(form, str(error))}"
+        ) from error
+
+
+def _allowed(form: type[ReaderOptions], message: str) -> str:
+    """The values that the blamed option may have, where they are a list."""
+    blamed = re.search(r"`\$\.(\w+)`", message)
+    hints = get_type_hints(form)
+    if blamed is None or get_origin(hints.get(blamed[1])) is not Literal:
+        return ""
+    return f" {blamed[1]} is one of: {', '.join(map(str, get_args(hints[blamed[1]])))}."
 
 
 def described_options(options: ReaderOptions) -> dict[str, str]:
