@@ -12,7 +12,7 @@ from prbench.manifests import Manifest, digest_of, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.corpus_info import CorpusCounts, CorpusInfo
 from prbench.sequences.corpus_schema import ANNOTATION_OUTCOMES, CORPUS_SCHEMA_VERSION
-from prbench.sequences.dataset_info import QuarantinedRecording
+from prbench.sequences.info_file import QuarantinedRecording
 from prbench.storage import text_digest
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.sequences.dataset_info import QuarantinedRecording
-from prbench.sequences.info_file import read_info
+from prbench.sequences.info_file import Provenance, read_info
 from prbench.storage import write_json
 
 CORPUS_FILE = "corpus.json"
@@ -29,30 +28,10 @@ class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
     frames: int
 
 
-class CorpusInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """Provenance of one built corpus. Holds no time of day, host, absolute path or worker count."""
+class CorpusInfo(Provenance, frozen=True, kw_only=True):
+    """Provenance of one built corpus; its outcomes are those of annotations."""
 
-    schema_version: int
-    protocol_version: int
-    protocol_digest: str
-    dataset: str
-    title: str
-    synthetic: bool
-    prbench_version: str
-    manifest_digest: str
-    input_digest: str
-    """Over the names and contents of all files that were used."""
-    options: dict[str, str]
     counts: CorpusCounts
-    outcomes: dict[str, int]
-    """Annotations by what became of them."""
-    quarantine: tuple[QuarantinedRecording, ...]
-    identity_digest: str
-    content_digest: str
-    licence: str
-    redistribution: str
-    homepage: str
-    citation: str
 
     def write(self, folder: Path) -> None:
         """Write ``corpus.json``."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.sequences.info_file import read_info
+from prbench.sequences.info_file import Provenance, read_info
 from prbench.storage import write_json
 
 FILE_NAME = "dataset.json"
@@ -27,37 +27,10 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
     sequences: int
 
 
-class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
-    """A recording that was left out, and why."""
+class DatasetInfo(Provenance, frozen=True, kw_only=True):
+    """Provenance of one built dataset; its outcomes are those of events."""
 
-    recording_id: str
-    status: str
-    message: str
-
-
-class DatasetInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """Provenance of one built dataset. Holds no time of day, host, absolute path or worker count."""
-
-    schema_version: int
-    protocol_version: int
-    protocol_digest: str
-    dataset: str
-    title: str
-    synthetic: bool
-    prbench_version: str
-    manifest_digest: str
-    input_digest: str
-    """Over the names and contents of all files that the readers used."""
-    options: dict[str, str]
     counts: FunnelCounts
-    outcomes: dict[str, int]
-    quarantine: tuple[QuarantinedRecording, ...]
-    identity_digest: str
-    content_digest: str
-    licence: str
-    redistribution: str
-    homepage: str
-    citation: str
 
     @property
     def why_not_scored(self) -> str | None:

@@ -12,6 +12,38 @@ from prbench.errors import TableError
 Info = TypeVar("Info", bound=msgspec.Struct)
 
 
+class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
+    """A recording that was left out, and why."""
+
+    recording_id: str
+    status: str
+    message: str
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """What every built table says of itself. Holds no time of day, host, absolute path or worker count."""
+
+    schema_version: int
+    protocol_version: int
+    protocol_digest: str
+    dataset: str
+    title: str
+    synthetic: bool
+    prbench_version: str
+    manifest_digest: str
+    input_digest: str
+    """Over the names and contents of all files that were used."""
+    options: dict[str, str]
+    outcomes: dict[str, int]
+    quarantine: tuple[QuarantinedRecording, ...]
+    identity_digest: str
+    content_digest: str
+    licence: str
+    redistribution: str
+    homepage: str
+    citation: str
+
+
 def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
 
