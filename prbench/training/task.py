@@ -1,0 +1,120 @@
+"""What a training task is: the seam between the loop, which knows no network, and a network, which knows no loop.
+
+An installed package offers a task by an entry point in the group ``prbench.training_tasks`` that names a callable
+without arguments which returns a :class:`TrainingTask`. A task builds a :class:`TrainingModule`; the loop of
+:mod:`prbench.training.loop` feeds it batches, minimises its ``loss`` and saves its weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import torch
+from torch import nn
+
+from prbench.randomness import named_generator
+
+if TYPE_CHECKING:
+    from prbench.contract import Adapter
+    from prbench.training.batch import MotionBatch
+    from prbench.training.dataset import SequenceDataset
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What a task may look at before the first step: the training split, as it will be fed.
+
+    A task takes normalisation statistics from ``train.statistics()`` and ``train.condition_statistics(goal)``, both
+    made once and kept; a fine-tuned model keeps those of its initial weights instead (``methods/pr-model.md``
+    section 4).
+    """
+
+    train: SequenceDataset
+    mode: str
+    """Representation of the features: ``continuous`` or ``reference``."""
+    max_frames: int
+    """The longest item that will be fed; crops are never longer."""
+    fps: float = 20.0
+
+
+class TrainingModule(nn.Module):
+    """A network with its losses. Subclasses implement :meth:`forward` and :meth:`weights`.
+
+    The loop sets :attr:`seed` and :attr:`rank` before the first step, seeds torch's global generator before every call
+    of :meth:`forward` (dropout draws from that), and calls everything else outside of gradients.
+    """
+
+    seed: int = 0
+    """Of the configuration."""
+    rank: int = 0
+    """Which of the processes that train together this is; each draws other noise."""
+
+    def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """Losses of one batch: scalars by name.
+
+        Args:
+            batch: Padded features and conditions, on the module's device.
+            step: Counts the calls of the whole training from 0, not those since the last resumption. Validation calls
+                with negative numbers. All draws of the call come from :meth:`generator` of it.
+
+        Returns:
+            ``loss``, which is minimised, and any others, which are logged beside it.
+        """
+        raise NotImplementedError
+
+    def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+        """What is saved: tensors by name, and the entries of the file's header.
+
+        The header needs ``kind`` (such as ``denoiser``), ``configuration`` (JSON) and, for networks of motion,
+        ``representation`` (such as ``humanml3d-263/continuous``); the writer adds format and version
+        (:mod:`prbench.training.weights`). Frozen parts that have weights of their own stay out.
+        """
+        raise NotImplementedError
+
+    def adapter(self, device: str) -> Adapter | None:  # noqa: ARG002 - for those that have one
+        """The method that generates with the weights as they are now, for validation; None if there is none."""
+        return None
+
+    def learned_from(self) -> tuple[str, ...]:
+        """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
+        return ()
+
+    def generator(self, step: int) -> torch.Generator:
+        """A generator on the CPU that depends on seed, step and rank alone, so that a resumed run repeats its draws.
+
+        Draw on the CPU and move the result; then the numbers are the same on every device.
+        """
+        drawn = named_generator("prbench-training", self.seed, step, self.rank).integers(2**63 - 1)
+        return torch.Generator().manual_seed(int(drawn))
+
+
+@runtime_checkable
+class TrainingTask(Protocol):
+    """A kind of network that ``prbench train --method NAME`` can train.
+
+    One optional attribute is honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
+    ``("pretrain", "finetune")``; the first is the default of the command line).
+    """
+
+    name: str
+    configurations: str
+    """Import name of the package that holds the TOML files, named ``<task>-<configuration>.toml``."""
+
+    def build(
+        self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
+    ) -> TrainingModule:
+        """Make the module in its state before the first step.
+
+        Args:
+            model: The table ``[model]`` of the configuration, as it is in the TOML file.
+            data: The training split.
+            initial: A weights file to start from (``--init``), or None to start from nothing.
+            stage: ``pretrain`` or ``finetune``.
+
+        Raises:
+            PrbenchError: if the table does not describe a model, or the initial weights do not fit it.
+        """
+        ...

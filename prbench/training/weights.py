@@ -1,0 +1,227 @@
+"""Weights on disk: ``safetensors`` with a header that says what they are, and a JSON card beside them.
+
+No file of this format can run code when it is opened. What a file holds is decided by its header: ``kind``,
+``configuration`` (JSON) and ``representation``; a reader that expects something else says so before it looks at a
+tensor. This module needs torch and safetensors only, so that an adapter may load with it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+import safetensors.torch
+import torch
+from safetensors import SafetensorError
+
+from prbench.errors import InputFileError
+from prbench.storage import atomic_path, bytes_digest, write_json
+
+FORMAT = "prbench-weights"
+FORMAT_VERSION = "1"
+_HALF_LIMIT = torch.finfo(torch.float16).max
+_LARGEST_HEADER = 100_000_000
+
+Configuration = TypeVar("Configuration")
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """A weights file in memory."""
+
+    path: Path
+    tensors: dict[str, torch.Tensor]
+    """By name; floating-point tensors as float32 whatever the file holds, on the CPU."""
+    metadata: dict[str, str]
+    digest: str
+    """SHA-256 of the file."""
+
+    @property
+    def kind(self) -> str:
+        """What the weights are of, such as ``denoiser``."""
+        return self.metadata.get("kind", "")
+
+    def configuration(self, kind: type[Configuration]) -> Configuration:
+        """The network's configuration from the header.
+
+        Raises:
+            InputFileError: if it is not one of ``kind``.
+        """
+        try:
+            return msgspec.json.decode(self.metadata.get("configuration", ""), type=kind)
+        except msgspec.DecodeError as error:  # ValidationError is one of them
+            raise InputFileError(
+                self.path,
+                "configuration",
+                expected=f"a {kind.__name__} as JSON",
+                found=str(error),
+                remedy="The weights were made by another version of prbench or by another program; train them again.",
+            ) from error
+
+    def part(self, prefix: str) -> dict[str, torch.Tensor]:
+        """Tensors whose names begin with ``prefix`` and a dot, without both."""
+        return {
+            name.removeprefix(f"{prefix}."): tensor
+            for name, tensor in self.tensors.items()
+            if name.startswith(f"{prefix}.")
+        }
+
+    def load_into(self, module: torch.nn.Module, prefix: str) -> None:
+        """Fill a module with the tensors ``<prefix>.<parameter>``.
+
+        Raises:
+            InputFileError: if one is missing, has another shape, or belongs to no parameter.
+        """
+        wanted, found = module.state_dict(), self.part(prefix)
+        for name, tensor in wanted.items():
+            self.require(f"{prefix}.{name}", tuple(tensor.shape))
+        unknown = sorted(set(found) - set(wanted))
+        if unknown:
+            raise self._misfit(f"{prefix}.{unknown[0]}", "only tensors of the configured network", "one more")
+        module.load_state_dict(found)
+
+    def require(self, name: str, shape: tuple[int, ...]) -> torch.Tensor:
+        """The tensor of this name and shape.
+
+        Raises:
+            InputFileError: if there is none.
+        """
+        tensor = self.tensors.get(name)
+        if tensor is None:
+            raise self._misfit(name, f"a tensor of shape {shape}", "none of this name")
+        if tuple(tensor.shape) != shape:
+            raise self._misfit(name, f"shape {shape}", f"shape {tuple(tensor.shape)}")
+        return tensor
+
+    def _misfit(self, where: str, expected: str, found: str) -> InputFileError:
+        remedy = "The file does not fit the configuration in its own header; train or download it again."
+        return InputFileError(self.path, where, expected=expected, found=found, remedy=remedy)
+
+
+def write_weights(
+    path: Path,
+    tensors: Mapping[str, torch.Tensor],
+    metadata: Mapping[str, str],
+    card: Mapping[str, Any],
+    *,
+    dtype: Literal["float32", "float16"] = "float32",
+) -> None:
+    """Write weights and their card, ``<name>.json`` beside them; each file whole or not at all.
+
+    Args:
+        path: ``<name>.safetensors``.
+        tensors: By name, on any device.
+        metadata: Header entries; ``format`` and ``format_version`` are added.
+        card: For people and for the leaderboard; anything that JSON can hold. Gets the digest of the weights file.
+        dtype: Of matrices. Vectors (biases, norms, statistics) weigh little and stay float32.
+
+    Raises:
+        StorageError: if a file cannot be written.
+        ValueError: if a value is not finite, or too large for float16.
+    """
+    stored = {name: _stored(name, tensor, dtype) for name, tensor in tensors.items()}
+    header = {**metadata, "format": FORMAT, "format_version": FORMAT_VERSION}
+    content = safetensors.torch.save(stored, metadata=header)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+    write_json(path.with_suffix(".json"), {**card, "weights": path.name, "weights_sha256": bytes_digest(content)})
+
+
+def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
+    tensor = tensor.detach().cpu().contiguous()
+    if not tensor.is_floating_point():
+        return tensor.clone()
+    if not bool(torch.isfinite(tensor).all()):
+        raise ValueError(f"tensor '{name}' holds NaN or infinity; the training has diverged.")
+    if dtype == "float32" or tensor.ndim < 2:
+        return tensor.to(torch.float32).clone()  # safetensors refuses tensors that share memory
+    if float(tensor.abs().max() if tensor.numel() else 0.0) > _HALF_LIMIT:
+        raise ValueError(f"tensor '{name}' does not fit float16; save it as float32.")
+    return tensor.to(torch.float16).clone()
+
+
+def read_weights(path: Path, *, kind: str | None = None, representation: str | None = None) -> Weights:
+    """Read a weights file.
+
+    Args:
+        path: ``<name>.safetensors``; its card is not needed.
+        kind: What it must be of, if that matters.
+        representation: What its features must be, if that matters.
+
+    Raises:
+        InputFileError: if there is no such file, it is a pickle or another format, it is damaged, or it holds weights
+            of another kind or representation.
+    """
+    content = _content(path)
+    metadata = _metadata(path, content)
+    _require_entry(path, metadata, "format", FORMAT)
+    _require_entry(path, metadata, "format_version", FORMAT_VERSION)
+    if kind is not None:
+        _require_entry(path, metadata, "kind", kind)
+    if representation is not None:
+        _require_entry(path, metadata, "representation", representation)
+    try:
+        tensors = safetensors.torch.load(content)
+    except SafetensorError as error:
+        raise _damaged(path, str(error)) from error
+    tensors = {name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()}
+    return Weights(path, tensors, metadata, bytes_digest(content))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputFileError(path, "", expected="a weights file (.safetensors)", found="no such file") from error
+    except IsADirectoryError as error:
+        raise InputFileError(path, "", expected="a weights file (.safetensors)", found="a folder") from error
+    if content[:4] == b"PK\x03\x04" or (
+        content[:1] == b"\x80" and content[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
+    ):
+        raise InputFileError(
+            path,
+            "",
+            expected="a safetensors file",
+            found="a pickle (a PyTorch checkpoint)",
+            remedy="Pickles can run code when they are opened, so prbench never does. Load it where you trust it and"
+            " save its tensors with safetensors.",
+        )
+    return content
+
+
+def _metadata(path: Path, content: bytes) -> dict[str, str]:
+    """The header of a safetensors file: 8 bytes of length, then JSON."""
+    if len(content) < 8:
+        raise _damaged(path, f"{len(content)} bytes")
+    (length,) = struct.unpack("<Q", content[:8])
+    if length > min(_LARGEST_HEADER, len(content) - 8):
+        raise _damaged(path, "no header, or a truncated one")
+    try:
+        header = json.loads(content[8 : 8 + length])
+        metadata = header.get("__metadata__", {})
+    except (ValueError, AttributeError) as error:
+        raise _damaged(path, "a header that is not JSON") from error
+    return metadata if isinstance(metadata, dict) else {}
+
+
+def _require_entry(path: Path, metadata: Mapping[str, str], key: str, expected: str) -> None:
+    if metadata.get(key) != expected:
+        remedies = {
+            "format": "These are not weights of prbench.",
+            "format_version": "They were written by another version of prbench; update it.",
+            "kind": "Choose weights that were trained for this method.",
+            "representation": "Choose weights that were trained with this representation.",
+        }
+        found = f"'{metadata[key]}'" if key in metadata else "nothing"
+        raise InputFileError(path, f"header entry '{key}'", expected=f"'{expected}'", found=found, remedy=remedies[key])
+
+
+def _damaged(path: Path, found: str) -> InputFileError:
+    return InputFileError(
+        path, "", expected="a safetensors file", found=found, remedy="It may be truncated; copy or train it again."
+    )
