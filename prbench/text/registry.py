@@ -1,0 +1,34 @@
+"""Text encoders by name."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from prbench.errors import UsageError
+from prbench.text import built_in, distilbert
+from prbench.text.encoder import TextEncoder
+
+NAMES = (built_in.NAME, distilbert.NAME)
+
+
+def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
+    """The frozen text encoder of this name.
+
+    Args:
+        name: ``hashed-ngrams`` (built in) or ``distilbert`` (the paper's; extra ``text``).
+        path: For ``distilbert``: a local folder or a hub id; by default what ``PRBENCH_DISTILBERT`` names, else the
+            public id. Its weights are loaded when the first text is encoded.
+
+    Raises:
+        UsageError: if there is no such encoder, or it has no files to be found under a path.
+    """
+    if name == built_in.NAME:
+        if path is not None:
+            raise UsageError(f"the text encoder '{name}' is built in and reads no files. Leave its path away.")
+        return built_in.HashedNgrams()
+    if name == distilbert.NAME:
+        return distilbert.DistilBert(path)
+    near = difflib.get_close_matches(name, NAMES, n=1)
+    hint = f" Did you mean '{near[0]}'?" if near else ""
+    raise UsageError(f"there is no text encoder '{name}'.{hint} Known: {', '.join(NAMES)}.")
