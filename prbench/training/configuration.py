@@ -1,0 +1,241 @@
+"""Training configurations: TOML files, read once, complete, and refused where they hold what nobody reads.
+
+A file has the tables ``[model]`` (read by the task), ``[data]``, ``[training]`` and ``[validation]``; a table
+``[stages.<stage>.<table>]`` overrides keys for one stage, and ``--set table.key=value`` overrides both.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from prbench.errors import InputFileError, UsageError
+
+DEFAULT_STAGES = ("pretrain", "finetune")
+
+
+class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """``[data]``: how sequences are cut and encoded."""
+
+    max_frames: int = 241
+    """Longer sequences are cropped to this."""
+    crop: Literal["end", "random"] = "end"
+    """Keep the end (it holds the goal), or a random part (for text alone)."""
+    mode: Literal["continuous", "reference"] = "continuous"
+    """Of the representation."""
+
+
+class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """``[training]``: everything that the loop needs."""
+
+    steps: int
+    batch_size: int = 64
+    """Sequences a step, of each process."""
+    micro_batches: int = 1
+    """Batches whose gradients are averaged into one step; the sequences a step are ``batch_size`` times this."""
+    learning_rate: float = 1e-4
+    schedule: Literal["constant", "cosine"] = "constant"
+    warmup_steps: int = 0
+    """Steps over which the learning rate rises linearly; part of ``steps``."""
+    weight_decay: float = 0.0
+    betas: tuple[float, float] = (0.9, 0.999)
+    gradient_clip: float | None = None
+    """Largest norm of the gradient over all parameters."""
+    ema: float = 0.9999
+    """Decay of the average of the weights, which is what is saved; 0 keeps no average."""
+    ema_warmup: bool = True
+    """Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n)."""
+    precision: Literal["32-true", "bf16-mixed"] = "32-true"
+    seed: int = 0
+    save_every: int = 1000
+    log_every: int = 50
+    weights_dtype: Literal["float32", "float16"] = "float32"
+    """Of matrices in the saved weights."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch_size", "micro_batches", "save_every", "log_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be 1 or more")
+        if not 0 <= self.warmup_steps <= self.steps:
+            raise ValueError("`warmup_steps` must lie between 0 and `steps`")
+        if not 0 <= self.ema < 1:
+            raise ValueError("`ema` must be at least 0 and below 1")
+        if self.learning_rate <= 0:
+            raise ValueError("`learning_rate` must be above 0")
+        if self.gradient_clip is not None and self.gradient_clip <= 0:
+            raise ValueError("`gradient_clip` must be above 0; leave it out for none")
+
+
+class ValidationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """``[validation]``: losses and metrics on the validation split, while training goes on."""
+
+    every: int = 0
+    """Steps between validations; 0 for none."""
+    sequences: int = 64
+    """Of each dataset, those with the smallest SHA-256 of their id."""
+    condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None
+    """What the method is given; None for losses alone."""
+    batch_size: int = 32
+
+
+class TrainingConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One configuration, resolved for one stage."""
+
+    model: dict[str, Any]
+    """Read by the task."""
+    training: OptimisationConfiguration
+    data: DataConfiguration = DataConfiguration()
+    validation: ValidationConfiguration = ValidationConfiguration()
+
+
+TABLES = TrainingConfiguration.__struct_fields__
+
+
+def list_configurations(package: str, task: str) -> tuple[str, ...]:
+    """Names of the configurations that come with a task: files ``<task>-<name>.toml`` of a package.
+
+    Args:
+        package: Import name.
+        task: Name of the task.
+    """
+    files = (entry.name for entry in resources.files(package).iterdir())
+    prefix = f"{task}-"
+    return tuple(
+        sorted(
+            name.removeprefix(prefix).removesuffix(".toml")
+            for name in files
+            if name.startswith(prefix) and name.endswith(".toml")
+        )
+    )
+
+
+def load_configuration(
+    name: str, *, package: str, task: str, stage: str, overrides: Sequence[tuple[str, str]] = ()
+) -> TrainingConfiguration:
+    """Read a configuration and resolve it for one stage.
+
+    Args:
+        name: Of a configuration that comes with the task, or the path of a TOML file.
+        package: Import name of the task's package of configurations.
+        task: Name of the task.
+        stage: Whose table under ``[stages]`` overrides the others.
+        overrides: ``("training.steps", "100")`` and so on; values as TOML writes them, or plain text.
+
+    Raises:
+        UsageError: for an unknown name (with those that exist) or an override that does not fit.
+        InputFileError: if the file is no such configuration (naming the key).
+    """
+    source, content = _find(name, package, task)
+    return resolve(_parsed(source, content), source=source, stage=stage, overrides=overrides)
+
+
+def resolve(
+    tables: Mapping[str, Any], *, source: Path, stage: str, overrides: Sequence[tuple[str, str]] = ()
+) -> TrainingConfiguration:
+    """Merge the tables of a file with those of a stage and with single keys.
+
+    Args:
+        tables: The parsed file.
+        source: Its path, for messages.
+        stage: Whose table under ``[stages]`` overrides the others.
+        overrides: As for :func:`load_configuration`.
+
+    Raises:
+        UsageError: for an override that names no key.
+        InputFileError: for an unknown table or key, a missing one, or a value of a wrong kind.
+    """
+    merged = {name: table for name, table in tables.items() if name != "stages"}
+    stages = tables.get("stages", {})
+    if not isinstance(stages, Mapping) or not all(isinstance(table, Mapping) for table in stages.values()):
+        raise InputFileError(source, "[stages]", expected="tables such as [stages.pretrain.training]", found="a value")
+    merged = _merged(merged, stages.get(stage, {}))
+    for key, text in overrides:
+        merged = _merged(merged, _override(key, text))
+    try:
+        return msgspec.convert(merged, TrainingConfiguration)
+    except msgspec.ValidationError as error:
+        raise InputFileError(
+            source,
+            f"stage {stage}",
+            expected="a training configuration",
+            found=str(error),
+            remedy="`prbench train --method NAME --show-config` prints a complete one.",
+        ) from error
+
+
+def as_toml(configuration: TrainingConfiguration) -> str:
+    """The configuration as a TOML file that :func:`load_configuration` reads back."""
+    tables = msgspec.to_builtins(configuration)
+    lines = []
+    for name in TABLES:
+        lines.append(f"[{name}]")
+        lines += [f"{key} = {_toml_value(value)}" for key, value in tables[name].items() if value is not None]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
+    if name.endswith(".toml"):
+        try:
+            return Path(name), Path(name).read_bytes()
+        except OSError as error:
+            raise InputFileError(Path(name), "", expected="a TOML file", found=error.strerror or "none") from error
+    known = list_configurations(package, task)
+    short = name.removeprefix(f"{task}-")
+    if short not in known:
+        near = difflib.get_close_matches(short, known, n=1)
+        hint = f" Did you mean '{near[0]}'?" if near else ""
+        raise UsageError(
+            f"--config: '{task}' has no configuration '{name}'.{hint} There are: {', '.join(known) or 'none'};"
+            " or give the path of a .toml file."
+        )
+    file = f"{task}-{short}.toml"
+    return Path(file), resources.files(package).joinpath(file).read_bytes()
+
+
+def _parsed(source: Path, content: bytes) -> dict[str, Any]:
+    try:
+        return tomllib.loads(content.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputFileError(source, "", expected="valid TOML", found=str(error)) from error
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys of ``above`` over those of ``below``, table by table."""
+    merged = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+
+def _override(key: str, text: str) -> dict[str, Any]:
+    """``training.steps``, ``100`` as nested tables."""
+    table, _, rest = key.partition(".")
+    if table not in TABLES or not rest:
+        raise UsageError(
+            f"--set {key}={text}: expected table.key=value with a table of {', '.join(TABLES)}, found '{key}'."
+        )
+    try:
+        return tomllib.loads(f"{key} = {text}")
+    except tomllib.TOMLDecodeError:
+        pass  # plain text needs no quotes on a command line
+    try:
+        return tomllib.loads(f"{key} = {_toml_value(text)}")
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"--set {key}={text}: expected table.key=value, found {error}.") from error
+
+
+def _toml_value(value: Any) -> str:
+    """A value in TOML; its strings and numbers are written as JSON writes them."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml_value(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    return msgspec.json.encode(value).decode()
