@@ -96,6 +96,18 @@ class RedistributionError(PrbenchError):
     exit_code = 10
 
 
+class TrainingError(PrbenchError):
+    """A training folder belongs to another training, or the training cannot go on."""
+
+    exit_code = 11
+
+
+class TrainingStopped(PrbenchError):
+    """A training was asked to stop, by SIGTERM or Ctrl-C, and has saved what it had; the same command goes on."""
+
+    exit_code = 143  # 128 + SIGTERM, as shells have it
+
+
 class MissingExtraError(PrbenchError):
     """An optional package is needed; the message holds the ``pip install`` line that helps."""
 
