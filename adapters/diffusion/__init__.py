@@ -1,0 +1,1 @@
+"""The shared core of the diffusion methods: denoiser, schedule, sampling, guidance, noise optimisation, training."""

@@ -1,0 +1,73 @@
+"""What a denoiser is made of: one frozen record, stored as JSON beside its weights."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
+
+_POSE = 66  # 22 joints with x, y, z
+_GOAL_SIZE = {"none": 0, "pose": _POSE, "location": 3}
+
+
+class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Architecture, conditions and data of a denoiser (``methods/mdm.md``, ``methods/pr-model.md`` section 2).
+
+    The defaults are the sizes of the paper: decoder, DistilBERT's word tokens, T = 50, conditions added to the memory.
+
+    Raises:
+        ValueError: for sizes that do not fit together.
+    """
+
+    architecture: Literal["decoder", "encoder"] = "decoder"
+    width: int = 512
+    heads: int = 4
+    layers: int = 8
+    feed_forward: int = 1024
+    dropout: float = 0.1
+    text_encoder: str = "distilbert"
+    text_dimension: int = 768
+    text_tokens: Literal["all", "pooled"] = "all"
+    """One memory token per word piece, or their mean; the encoder architecture always takes the mean."""
+    goal: Literal["none", "pose", "location"] = "none"
+    injection: Literal["addition", "cross-attention"] = "addition"
+    dropped: tuple[ConditionPart, ...] = ()
+    """Conditions that the model never sees, in training and later (*Prime and Reach*, table 3)."""
+    condition_scaling: Literal["standardised", "none"] = "standardised"
+    diffusion_steps: int = 50
+    representation: Literal["continuous", "reference"] = "continuous"
+    fps: float = 20.0
+    max_frames: int = 241
+    time_in_frames: bool = False
+    """Whether the time token is also put in front of the frames of a decoder (``methods/mdm.md``, an option)."""
+    uniform_skeleton: bool = False
+    """Whether the features are those of bodies rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section 3)."""
+
+    def __post_init__(self) -> None:
+        for name in ("width", "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps", "max_frames"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        if self.width % self.heads or self.width % 2:
+            raise ValueError(f"'width' must be even and a multiple of 'heads' ({self.heads}), found {self.width}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
+        if self.fps <= 0:
+            raise ValueError(f"'fps' must be positive, found {self.fps}")
+
+    @property
+    def condition_parts(self) -> dict[ConditionPart, slice]:
+        """Where the initial pose, the initial velocity and the goal stand in the condition vector."""
+        if self.goal == "none":
+            return {}
+        return {
+            "initial_pose": slice(0, _POSE),
+            "initial_velocity": slice(_POSE, 2 * _POSE),
+            "goal": slice(2 * _POSE, self.condition_size),
+        }
+
+    @property
+    def condition_size(self) -> int:
+        """Numbers in the condition vector: 0 without a goal, 135 with a goal location, 198 with a goal pose."""
+        return 0 if self.goal == "none" else 2 * _POSE + _GOAL_SIZE[self.goal]

@@ -1,0 +1,156 @@
+"""The x0-predicting transformer shared by MDM, DNO and P&R (``methods/mdm.md``, ``methods/pr-model.md`` section 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from prbench.representation.features import N_FEATURES
+from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.injection import Addition, CrossAttentionInjection
+from prbench_adapters.diffusion.layers import KeysValues, TransformerLayer, sinusoid_table
+
+
+@dataclass(frozen=True)
+class PreparedCondition:
+    """Everything that a pass takes from condition and step: computed once, used for as many passes as wanted."""
+
+    front: Float[Tensor, "batch 1 width"] | None
+    """The token put in front of the frames, if there is one."""
+    layers: tuple[KeysValues | Tensor | None, ...]
+    """Per layer: keys and values of the memory; the constant of a single memory token; None in an encoder."""
+    visible: Bool[Tensor, "batch 1 1 tokens"] | None
+    """Which memory tokens may be attended to; None for all of them."""
+
+
+class Denoiser(nn.Module):
+    """Estimates the clean motion features from noisy ones, the step, and the condition.
+
+    ``encoder``: one token (text + time + condition) in front of the frames. ``decoder``: the frames attend to memory
+    tokens, each Linear(text token) + time + condition.
+    """
+
+    def __init__(self, configuration: DenoiserConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        width = configuration.width
+        self.frame_embedding = nn.Linear(N_FEATURES, width)
+        self.time_embedding = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.text_embedding = nn.Linear(configuration.text_dimension, width)
+        injections = {"addition": Addition, "cross-attention": CrossAttentionInjection}
+        self.condition = injections[configuration.injection](configuration) if configuration.condition_size else None
+        self.dropout = nn.Dropout(configuration.dropout)
+        self.layers = nn.ModuleList(
+            TransformerLayer(
+                width,
+                configuration.heads,
+                configuration.feed_forward,
+                configuration.dropout,
+                cross_attention=configuration.architecture == "decoder",
+            )
+            for _ in range(configuration.layers)
+        )
+        self.head = nn.Linear(width, N_FEATURES)
+        rows = max(configuration.max_frames + 1, configuration.diffusion_steps)
+        self.register_buffer("sinusoid", sinusoid_table(rows, width), persistent=False)
+        self.sinusoid: Tensor
+
+    def forward(
+        self,
+        noisy: Float[Tensor, "batch frames 263"],
+        step: Int[Tensor, " batch"],
+        condition: EncodedCondition,
+        n_frames: Int[Tensor, " batch"],
+    ) -> Float[Tensor, "batch frames 263"]:
+        """Estimate the clean features.
+
+        Args:
+            noisy: Noisy normalised features x_t; what stands behind ``n_frames`` leaves no trace in what stands before.
+            step: Index t in the training schedule, 0 … T - 1.
+            condition: Text and condition vector.
+            n_frames: Valid frames of each row. If it lies on the CPU and all rows are full, no mask is applied.
+        """
+        return self.denoise(noisy, self.prepare(condition, step), frame_mask(n_frames, noisy.shape[1], noisy.device))
+
+    def denoise(
+        self,
+        noisy: Float[Tensor, "batch frames 263"],
+        prepared: PreparedCondition,
+        visible: Bool[Tensor, "batch frames"] | None,
+    ) -> Float[Tensor, "batch frames 263"]:
+        """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
+        stream = self.frame_embedding(noisy)
+        in_front = 0 if prepared.front is None else 1
+        if prepared.front is not None:
+            stream = torch.cat([prepared.front.to(stream.dtype), stream], dim=1)
+        if visible is not None:
+            visible = nn.functional.pad(visible, (in_front, 0), value=True)[:, None, None]
+        stream = self.dropout(stream + self.sinusoid[: stream.shape[1]])
+        for layer, memory in zip(self.layers, prepared.layers, strict=True):
+            stream = layer(stream, visible, memory, prepared.visible)
+        return self.head(stream[:, in_front:])
+
+    def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> PreparedCondition:
+        """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
+
+        A memory of one token becomes a constant per layer, except in training, where its queries and keys take part.
+        """
+        memory = self.memory(condition, step)
+        if self.configuration.architecture == "encoder":
+            return PreparedCondition(memory, (None,) * len(self.layers), None)
+        front = self._time(step).expand(len(condition), -1, -1) if self.configuration.time_in_frames else None
+        if memory.shape[1] == 1 and not self.training:
+            return PreparedCondition(
+                front, tuple(layer.cross_attention.of_one_token(memory) for layer in self.layers), None
+            )
+        visible = None if memory.shape[1] == 1 else token_mask(condition.padding)
+        layers = tuple(layer.cross_attention.keys_values(memory) for layer in self.layers)
+        return PreparedCondition(front, layers, visible)
+
+    def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch tokens width"]:
+        """Condition tokens: Linear(text) + time + the injected condition vector.
+
+        Raises:
+            ValueError: if the condition vector is missing, or given to a model that takes none.
+        """
+        if (condition.vector is None) is not (self.condition is None):
+            verb = "needs a condition vector" if self.condition is not None else "takes no condition vector"
+            raise ValueError(f"a denoiser with goal '{self.configuration.goal}' {verb}")
+        text = torch.zeros_like(condition.text) if "text" in self.configuration.dropped else condition.text
+        if self.configuration.architecture == "encoder" or self.configuration.text_tokens == "pooled":
+            text = pooled(text, condition.padding)
+        tokens = self.text_embedding(text) + self._time(step)
+        return tokens if self.condition is None else self.condition(tokens, condition.vector)
+
+    def _time(self, step: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1 width"]:
+        return self.time_embedding(self.sinusoid[step])[:, None]
+
+
+def frame_mask(
+    n_frames: Int[Tensor, " batch"], frames: int, device: torch.device
+) -> Bool[Tensor, "batch frames"] | None:
+    """True for valid frames. None if all are, which is only looked at on the CPU: elsewhere it would make the host wait."""
+    if n_frames.device.type == "cpu" and bool((n_frames >= frames).all()):
+        return None
+    return torch.arange(frames, device=device) < n_frames.to(device, non_blocking=True)[:, None]
+
+
+def token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
+    """True for the word pieces that may be attended to, the first one of a row always; None as in :func:`frame_mask`."""
+    if padding.device.type == "cpu" and not bool(padding[:, 1:].any()):
+        return None
+    visible = ~padding
+    visible[:, 0] = True
+    return visible[:, None, None]
+
+
+def pooled(
+    text: Float[Tensor, "batch tokens dimension"], padding: Bool[Tensor, "batch tokens"]
+) -> Float[Tensor, "batch 1 dimension"]:
+    """Mean over the word pieces of each row."""
+    weight = (~padding).to(text.dtype)[..., None]
+    return (text * weight).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True).clamp_min(1.0)
