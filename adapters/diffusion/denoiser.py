@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
-
-from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.injection import Addition, CrossAttentionInjection
 from prbench_adapters.diffusion.layers import KeysValues, TransformerLayer, sinusoid_table
+from torch import Tensor, nn
+
+from prbench.representation.features import N_FEATURES
 
 
 @dataclass(frozen=True)
@@ -133,14 +133,17 @@ class Denoiser(nn.Module):
 def frame_mask(
     n_frames: Int[Tensor, " batch"], frames: int, device: torch.device
 ) -> Bool[Tensor, "batch frames"] | None:
-    """True for valid frames. None if all are, which is only looked at on the CPU: elsewhere it would make the host wait."""
+    """True for valid frames; None if all are.
+
+    That is looked at only if ``n_frames`` lies on the CPU: elsewhere the host would have to wait for the device.
+    """
     if n_frames.device.type == "cpu" and bool((n_frames >= frames).all()):
         return None
     return torch.arange(frames, device=device) < n_frames.to(device, non_blocking=True)[:, None]
 
 
 def token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
-    """True for the word pieces that may be attended to, the first one of a row always; None as in :func:`frame_mask`."""
+    """True for the word pieces that may be attended to, among them the first of each row; None as in :func:`frame_mask`."""
     if padding.device.type == "cpu" and not bool(padding[:, 1:].any()):
         return None
     visible = ~padding

@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 
 from jaxtyping import Float
-from torch import Tensor, nn, softmax, stack
-
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from torch import Tensor, nn, softmax, stack
 
 
 class Addition(nn.Module):
@@ -25,6 +24,7 @@ class Addition(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "batch tokens width"], vector: Float[Tensor, "batch size"]
     ) -> Float[Tensor, "batch tokens width"]:
+        """Add the projected vector to every token."""
         return tokens + self.projection(vector)[:, None]
 
 
@@ -50,6 +50,7 @@ class CrossAttentionInjection(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "batch tokens width"], vector: Float[Tensor, "batch size"]
     ) -> Float[Tensor, "batch tokens width"]:
+        """Let every token look at the three parts of the vector."""
         parts = stack(
             [layer(vector[:, part]) for layer, part in zip(self.embeddings.values(), self.parts, strict=True)], dim=1
         )

@@ -29,6 +29,7 @@ class SelfAttention(nn.Module):
     def forward(
         self, stream: Float[Tensor, "batch length width"], visible: Bool[Tensor, "batch 1 1 length"] | None
     ) -> Float[Tensor, "batch length width"]:
+        """Attend; ``visible`` says which positions of the stream are keys."""
         query, key, value = _split_heads(self.query_key_value(stream), 3, self.heads)
         return self.output(_attend(query, key, value, visible, self.dropout if self.training else 0.0))
 
@@ -61,6 +62,7 @@ class CrossAttention(nn.Module):
         keys_values: KeysValues,
         visible: Bool[Tensor, "batch 1 1 tokens"] | None,
     ) -> Float[Tensor, "batch length width"]:
+        """Attend to what :meth:`keys_values` has made of the memory."""
         (query,) = _split_heads(self.query(stream), 1, self.heads)
         return self.output(_attend(query, *keys_values, visible, self.dropout if self.training else 0.0))
 
@@ -75,11 +77,12 @@ class FeedForward(nn.Module):
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, stream: Float[Tensor, "batch length width"]) -> Float[Tensor, "batch length width"]:
+        """Apply to every position by itself."""
         return self.contract(self.dropout(functional.gelu(self.expand(stream))))
 
 
 class TransformerLayer(nn.Module):
-    """Self-attention, then cross-attention (only in a decoder), then feed-forward; each residual and normalised after."""
+    """Self-attention, cross-attention (in a decoder only) and feed-forward, each residual and normalised afterwards."""
 
     def __init__(self, width: int, heads: int, feed_forward: int, dropout: float, *, cross_attention: bool) -> None:
         super().__init__()
