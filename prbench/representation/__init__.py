@@ -1,1 +1,36 @@
-"""Joints to 263 HumanML3D features and back (``formats/humanml3d.md``); torch only in :mod:`.tensors`."""
+"""22 joints to the 263 features of HumanML3D and back (``formats/humanml3d.md``).
+
+This is the NumPy side, which checks what it is given; the differentiable torch side is
+:mod:`prbench.representation.tensors`.
+"""
+
+from __future__ import annotations
+
+from prbench.representation.checks import check_joints
+from prbench.representation.clips import at_20_fps, canonicalise, every_stride, mirror
+from prbench.representation.decoding import decode, decode_rotations
+from prbench.representation.encoding import encode
+from prbench.representation.features import BLOCKS, N_FEATURES, REST_OFFSETS, Mode
+from prbench.representation.statistics import Statistics, StatisticsAccumulator
+from prbench.representation.uniform_skeleton import UniformSkeleton, rest_offsets, retarget, root_scale
+
+__all__ = [
+    "BLOCKS",
+    "N_FEATURES",
+    "REST_OFFSETS",
+    "Mode",
+    "Statistics",
+    "StatisticsAccumulator",
+    "UniformSkeleton",
+    "at_20_fps",
+    "canonicalise",
+    "check_joints",
+    "decode",
+    "decode_rotations",
+    "encode",
+    "every_stride",
+    "mirror",
+    "rest_offsets",
+    "retarget",
+    "root_scale",
+]

@@ -5,6 +5,7 @@ A row describes frame t and the step from t to t + 1, both seen from the body's 
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
@@ -86,7 +87,7 @@ def _rotation_parents() -> tuple[int, ...]:
     """Joint whose rotation each joint's rotation is relative to; the two arm chains start again from the root."""
     parents = [0] * N_JOINTS
     for chain in CHAINS:
-        for parent, child in zip(chain[1:-1], chain[2:]):
+        for parent, child in pairwise(chain[1:]):
             parents[child] = parent
     return tuple(parents)
 

@@ -125,6 +125,7 @@ def _headings(joints: torch.Tensor, mode: Mode) -> tuple[torch.Tensor, torch.Ten
     edged = pad(forward, (HEADING_RADIUS, HEADING_RADIUS), mode="replicate").flatten(0, 1)[:, None]
     smooth = conv1d(edged, kernel[None, None])[:, 0].unflatten(0, forward.shape[:2])
     x, z = _unit(smooth, dim=1).unbind(1)
+    z = torch.where((x == 0) & (z == 0), 1.0, z)  # no heading: not turned
 
     half = pad(0.5 * torch.atan2(-x, z)[:, 1:], (1, 0))
     turn = half.diff(dim=1)
