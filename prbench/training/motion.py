@@ -1,0 +1,100 @@
+"""A motion with its neighbours and goal, cut and mirrored without leaving the canonical frame."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.representation.features import Mode
+from prbench.skeleton import canonical_frame, invert_rigid, transform_points
+
+PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
+"""Joints that change places in a mirror: left and right of the same limb (``formats/humanml3d.md`` section 1)."""
+
+_LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Joints of one clip in its own canonical frame, metres, float32."""
+
+    joints: Float[np.ndarray, "n 22 3"]
+    previous_joints: Float[np.ndarray, "22 3"]
+    """The frame before the first."""
+    next_joints: Float[np.ndarray, "22 3"]
+    """The frame after the last, which the last feature row needs."""
+    goal_location: Float[np.ndarray, "3"]
+    """NaN where the motion has no goal."""
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of the motion itself."""
+        return len(self.joints)
+
+
+def cut(motion: Motion, start: int, n_frames: int) -> Motion:
+    """Frames ``start`` to ``start + n_frames``, in the canonical frame of the first one kept.
+
+    The frames next to the cut become the neighbours, so initial velocity and last feature row stay true; the goal moves
+    along. The lowest joint of the kept frames stands on Y = 0, as that of a table's row does.
+
+    Raises:
+        ValueError: if the first kept pose has no heading.
+    """
+    stop = start + n_frames
+    assert start >= 0
+    assert stop <= motion.n_frames
+    kept = motion.joints[start:stop].astype(np.float64)
+    canonical_from_motion = invert_rigid(canonical_frame(kept))
+
+    def moved(points: np.ndarray) -> np.ndarray:
+        return transform_points(canonical_from_motion, points.astype(np.float64)).astype(np.float32)
+
+    return Motion(
+        joints=moved(kept),
+        previous_joints=moved(motion.joints[start - 1] if start else motion.previous_joints),
+        next_joints=moved(motion.joints[stop] if stop < motion.n_frames else motion.next_joints),
+        goal_location=moved(motion.goal_location),
+    )
+
+
+def encoded(motion: Motion, mode: Mode) -> Float[np.ndarray, "n 263"]:
+    """Raw features, one row a frame, the last one with the step to the motion's own next frame.
+
+    Raises:
+        ValueError: if a pose cannot be encoded.
+    """
+    import torch
+
+    from prbench.representation.tensors import encode
+
+    joints, after = (torch.tensor(np.asarray(x)[None]) for x in (motion.joints, motion.next_joints))
+    return encode(joints, torch.tensor([motion.n_frames]), next_joints=after, mode=mode)[0].numpy()
+
+
+def mirrored(motion: Motion) -> Motion:
+    """The motion as a mirror shows it: x negated, left and right limbs exchanged; still in its canonical frame."""
+    order = np.arange(motion.joints.shape[1])
+    for left, right in PAIRS:
+        order[[left, right]] = right, left
+    flip = np.array([-1, 1, 1], dtype=np.float32)
+    return Motion(
+        joints=motion.joints[:, order] * flip,
+        previous_joints=motion.previous_joints[order] * flip,
+        next_joints=motion.next_joints[order] * flip,
+        goal_location=motion.goal_location * flip,
+    )
+
+
+def mirrored_text(text: str) -> str:
+    """A caption with its words left and right exchanged, capital letters kept."""
+
+    def exchanged(match: re.Match[str]) -> str:
+        word = match[1]
+        other = "right" if word.lower() == "left" else "left"
+        return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+
+    return _LEFT_RIGHT.sub(exchanged, text)

@@ -1,0 +1,182 @@
+"""Make the feature store of a table, or find the one that was made before."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.ipc
+
+from prbench.errors import TableError
+from prbench.representation.features import Mode
+from prbench.sequences import CorpusTable
+from prbench.sequences.arrow import column
+from prbench.sequences.rows import table_parts
+from prbench.storage import atomic_path, read_json, text_digest, write_json
+from prbench.training.feature_store import STORE, FeatureStore
+from prbench.training.motion import Motion, cut, encoded, mirrored, mirrored_text
+from prbench.training.rows import Row, Table, read_rows
+
+Crop = Literal["end", "random"]
+
+_VERSION = "1"  # of what is kept; raise it when cutting, mirroring or the columns change
+_ABANDONED_S = 3600.0
+"""A half-written file that nobody wrote to for so long was left by a process that was killed."""
+
+
+class LeftOut(msgspec.Struct, frozen=True):
+    """A row that training cannot use, and why."""
+
+    sequence_id: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How rows become items; stores of different encodings stand beside each other."""
+
+    split: str
+    mode: Mode
+    max_frames: int
+    crop: Crop
+    mirrored: bool
+
+
+@dataclass(frozen=True)
+class TableStore:
+    """The opened store of one table, and the rows that are not in it."""
+
+    table: Table
+    store: FeatureStore
+    left_out: tuple[LeftOut, ...]
+
+
+def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
+    """Open the store of a table; where there is none yet, or the table has changed, make it.
+
+    Args:
+        table: The table.
+        encoding: How its rows become items.
+        cache: Folder of the stores.
+
+    Raises:
+        TableError: if the rows are not those that the table's own description promises, or none of them can be used.
+        StorageError: if the store cannot be written.
+    """
+    path = cache / f"{_key(table, encoding)}.arrow"
+    report = path.with_suffix(".json")
+    if not (path.is_file() and report.is_file()):
+        _make(table, encoding, path, report)
+    notes = msgspec.convert(read_json(report), _Notes)
+    if notes.files != _files(table):
+        assert table.content  # raises unless another copy of the same table, whose rows are the same
+    return TableStore(table, FeatureStore(path), notes.left_out)
+
+
+class _Notes(msgspec.Struct, frozen=True):
+    """What is known of a store beside its rows."""
+
+    files: list[tuple[int, int]]
+    """Size and time of change of the table's files when the store was made."""
+    left_out: tuple[LeftOut, ...]
+
+
+def _files(table: Table) -> list[tuple[int, int]]:
+    name = "clips" if isinstance(table, CorpusTable) else "sequences"
+    return [(path.stat().st_size, path.stat().st_mtime_ns) for path in table_parts(table.folder, name)]
+
+
+def _key(table: Table, encoding: Encoding) -> str:
+    parts = (encoding.split, encoding.mode, encoding.max_frames, encoding.crop, encoding.mirrored)
+    digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, parts))
+    return f"{table.info.dataset}-{encoding.split}-{digest[:24]}"
+
+
+def _representation_digest() -> str:
+    """Digest of the source files of the representation: features that other code made are never taken over."""
+    digest = hashlib.sha256()
+    for file in sorted(resources.files("prbench.representation").iterdir(), key=lambda entry: entry.name):
+        if file.name.endswith(".py"):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _make(table: Table, encoding: Encoding, path: Path, report: Path) -> None:
+    assert table.content  # raises if the rows were changed after the build
+    files = _files(table)
+    _remove_abandoned(path)
+    left_out: list[LeftOut] = []
+    kept = 0
+    with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), STORE) as writer:
+        for rows in read_rows(table, encoding.split):
+            batch = _encoded_rows(rows, encoding, left_out)
+            if batch.num_rows:
+                writer.write_batch(batch)
+            kept += batch.num_rows
+        if not kept:
+            example = f" First of them: {left_out[0].sequence_id}: {left_out[0].reason}." if left_out else ""
+            raise TableError(
+                f"{table.folder}: expected rows of split '{encoding.split}' to train on,"
+                f" found {len(left_out)} that cannot be used.{example}"
+            )
+        write_json(report, msgspec.to_builtins(_Notes(files, tuple(left_out))))
+
+
+def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) -> pa.RecordBatch:
+    """The rows of the store for some rows of a table; those that cannot be used are noted instead."""
+    stored: list[tuple[Row, np.ndarray]] = []
+    for row in rows:
+        try:
+            stored += [(each, _features(each.motion, encoding)) for each in _versions(row, encoding)]
+        except ValueError as error:
+            left_out.append(LeftOut(row.sequence_id, str(error)))
+    motions = [row.motion for row, _ in stored]
+    columns: dict[str, list] = {
+        "sequence_id": [row.sequence_id for row, _ in stored],
+        "texts": [list(row.texts) for row, _ in stored],
+        "n_frames": [motion.n_frames for motion in motions],
+        "joints": [motion.joints.reshape(motion.n_frames, -1) for motion in motions],
+        "previous_joints": [motion.previous_joints for motion in motions],
+        "next_joints": [motion.next_joints for motion in motions],
+        "goal_location": [motion.goal_location for motion in motions],
+        "features": [features for _, features in stored],
+    }
+    arrays = [
+        pa.array(columns[name], type=STORE.field(name).type)
+        if name == "texts"
+        else column(columns[name], STORE.field(name).type)
+        for name in STORE.names
+    ]
+    return pa.RecordBatch.from_arrays(arrays, schema=STORE)
+
+
+def _versions(row: Row, encoding: Encoding) -> list[Row]:
+    """The row as items will show it, cut to its end where that is asked for, and its mirrored copy."""
+    motion, longest = row.motion, encoding.max_frames
+    if motion.n_frames > longest and encoding.crop == "end":
+        row = Row(row.sequence_id, row.texts, cut(motion, motion.n_frames - longest, longest))
+    if not encoding.mirrored:
+        return [row]
+    texts = tuple(mirrored_text(text) for text in row.texts)
+    return [row, Row(f"{row.sequence_id}#mirrored", texts, mirrored(row.motion))]
+
+
+def _features(motion: Motion, encoding: Encoding) -> np.ndarray:
+    """Features of a motion that is not longer than an item may be; none of a longer one, whose crops are encoded."""
+    if motion.n_frames > encoding.max_frames:
+        return np.empty((0, STORE.field("features").type.value_type.list_size), dtype=np.float32)
+    return encoded(motion, encoding.mode)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Delete what a killed process left half-written of this store; another process may be writing it right now."""
+    for left in path.parent.glob(f".{path.stem}-*.partial.arrow") if path.parent.is_dir() else ():
+        if time.time() - left.stat().st_mtime > _ABANDONED_S:
+            left.unlink(missing_ok=True)
