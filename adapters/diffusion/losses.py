@@ -1,0 +1,78 @@
+"""What training minimises: squared errors of features and of joints over the valid frames.
+
+``methods/pr-model.md`` section 4 (*Prime and Reach*, section 4.2: L + L_joint). Both sums are divided by
+263 x valid frames, which keeps the study's ratio between them and MDM's scale.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+import torch
+from jaxtyping import Bool, Float
+
+from prbench.representation.features import N_FEATURES
+
+
+class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The losses and how often the text is hidden."""
+
+    joint_loss_weight: float = 1.0
+    """Of L_joint in square metres; 0 trains on features alone (table S5)."""
+    velocity_loss_weight: float = 0.0
+    """Of the squared error of joint displacements between neighbouring frames, square metres; not in the study."""
+    text_drop: float = 0.2
+    """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
+    loss_average: Literal["frames", "sequences"] = "frames"
+    """Whether a batch is averaged over its frames (P&R) or over its sequences (MDM, ``methods/mdm.md``)."""
+
+
+def losses(
+    objective: Objective,
+    predicted: Float[torch.Tensor, "batch frames features"],
+    clean: Float[torch.Tensor, "batch frames features"],
+    predicted_joints: Float[torch.Tensor, "batch frames 22 3"],
+    joints: Float[torch.Tensor, "batch frames 22 3"],
+    padding: Bool[torch.Tensor, "batch frames"],
+) -> dict[str, torch.Tensor]:
+    """The weighted sum ``loss`` and its parts ``features``, ``joints`` and ``velocities``, unweighted.
+
+    Args:
+        objective: The weights.
+        predicted: The network's clean features, standardised.
+        clean: The recorded ones.
+        predicted_joints: Decoded from the prediction, metres.
+        joints: The recorded ones, same frame.
+        padding: True where there is no frame; whatever stands there leaves no trace.
+    """
+    valid = ~padding
+    displacement = (predicted_joints - joints).diff(dim=1)
+    parts = {
+        "features": _average(objective, _squared(predicted - clean, valid), valid),
+        "joints": _average(objective, _squared(predicted_joints - joints, valid), valid),
+        "velocities": _average(objective, _squared(displacement, valid[:, 1:]), valid),
+    }
+    total = (
+        parts["features"]
+        + objective.joint_loss_weight * parts["joints"]
+        + objective.velocity_loss_weight * parts["velocities"]
+    )
+    return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
+
+
+def _squared(
+    error: Float[torch.Tensor, "batch frames *value"], valid: Bool[torch.Tensor, "batch frames"]
+) -> Float[torch.Tensor, " batch"]:
+    """Sum of the squares of each sequence over its valid frames."""
+    per_frame = error.square().flatten(2).sum(dim=2)
+    return torch.where(valid, per_frame, 0.0).sum(dim=1)
+
+
+def _average(
+    objective: Objective, summed: Float[torch.Tensor, " batch"], valid: Bool[torch.Tensor, "batch frames"]
+) -> Float[torch.Tensor, ""]:
+    frames = valid.sum(dim=1)
+    if objective.loss_average == "sequences":
+        return (summed / (N_FEATURES * frames)).mean()
+    return summed.sum() / (N_FEATURES * frames.sum())

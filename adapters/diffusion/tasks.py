@@ -1,0 +1,179 @@
+"""The training tasks ``mdm`` and ``pr``: from a ``[model]`` table, data and initial weights to a module to train."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+from prbench_adapters.diffusion.condition_vector import ConditionScaling
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.losses import Objective
+from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.training import KIND, DiffusionTraining
+
+from prbench.errors import InputFileError, UsageError
+from prbench.representation.features import N_FEATURES
+from prbench.text import text_encoder
+from prbench.training.task import TrainingData
+from prbench.training.weights import Weights, read_weights
+
+FREE_TO_CHANGE = frozenset({"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames"})
+"""What fine-tuning may set otherwise than the weights that it starts from."""
+
+
+@dataclass(frozen=True)
+class DiffusionTask:
+    """A training task (:class:`prbench.training.task.TrainingTask`)."""
+
+    name: str
+    goals: tuple[str, ...]
+    """Kinds of goal that its models may have once they are fine-tuned."""
+    configurations: str = "prbench_adapters.configurations"
+
+    def build(
+        self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
+    ) -> DiffusionTraining:
+        """Make the denoiser in its state before the first step.
+
+        Statistics of features, and of the condition vector, come from the initial weights where these have them, else
+        from the training split (``methods/pr-model.md`` section 3).
+
+        Args:
+            model: Keys of :class:`DenoiserConfiguration` and of :class:`Objective`.
+            data: The training split.
+            initial: Weights to start from; parameters that they lack start as the network makes them.
+            stage: ``pretrain`` or ``finetune``.
+
+        Raises:
+            UsageError: if the table does not describe such a model, or the data do not fit it.
+            InputFileError: if the initial weights do not fit it.
+        """
+        configuration, objective = read_model_table(model)
+        self._require_fit(configuration, data, stage)
+        texts = _text_vectors(configuration)
+        start = read_weights(initial, kind=KIND) if initial is not None else None
+        denoiser = Denoiser(configuration)
+        if start is not None:
+            continue_from(denoiser, start)
+        return DiffusionTraining(
+            denoiser,
+            statistics=_statistics(start, data),
+            scaling=_scaling(configuration, start, data),
+            texts=texts,
+            objective=objective,
+            origin=_origin(configuration, start),
+        )
+
+    def _require_fit(self, configuration: DenoiserConfiguration, data: TrainingData, stage: str) -> None:
+        allowed = ("none", *self.goals) if stage == "pretrain" or not self.goals else self.goals
+        if configuration.goal not in allowed:
+            raise UsageError(
+                f"--method {self.name} --stage {stage}: expected model.goal to be {' or '.join(allowed)},"
+                f" found '{configuration.goal}'."
+            )
+        for key, wanted, found in (
+            ("data.mode", configuration.representation, data.mode),
+            ("frames per second of the tables", configuration.fps, data.fps),
+        ):
+            if wanted != found:
+                raise UsageError(f"{key}: the model expects {wanted}, found {found}. Change one of the two.")
+        if data.max_frames > configuration.max_frames:
+            raise UsageError(
+                f"data.max_frames: expected at most the model's {configuration.max_frames}, found {data.max_frames}."
+                " Lower it, or raise model.max_frames."
+            )
+
+
+def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, Objective]:
+    """Split the table ``[model]`` into the network and what it is trained for.
+
+    Raises:
+        UsageError: for an unknown key or a value of a wrong kind.
+    """
+    trained_for = {key: value for key, value in model.items() if key in Objective.__struct_fields__}
+    network = {key: value for key, value in model.items() if key not in trained_for}
+    try:
+        return msgspec.convert(network, DenoiserConfiguration), msgspec.convert(trained_for, Objective)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"[model]: {error}.") from error
+
+
+def continue_from(denoiser: Denoiser, start: Weights) -> None:
+    """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start.
+
+    Raises:
+        InputFileError: if the weights are of another architecture, or were trained for another goal.
+    """
+    old, new = start.configuration(DenoiserConfiguration), denoiser.configuration
+    changed = [
+        name
+        for name in DenoiserConfiguration.__struct_fields__
+        if name not in FREE_TO_CHANGE and getattr(old, name) != getattr(new, name)
+    ]
+    if old.goal != "none":
+        changed += [name for name in ("goal", "injection") if getattr(old, name) != getattr(new, name)]
+    if changed:
+        name = changed[0]
+        raise InputFileError(
+            start.path,
+            f"configuration.{name}",
+            expected=f"{getattr(new, name)}, as in the configuration of this training",
+            found=f"{getattr(old, name)}",
+            remedy=f"Add --set model.{name}={getattr(old, name)}, or start from other weights.",
+        )
+    trained = Denoiser(old)
+    start.load_into(trained, "denoiser")
+    denoiser.load_state_dict(trained.state_dict(), strict=False)
+
+
+def _text_vectors(configuration: DenoiserConfiguration) -> TextVectors:
+    encoder = text_encoder(configuration.text_encoder)
+    if encoder.dimension != configuration.text_dimension:
+        raise UsageError(
+            f"model.text_dimension: the text encoder '{encoder.name}' has vectors of {encoder.dimension} numbers,"
+            f" found {configuration.text_dimension}."
+        )
+    return TextVectors(encoder)
+
+
+def _statistics(start: Weights | None, data: TrainingData) -> tuple[torch.Tensor, torch.Tensor]:
+    if start is not None:
+        shape = (N_FEATURES,)
+        return start.require("statistics.mean", shape), start.require("statistics.std", shape)
+    found = data.train.statistics()
+    return torch.as_tensor(found.mean), torch.as_tensor(found.std)
+
+
+def _scaling(
+    configuration: DenoiserConfiguration, start: Weights | None, data: TrainingData
+) -> ConditionScaling | None:
+    if configuration.goal == "none":
+        return None
+    found = data.train.condition_statistics(configuration.goal)  # refuses data without goals, whatever we start from
+    mean, std = torch.as_tensor(found.mean), torch.as_tensor(found.std)
+    if start is not None and start.part("condition"):
+        size = (configuration.condition_size,)
+        mean, std = start.require("condition.mean", size), start.require("condition.std", size)
+    return ConditionScaling.of(configuration, mean, std)
+
+
+def _origin(configuration: DenoiserConfiguration, start: Weights | None) -> tuple[str, ...]:
+    lines = [f"text encoder {configuration.text_encoder} (frozen)"]
+    if start is not None:
+        lines.append(f"initial weights {start.path.name}, sha256 {start.digest}")
+    return tuple(lines)
+
+
+def mdm() -> DiffusionTask:
+    """Entry point ``mdm``: text to motion; pre-training and fine-tuning alike."""
+    return DiffusionTask("mdm", goals=())
+
+
+def pr() -> DiffusionTask:
+    """Entry point ``pr``: text, initial state and goal; its pre-training may be that of ``mdm``."""
+    return DiffusionTask("pr", goals=("pose", "location"))
