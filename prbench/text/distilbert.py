@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +25,17 @@ HUB_ID = "distilbert/distilbert-base-uncased"
 VARIABLE = "PRBENCH_DISTILBERT"
 """Environment variable: a local folder or a hub id."""
 DIMENSION = 768
+_HUB_ID = re.compile(r"[\w.-]+(/[\w.-]+)?")
 MOST_PIECES = 512
 """DistilBERT has no more positions; longer texts are cut."""
-BATCH = 64
+MOST_KEPT = 65536
+"""Distinct texts whose vectors are kept in memory (about 35 kB each)."""
 
 
 class DistilBert:
-    """Frozen DistilBERT on the CPU in float32; every distinct text is encoded once and kept.
+    """Frozen DistilBERT on the CPU in float32.
+
+    Texts go through the network one by one and are kept, so that a vector depends on its text alone, to the last bit.
 
     Args:
         path: A local folder (``config.json``, ``model.safetensors``, ``tokenizer.json`` or ``vocab.txt``) or a hub
@@ -47,7 +53,7 @@ class DistilBert:
             raise MissingExtraError("transformers", "text", f"the text encoder '{NAME}'")
         self.source = str(path or os.environ.get(VARIABLE) or HUB_ID)
         self._loaded: tuple[Any, Any] | None = None
-        self._known: dict[str, Float[np.ndarray, "pieces 768"]] = {}
+        self._vectors = lru_cache(maxsize=MOST_KEPT)(self._encode_one)
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
         """The vectors of all word pieces of each text (see :class:`prbench.text.TextEncoder`).
@@ -55,29 +61,28 @@ class DistilBert:
         Raises:
             InputFileError: if the model's files cannot be found or are not DistilBERT base's.
         """
-        missing = sorted({text for text in texts if text not in self._known}, key=len)
-        for start in range(0, len(missing), BATCH):
-            self._learn(missing[start : start + BATCH])
-        return padded([self._known[text] for text in texts], DIMENSION)
+        return padded([self._vectors(text) for text in texts], DIMENSION)
 
-    def _learn(self, texts: list[str]) -> None:
+    def _encode_one(self, text: str) -> Float[np.ndarray, "pieces 768"]:
         import torch
 
         tokenizer, model = self._loaded or self._load()
-        pieces = tokenizer(texts, padding=True, truncation=True, max_length=MOST_PIECES, return_tensors="pt")
+        pieces = tokenizer([text], truncation=True, max_length=MOST_PIECES, return_tensors="pt")
         with torch.inference_mode():
             states = model(input_ids=pieces["input_ids"], attention_mask=pieces["attention_mask"]).last_hidden_state
-        valid = pieces["attention_mask"].bool().numpy()
-        for text, vectors, real in zip(texts, states.float().numpy(), valid):
-            self._known[text] = vectors[real].copy()
+        return states[0].float().numpy()
 
     def _load(self) -> tuple[Any, Any]:
-        from transformers import AutoTokenizer, DistilBertModel
+        local = Path(self.source).is_dir()
+        if not local and _HUB_ID.fullmatch(self.source) is None:
+            raise self._unusable("no such folder")
+        from transformers import DistilBertModel, DistilBertTokenizerFast
 
+        careful: dict[str, Any] = {"trust_remote_code": False, "local_files_only": local}
         try:
-            tokenizer = AutoTokenizer.from_pretrained(self.source, trust_remote_code=False)
-            model = DistilBertModel.from_pretrained(self.source, use_safetensors=True, trust_remote_code=False)
-        except (OSError, ValueError, KeyError) as error:
+            tokenizer = DistilBertTokenizerFast.from_pretrained(self.source, **careful)
+            model = DistilBertModel.from_pretrained(self.source, use_safetensors=True, **careful)
+        except (OSError, ValueError, KeyError, RuntimeError) as error:
             raise self._unusable(f"none that can be loaded ({_first_line(error)})") from error
         if model.config.dim != DIMENSION:
             raise self._unusable(f"a model of dimension {model.config.dim}")
