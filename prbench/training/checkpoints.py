@@ -1,0 +1,91 @@
+"""Checkpoints: a folder each, ``safetensors`` and JSON, written whole; the newest ones are kept."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import safetensors.torch
+from safetensors import SafetensorError
+
+from prbench.errors import InputFileError, TrainingError
+from prbench.storage import atomic_folder, read_json, write_json
+from prbench.training.state import Tally, TrainingState
+
+KEPT = 2
+_TENSORS, _STATE = "tensors.safetensors", "state.json"
+_NAME = re.compile(r"step-(\d{9})")
+
+
+class Checkpoints:
+    """The checkpoints of one training folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def steps(self) -> list[int]:
+        """Steps that there is a checkpoint of, ascending."""
+        names = (_NAME.fullmatch(path.name) for path in self.folder.glob("step-*") if path.is_dir())
+        return sorted(int(match[1]) for match in names if match)
+
+    def save(self, state: TrainingState) -> None:
+        """Write a checkpoint, then delete the old ones.
+
+        Raises:
+            StorageError: if it cannot be written; the earlier ones stay.
+        """
+        tensors = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in state.tensors().items()}
+        with atomic_folder(self._path(state.step)) as temporary:
+            safetensors.torch.save_file(tensors, temporary / _TENSORS)
+            write_json(temporary / _STATE, _described(state))
+        for step in self.steps()[:-KEPT]:
+            shutil.rmtree(self._path(step), ignore_errors=True)
+
+    def restore(self, state: TrainingState) -> bool:
+        """Put the newest checkpoint into ``state``; false if there is none.
+
+        Raises:
+            InputFileError: if it is damaged.
+            TrainingError: if it is of another network.
+        """
+        steps = self.steps()
+        if not steps:
+            return False
+        folder = self._path(steps[-1])
+        try:
+            tensors = safetensors.torch.load_file(folder / _TENSORS)
+        except (SafetensorError, OSError) as error:
+            raise InputFileError(
+                folder / _TENSORS,
+                "",
+                expected="a checkpoint",
+                found=str(error),
+                remedy=f"Delete the folder {folder}; the one before it is used then.",
+            ) from error
+        _restore_described(state, read_json(folder / _STATE), folder)
+        state.load_tensors(tensors)
+        return True
+
+    def _path(self, step: int) -> Path:
+        return self.folder / f"step-{step:09d}"
+
+
+def _described(state: TrainingState) -> dict[str, object]:
+    return {
+        "step": state.step,
+        "seconds": state.seconds,
+        "waited": state.waited,
+        "tally": {"losses": state.tally.losses, "steps": state.tally.steps},
+        "rows": state.rows,
+        "validations": state.validations,
+    }
+
+
+def _restore_described(state: TrainingState, described: object, folder: Path) -> None:
+    if not isinstance(described, dict) or "step" not in described:
+        raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
+    state.step = described["step"]
+    state.seconds, state.waited = described["seconds"], described["waited"]
+    state.tally = Tally(**described["tally"])
+    state.rows, state.validations = described["rows"], described["validations"]

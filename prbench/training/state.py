@@ -1,0 +1,90 @@
+"""Everything that changes while training goes on, and all that a checkpoint has to hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+
+from prbench.errors import TrainingError
+from prbench.training.average import WeightAverage
+from prbench.training.task import TrainingModule
+
+Row = dict[str, float]
+"""One line of the log: ``step`` and what was measured there, by name."""
+
+
+@dataclass
+class Tally:
+    """Sums since the last line of the log, so that a line means the same in a resumed run."""
+
+    losses: dict[str, float] = field(default_factory=dict)
+    steps: int = 0
+
+    def means(self) -> dict[str, float]:
+        """Mean of every loss."""
+        return {name: total / self.steps for name, total in self.losses.items()}
+
+
+@dataclass
+class TrainingState:
+    """A training between two steps."""
+
+    module: TrainingModule
+    optimiser: torch.optim.AdamW
+    average: WeightAverage
+    step: int = 0
+    """Steps done."""
+    seconds: float = 0.0
+    """Spent in training, all sessions together; validation and saving apart."""
+    waited: float = 0.0
+    """Of these, seconds without a batch to work on."""
+    tally: Tally = field(default_factory=Tally)
+    rows: list[Row] = field(default_factory=list)
+    """The log so far."""
+    validations: list[Row] = field(default_factory=list)
+
+    @property
+    def waiting(self) -> float:
+        """Fraction of the time that was spent waiting for data."""
+        return self.waited / self.seconds if self.seconds > 0 else 0.0
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Trained parameters and buffers, their averages and their moments, by name; frozen parameters stay out."""
+        module, tensors = self.module, {}
+        frozen = {name for name, parameter in module.named_parameters() if not parameter.requires_grad}
+        for name, tensor in module.state_dict().items():
+            if name not in frozen:
+                tensors[f"module.{name}"] = tensor
+        for name, parameter in self.average.parameters.items():
+            tensors[f"average.{name}"] = self.average.averages[name]
+            for moment, tensor in self.optimiser.state.get(parameter, {}).items():
+                tensors[f"optimiser.{moment}.{name}"] = tensor
+        return tensors
+
+    @torch.no_grad()
+    def load_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Put the tensors of a checkpoint in place.
+
+        Raises:
+            TrainingError: if they are those of another network.
+        """
+        own = self.tensors()
+        wanted = {name for name in own if not name.startswith("optimiser.")}
+        found = {name for name in tensors if not name.startswith("optimiser.")}
+        odd = sorted(wanted ^ found) or sorted(name for name in wanted if own[name].shape != tensors[name].shape)
+        if odd:
+            raise TrainingError(
+                f"the checkpoint does not fit the network: '{odd[0]}' is missing, unknown or of another shape."
+                " The code of the task has changed since; start again in another folder."
+            )
+        for name in wanted:
+            own[name].copy_(tensors[name])
+        for name, parameter in self.average.parameters.items():
+            moments = {
+                key: tensors[f"optimiser.{key}.{name}"].to(parameter.device, copy=True)
+                for key in ("step", "exp_avg", "exp_avg_sq")
+                if f"optimiser.{key}.{name}" in tensors
+            }
+            if moments:
+                self.optimiser.state[parameter] = moments
