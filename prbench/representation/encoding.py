@@ -75,19 +75,37 @@ def _headings(motion: np.ndarray, mode: Mode) -> tuple[np.ndarray, np.ndarray, n
     Two quirks of the original are part of the representation: the hips enter with the opposite sign of
     :func:`prbench.skeleton.facing_yaw`, and frame 0 is not turned at all.
     """
+    if mode == "reference":
+        return _reference_headings(_forward(motion.astype(np.float32)))
+    x, z = _forward(motion).T
+    x[0], z[0] = 0.0, 1.0
+    turns = np.diff(0.5 * np.arctan2(-x, z))
+    return z, -x, turns - np.pi * np.round(turns / np.pi)
+
+
+def _reference_headings(forward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Headings through quaternions (w, y) of positive w and in single precision, to the rounding of the original.
+
+    Opposite to +Z w comes close to 0: there the original's rounding is larger than the tolerance of a comparison.
+    """
+    x, z = forward.T
+    w, y = np.sqrt(x**2 + z**2) + z, -x
+    length = np.sqrt(w**2 + y**2)
+    y[length == 0], length[length == 0] = 1.0, 1.0  # exactly opposite: half a turn
+    w, y = w / length, y / length
+    w[0], y[0] = 1.0, 0.0
+    return w**2 - y**2, 2 * w * y, np.arcsin(np.clip(y[1:] * w[:-1] - w[1:] * y[:-1], -1, 1))
+
+
+def _forward(motion: np.ndarray) -> np.ndarray:
+    """Smoothed x and z (N, 2) of the unit forward vector Y x across; +Z without any heading."""
     hips = motion[:, Joint.LEFT_HIP] - motion[:, Joint.RIGHT_HIP]
     shoulders = motion[:, Joint.RIGHT_SHOULDER] - motion[:, Joint.LEFT_SHOULDER]
     across = _unit(hips + shoulders)
-    forward = np.stack([across[:, 2], -across[:, 0]], axis=1)  # x and z of Y x across
+    forward = np.stack([across[:, 2], -across[:, 0]], axis=1)
     forward = _unit(correlate1d(forward, heading_kernel(), axis=0, mode="nearest"))
-    forward[~forward.any(axis=1)] = 0.0, 1.0  # no heading: not turned
-    forward[0] = 0.0, 1.0
-
-    x, z = forward.T
-    turns = np.diff(0.5 * np.arctan2(-x, z))
-    if mode == "continuous":
-        return z, -x, turns - np.pi * np.round(turns / np.pi)
-    return z, -x, np.arcsin(np.sin(turns))
+    forward[~forward.any(axis=1)] = 0.0, 1.0
+    return forward
 
 
 def _rotations(frames: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:

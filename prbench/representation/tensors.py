@@ -44,6 +44,7 @@ def decode(features: Float[torch.Tensor, "*batch frames 263"]) -> Float[torch.Te
     """
     if features.dtype not in (torch.float32, torch.float64):
         features = features.float()
+    features = features[..., : JOINT_POSITIONS.stop]
     steps = pad(features[..., :-1, :3].movedim(-1, 0), (1, 0))  # each frame's step from the one before
     turn = 2 * steps[0].cumsum(-1)
     cos, sin = turn.cos(), turn.sin()
@@ -127,13 +128,22 @@ def _headings(joints: torch.Tensor, mode: Mode) -> tuple[torch.Tensor, torch.Ten
     x, z = _unit(smooth, dim=1).unbind(1)
     z = torch.where((x == 0) & (z == 0), 1.0, z)  # no heading: not turned
 
+    if mode == "reference":
+        return _reference_headings(x, z)
     half = pad(0.5 * torch.atan2(-x, z)[:, 1:], (1, 0))
     turn = half.diff(dim=1)
-    if mode == "continuous":
-        turn = turn - torch.pi * (turn / torch.pi).round().detach()
-    else:
-        turn = torch.asin(turn.sin().clamp(-1.0, 1.0))
+    turn = turn - torch.pi * (turn / torch.pi).round().detach()
     return pad(z[:, 1:], (1, 0), value=1.0), pad(-x[:, 1:], (1, 0)), turn
+
+
+def _reference_headings(x: torch.Tensor, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Headings through quaternions (w, y) of positive w, which rounds as the original does opposite to +Z."""
+    w, y = (x.square() + z.square()).sqrt() + z, -x
+    opposite = (w == 0) & (y == 0)
+    w, y = _unit(torch.stack((w, torch.where(opposite, 1.0, y))), dim=0)
+    w, y = pad(w[:, 1:], (1, 0), value=1.0), pad(y[:, 1:], (1, 0))
+    turn = torch.asin((y[:, 1:] * w[:, :-1] - w[:, 1:] * y[:, :-1]).clamp(-1.0, 1.0))
+    return w.square() - y.square(), 2 * w * y, turn
 
 
 def _rotations(joints: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> torch.Tensor:
