@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.injection import Addition, CrossAttentionInjection
-from prbench_adapters.diffusion.layers import KeysValues, TransformerLayer, sinusoid_table
+from prbench_adapters.diffusion.layers import CrossAttention, KeysValues, TransformerLayer, sinusoid_table
 from torch import Tensor, nn
 
 from prbench.representation.features import N_FEATURES
@@ -143,7 +143,7 @@ def frame_mask(
 
 
 def token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
-    """True for the word pieces that may be attended to, among them the first of each row; None as in :func:`frame_mask`."""
+    """True for word pieces that may be attended to, among them the first of each row; None as in :func:`frame_mask`."""
     if padding.device.type == "cpu" and not bool(padding[:, 1:].any()):
         return None
     visible = ~padding
