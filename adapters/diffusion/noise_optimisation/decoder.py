@@ -1,0 +1,103 @@
+"""The map from noise to motion: an unrolled deterministic chain of a frozen denoiser, differentiable end to end."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int
+from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.guidance import guided
+from prbench_adapters.diffusion.noise_optimisation.objective import Joints
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.sampling import sample_ddim
+from prbench_adapters.diffusion.schedule import CosineSchedule
+
+Noise = Float[torch.Tensor, "batch frames features"]
+
+
+@runtime_checkable
+class FrozenModel(Protocol):
+    """What of a ``MotionModel`` the optimisation needs."""
+
+    @property
+    def denoiser(self) -> Denoiser:
+        """The network, in evaluation mode, its weights without gradients."""
+        ...
+
+    def joints(self, normalised: Float[torch.Tensor, "batch frames 263"]) -> Joints:
+        """Joints of standardised features, canonical frame, metres."""
+        ...
+
+
+@dataclass
+class _Counter:
+    passes: int = 0
+
+
+class UnrolledChain:
+    """Noise to joints by ``settings.ddim_steps`` DDIM steps with all gradients kept.
+
+    What the network takes from condition and step is computed once for each kept step and used in every iteration.
+    Activations of ``settings.checkpointing`` steps at a time are computed again in the backward pass.
+
+    Args:
+        model: Frozen.
+        condition: B rows, on the device of the model.
+        n_frames: Frames of each sequence, on the CPU.
+        settings: Steps, guidance, precision and checkpointing are taken from here.
+    """
+
+    def __init__(
+        self,
+        model: FrozenModel,
+        condition: EncodedCondition,
+        n_frames: Int[torch.Tensor, " batch"],
+        settings: OptimisationSettings,
+        *,
+        counter: _Counter | None = None,
+    ) -> None:
+        self._model, self._condition, self._n_frames = model, condition, n_frames
+        self._settings, self._counter = settings, counter or _Counter()
+        self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
+        self._guided = guided(model.denoiser, condition, n_frames, settings.guidance, reuse=True)
+
+    @property
+    def network_passes(self) -> int:
+        """Forward passes so far, a sequence: two a step with guidance, and those that are computed again."""
+        return self._counter.passes
+
+    def __call__(self, noise: Noise) -> Joints:
+        """Joints of every sequence, canonical frame, metres."""
+        settings = self._settings
+        clean = sample_ddim(
+            self._denoise,
+            self._schedule,
+            noise,
+            steps=settings.ddim_steps,
+            checkpointing=settings.checkpointing,
+        )
+        return self._model.joints(clean)
+
+    def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
+        """The chain of some of the sequences; passes are counted together."""
+        return UnrolledChain(
+            self._model,
+            self._condition.rows(index),
+            self._n_frames[index.cpu()],
+            self._settings,
+            counter=self._counter,
+        )
+
+    def _denoise(self, noisy: Noise, step: int) -> Noise:
+        self._counter.passes += 2 if self._guided.doubled else 1
+        with self._precision(noisy.device):
+            return self._guided(noisy, step).to(noisy.dtype)
+
+    def _precision(self, device: torch.device) -> AbstractContextManager[object]:
+        if self._settings.precision == "float32":
+            return nullcontext()
+        return torch.autocast(device.type, dtype=torch.bfloat16)

@@ -1,0 +1,77 @@
+"""All that decides an optimisation, as one record, and its published and fast presets.
+
+Nothing here needs torch, so that options are checked before anything heavy is loaded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+Hand = Literal["right", "left", "nearest"]
+Keep = Literal["last", "best"]
+Precision = Literal["float32", "bfloat16"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimisationSettings:
+    """Settings of one noise optimisation; the defaults are the paper's mode with DNO's solver.
+
+    Sources: ``methods/pr-model.md`` section 6 (*Prime and Reach*, sections 4.2 and 5.1) and ``methods/dno.md``.
+    """
+
+    ddim_steps: int = 50
+    """Steps of the deterministic chain from noise to motion, of equal stride, in every iteration and at the end."""
+    iterations: int = 400
+    learning_rate: float = 0.05
+    warmup: int = 50
+    """Iterations over which the learning rate grows from 0."""
+    unit_gradient: bool = True
+    """Whether each sequence's gradient is brought to length 1 before Adam."""
+    jerk_weight: float = 0.5
+    """The paper's alpha."""
+    decorrelation_weight: float = 1000.0
+    """DNO's; the paper does not mention this term, so 0 is its literal reading."""
+    initial_velocity_weight: float = 0.0
+    initial_frames: int = 1
+    """First frames that the keyframe criterion of DNO asks for: 1, or 2 with the initial velocity."""
+    hand: Hand = "right"
+    """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
+    guidance: float = 1.0
+    """Scale of classifier-free guidance; anything but 1 doubles the network passes."""
+    keep: Keep = "last"
+    """Whether the last iterate is the result, or the one with the lowest initial plus goal loss."""
+    stop_below: float | None = None
+    """Initial and goal loss, m², below which a sequence is finished; None runs all iterations."""
+    checkpointing: int = 0
+    """Steps a block whose activations are computed again instead of kept; 0 keeps all."""
+    precision: Precision = "float32"
+    """Of the network; schedule, integration and losses are float32 always."""
+    compiled: bool = False
+    """Whether the network goes through ``torch.compile``."""
+    batch_size: int = 16
+    """Most sequences that are optimised side by side; no result depends on it beyond rounding."""
+
+    def __post_init__(self) -> None:
+        for name in ("ddim_steps", "iterations"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}': expected 1 or more, found {getattr(self, name)}.")
+        if self.initial_frames not in (1, 2):
+            raise ValueError(f"'initial_frames': expected 1 or 2, found {self.initial_frames}.")
+
+    def record(self) -> dict[str, object]:
+        """All settings by name, for run records."""
+        return asdict(self)
+
+
+PAPER = OptimisationSettings(checkpointing=7)
+"""T = 50, M = 400, learning rate 0.05, alpha 0.5 (*Prime and Reach*, sections 4.2 and 5.1), DNO's solver and its
+decorrelation term. Blocks of about sqrt(50) steps are computed twice, so that memory stays small."""
+
+FAST = OptimisationSettings(ddim_steps=5, iterations=79, warmup=10, keep="best")
+"""At most 400 network passes a sequence."""
+
+DNO_PAPER = OptimisationSettings(iterations=400, checkpointing=7)
+"""The baseline with the same budget as the paper's method: S = 400, K = 50 (``methods/dno.md``)."""
+
+Mode = Literal["fast", "paper"]
