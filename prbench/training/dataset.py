@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,7 +13,7 @@ from torch.utils.data import Dataset
 
 from prbench.errors import TableError, UsageError
 from prbench.randomness import named_generator
-from prbench.representation.features import Mode
+from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.table import SPLITS
 from prbench.storage import cache_folder
@@ -23,9 +22,6 @@ from prbench.training.feature_store import FeatureStore
 from prbench.training.motion import Motion, cut, encoded
 from prbench.training.rows import Table, frame_rate, holds_mirrored, open_table
 from prbench.training.store_building import Crop, Encoding, LeftOut, table_store
-
-if TYPE_CHECKING:
-    from prbench.representation.statistics import Statistics
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,9 @@ class SequenceDataset(Dataset[MotionItem]):
         given = [tables] if isinstance(tables, SequenceTable | CorpusTable | Path | str) else list(tables)
         opened = [open_table(table) for table in given]
         self.fps = _common_frame_rate(opened, split)
-        self.max_frames, self.mode, self.seed = max_frames, mode, seed
+        self.tables: tuple[Table, ...] = tuple(opened)
+        self.max_frames, self.seed = max_frames, seed
+        self.mode: Mode = mode
         self._stores: list[FeatureStore] = []
         left_out: list[LeftOut] = []
         for table in opened:
@@ -116,8 +114,6 @@ class SequenceDataset(Dataset[MotionItem]):
             left_out += made.left_out
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
         """Rows that cannot be encoded, with the reason of each."""
-        self.data_digests: dict[str, str] = {str(table.folder): table.info.content_digest for table in opened}
-        """Content digest of each table by its folder."""
         self._starts = np.concatenate(([0], np.cumsum([len(store) for store in self._stores])))
 
     def __len__(self) -> int:
@@ -127,17 +123,17 @@ class SequenceDataset(Dataset[MotionItem]):
         """The item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         row, epoch = index if isinstance(index, tuple) else (index, 0)
         store, place = self._at(row)
-        motion, features, texts = store.motion(place), store.features(place), store.texts(place)
-        if features is None or len(texts) > 1:
-            generator = named_generator("prbench-training-item", self.seed, epoch, row)
-            text = texts[int(generator.integers(len(texts)))]
-            if features is None:
-                start = int(generator.integers(motion.n_frames - self.max_frames + 1))
-                motion = cut(motion, start, self.max_frames)
-                features = encoded(motion, self.mode)
-        else:
-            text = texts[0]
-        return _item(motion, features, text, self.fps, store.sequence_id(place))
+        name, motion, features = store.sequence_id(place), store.motion(place), store.features(place)
+        text, *others = store.texts(place)
+        if features is not None and not others:
+            return _item(motion, features, text, self.fps, name)
+        generator = named_generator("prbench-training-item", self.seed, epoch, row)
+        text = (text, *others)[int(generator.integers(1 + len(others)))]
+        if features is None:
+            start = int(generator.integers(motion.n_frames - self.max_frames + 1))
+            motion = cut(motion, start, self.max_frames, name=name)
+            features = encoded(motion, self.mode, name=name)
+        return _item(motion, features, text, self.fps, name)
 
     @cached_property
     def lengths(self) -> Int[np.ndarray, " rows"]:
@@ -159,8 +155,6 @@ class SequenceDataset(Dataset[MotionItem]):
 
         Over every frame of every row; of a row that is cut at random, over the part that epoch 0 shows.
         """
-        from prbench.representation.statistics import StatisticsAccumulator
-
         accumulator = StatisticsAccumulator()
         for index in range(len(self)):
             accumulator.add(self[index].features)

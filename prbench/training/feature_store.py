@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.ipc
 from jaxtyping import Float, Int
 
-from prbench.representation.features import N_FEATURES
+from prbench.representation import N_FEATURES
 from prbench.skeleton import N_JOINTS
 from prbench.training.motion import Motion
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.representation.features import Mode
+from prbench.errors import InputFileError
+from prbench.representation import Mode, encode, mirror
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
-
-PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
-"""Joints that change places in a mirror: left and right of the same limb (``formats/humanml3d.md`` section 1)."""
 
 _LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
 
@@ -35,20 +33,25 @@ class Motion:
         return len(self.joints)
 
 
-def cut(motion: Motion, start: int, n_frames: int) -> Motion:
+def cut(motion: Motion, start: int, n_frames: int, *, name: str) -> Motion:
     """Frames ``start`` to ``start + n_frames``, in the canonical frame of the first one kept.
 
     The frames next to the cut become the neighbours, so initial velocity and last feature row stay true; the goal moves
     along. The lowest joint of the kept frames stands on Y = 0, as that of a table's row does.
 
     Raises:
-        ValueError: if the first kept pose has no heading.
+        InputFileError: if the first kept pose has no heading; it begins with ``name``.
     """
     stop = start + n_frames
     assert start >= 0
     assert stop <= motion.n_frames
     kept = motion.joints[start:stop].astype(np.float64)
-    canonical_from_motion = invert_rigid(canonical_frame(kept))
+    try:
+        canonical_from_motion = invert_rigid(canonical_frame(kept))
+    except ValueError as error:
+        raise InputFileError(
+            name, f"frame {start}", expected="a pose with a heading", found=str(error), remedy="Leave the motion out."
+        ) from error
 
     def moved(points: np.ndarray) -> np.ndarray:
         return transform_points(canonical_from_motion, points.astype(np.float64)).astype(np.float32)
@@ -61,31 +64,24 @@ def cut(motion: Motion, start: int, n_frames: int) -> Motion:
     )
 
 
-def encoded(motion: Motion, mode: Mode) -> Float[np.ndarray, "n 263"]:
+def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 263"]:
     """Raw features, one row a frame, the last one with the step to the motion's own next frame.
 
+    People may lie or crawl: which axis points up was checked when the table was built.
+
     Raises:
-        ValueError: if a pose cannot be encoded.
+        InputFileError: if a pose cannot be encoded; it begins with ``name``.
     """
-    import torch
-
-    from prbench.representation.tensors import encode
-
-    joints, after = (torch.tensor(np.asarray(x)[None]) for x in (motion.joints, motion.next_joints))
-    return encode(joints, torch.tensor([motion.n_frames]), next_joints=after, mode=mode)[0].numpy()
+    return encode(motion.joints, next_joints=motion.next_joints, mode=mode, source=name, upright=False)
 
 
 def mirrored(motion: Motion) -> Motion:
     """The motion as a mirror shows it: x negated, left and right limbs exchanged; still in its canonical frame."""
-    order = np.arange(motion.joints.shape[1])
-    for left, right in PAIRS:
-        order[[left, right]] = right, left
-    flip = np.array([-1, 1, 1], dtype=np.float32)
     return Motion(
-        joints=motion.joints[:, order] * flip,
-        previous_joints=motion.previous_joints[order] * flip,
-        next_joints=motion.next_joints[order] * flip,
-        goal_location=motion.goal_location * flip,
+        joints=mirror(motion.joints),
+        previous_joints=mirror(motion.previous_joints),
+        next_joints=mirror(motion.next_joints),
+        goal_location=motion.goal_location * np.array([-1, 1, 1], dtype=np.float32),
     )
 
 

@@ -14,14 +14,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.ipc
 
-from prbench.errors import TableError
-from prbench.representation.features import Mode
+from prbench.errors import InputFileError, TableError
+from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
 from prbench.sequences.arrow import column
 from prbench.sequences.rows import table_parts
 from prbench.storage import atomic_path, read_json, text_digest, write_json
 from prbench.training.feature_store import STORE, FeatureStore
-from prbench.training.motion import Motion, cut, encoded, mirrored, mirrored_text
+from prbench.training.motion import cut, encoded, mirrored, mirrored_text
 from prbench.training.rows import Row, Table, read_rows
 
 Crop = Literal["end", "random"]
@@ -121,7 +121,7 @@ def _make(table: Table, encoding: Encoding, path: Path, report: Path) -> None:
                 writer.write_batch(batch)
             kept += batch.num_rows
         if not kept:
-            example = f" First of them: {left_out[0].sequence_id}: {left_out[0].reason}." if left_out else ""
+            example = f" The first of them: {left_out[0].reason}" if left_out else ""
             raise TableError(
                 f"{table.folder}: expected rows of split '{encoding.split}' to train on,"
                 f" found {len(left_out)} that cannot be used.{example}"
@@ -134,8 +134,8 @@ def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) 
     stored: list[tuple[Row, np.ndarray]] = []
     for row in rows:
         try:
-            stored += [(each, _features(each.motion, encoding)) for each in _versions(row, encoding)]
-        except ValueError as error:
+            stored += [(each, _features(each, encoding)) for each in _versions(row, encoding)]
+        except InputFileError as error:
             left_out.append(LeftOut(row.sequence_id, str(error)))
     motions = [row.motion for row, _ in stored]
     columns: dict[str, list] = {
@@ -161,18 +161,19 @@ def _versions(row: Row, encoding: Encoding) -> list[Row]:
     """The row as items will show it, cut to its end where that is asked for, and its mirrored copy."""
     motion, longest = row.motion, encoding.max_frames
     if motion.n_frames > longest and encoding.crop == "end":
-        row = Row(row.sequence_id, row.texts, cut(motion, motion.n_frames - longest, longest))
+        row = Row(row.sequence_id, row.texts, cut(motion, motion.n_frames - longest, longest, name=row.sequence_id))
     if not encoding.mirrored:
         return [row]
     texts = tuple(mirrored_text(text) for text in row.texts)
     return [row, Row(f"{row.sequence_id}#mirrored", texts, mirrored(row.motion))]
 
 
-def _features(motion: Motion, encoding: Encoding) -> np.ndarray:
+def _features(row: Row, encoding: Encoding) -> np.ndarray:
     """Features of a motion that is not longer than an item may be; none of a longer one, whose crops are encoded."""
-    if motion.n_frames > encoding.max_frames:
-        return np.empty((0, STORE.field("features").type.value_type.list_size), dtype=np.float32)
-    return encoded(motion, encoding.mode)
+    if row.motion.n_frames <= encoding.max_frames:
+        return encoded(row.motion, encoding.mode, name=row.sequence_id)
+    check_joints(row.motion.joints, source=row.sequence_id, upright=False)
+    return np.empty((0, N_FEATURES), dtype=np.float32)
 
 
 def _remove_abandoned(path: Path) -> None:
