@@ -103,13 +103,11 @@ class Denoiser(nn.Module):
         if self.configuration.architecture == "encoder":
             return PreparedCondition(memory, (None,) * len(self.layers), None)
         front = self._time(step).expand(len(condition), -1, -1) if self.configuration.time_in_frames else None
+        attentions = [cast(CrossAttention, layer.cross_attention) for layer in self.layers]
         if memory.shape[1] == 1 and not self.training:
-            return PreparedCondition(
-                front, tuple(layer.cross_attention.of_one_token(memory) for layer in self.layers), None
-            )
+            return PreparedCondition(front, tuple(attention.of_one_token(memory) for attention in attentions), None)
         visible = None if memory.shape[1] == 1 else token_mask(condition.padding)
-        layers = tuple(layer.cross_attention.keys_values(memory) for layer in self.layers)
-        return PreparedCondition(front, layers, visible)
+        return PreparedCondition(front, tuple(attention.keys_values(memory) for attention in attentions), visible)
 
     def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch tokens width"]:
         """Condition tokens: Linear(text) + time + the injected condition vector.
