@@ -1,9 +1,11 @@
 """Controls belong to the harness, not to adapters: they know what no method may know.
 
-As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling) and
-``scripted`` (clockwork: the floor that a method has to beat). As ``--control shuffled-goal`` beside any method: it gets
-another sequence's goal and is scored on its own, so that a method whose score does not drop ignores its goal; the
-recorded motion, which gets no goal, is scored against another sequence's goal instead.
+As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling),
+``ground-truth-resampled`` (the same after a round trip through the features that models learn from: what the
+representation alone costs) and ``scripted`` (clockwork: the floor that a method has to beat). As ``--control
+shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a method whose score
+does not drop ignores its goal; the recorded motion, which gets no goal, is scored against another sequence's goal
+instead.
 """
 
 from __future__ import annotations
@@ -12,17 +14,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from prbench.contract import Motions
 from prbench.evaluation.conditions import ConditionSource
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.scripted import ScriptedStart, scripted_motions
+from prbench.representation import decode, encode
+from prbench.sequences.chunk import SequenceChunk
 from prbench.skeleton import N_JOINTS
 
 GROUND_TRUTH = "ground-truth"
+GROUND_TRUTH_RESAMPLED = "ground-truth-resampled"
 SCRIPTED = "scripted"
 SHUFFLED_GOAL = "shuffled-goal"
+
+RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED})
+"""Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,7 @@ class ControlInfo:
 
 CONTROLS = (
     ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
+    ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
     ControlInfo(SCRIPTED, "--method", "clockwork: faces the goal at 2.0 s, then glides there and reaches"),
     ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
 )
@@ -55,19 +64,21 @@ def control_motions(
         source: Their conditions; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.evaluation.planning.plan_batches`.
     """
-    if name == GROUND_TRUTH:
-        yield from _recorded(selection, plan)
+    if name in RECORDED_MOTION:
+        yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)
         return
     for rows in plan:
         start = ScriptedStart(source.initial_joints[rows], source.goal_location[rows], source.head_tilt_deg[rows])
         yield scripted_motions(start, source.n_frames[rows], source.fps)
 
 
-def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]]) -> Iterator[Motions]:
+def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:
     """Recorded joints; a batch never crosses a window, so one window at a time is in memory."""
     waiting = iter(plan)
-    for place, chunk in selection.windows(["joints"]):
+    for place, chunk in selection.windows(["joints", "next_joints"]):
         joints, offsets, n_frames = chunk.joints, chunk.offsets, chunk.n_frames
+        if through_features:
+            joints = _through_features(chunk)
         taken = 0
         while taken < len(chunk):
             rows = next(waiting) - place.start
@@ -78,3 +89,15 @@ def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]]) -> Iterato
                 padded[i, : n_frames[row]] = joints[offsets[row] : offsets[row + 1]]
             yield Motions(padded, n_frames[rows])
             taken += len(rows)
+
+
+def _through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 22 3"]:
+    """All motions of a chunk, encoded and decoded: as many frames as recorded, the last step led by the true next one.
+
+    Raises:
+        InputFileError: if a motion cannot be encoded; names sequence, frame and joint.
+    """
+    next_joints = chunk.poses("next_joints")
+    motions = zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), next_joints)
+    features = (encode(own, next_joints=after, source=name, upright=False) for name, own, after in motions)
+    return np.concatenate([decode(rows) for rows in features])

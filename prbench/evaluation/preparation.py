@@ -15,7 +15,7 @@ import prbench
 from prbench.errors import AdapterError, UsageError
 from prbench.evaluation.adapters import InstalledAdapter, find_adapter, require_condition
 from prbench.evaluation.conditions import ConditionSource, derangement
-from prbench.evaluation.controls import GROUND_TRUTH, METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.evaluation.controls import METHOD_CONTROLS, RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, weights_digest
 from prbench.evaluation.native_rate import native_frames
@@ -133,7 +133,7 @@ def _dataset(
     source, scored_goals = ConditionSource.read(selection), None
     if request.control == SHUFFLED_GOAL:
         shuffled = source.with_goals_of(derangement(selection, seed=request.seed))
-        if request.method == GROUND_TRUTH:
+        if request.method in RECORDED_MOTION:
             scored_goals = shuffled.goal_location
         source = shuffled
     plan = plan_batches(selection.n_frames, request.batch_size)

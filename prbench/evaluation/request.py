@@ -22,7 +22,7 @@ class RunRequest:
     """
 
     method: str
-    """Name of an installed adapter, or ``ground-truth`` or ``scripted``."""
+    """Name of an installed adapter, or of a control: ``ground-truth``, ``ground-truth-resampled``, ``scripted``."""
     data: tuple[Path, ...]
     """Dataset folders."""
     condition: Condition = Condition.NONE

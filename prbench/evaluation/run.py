@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
 from prbench.evaluation.conditions import run_salt
-from prbench.evaluation.controls import GROUND_TRUTH, control_motions
+from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.progress import Progress, ProgressCallback, silent
@@ -76,7 +76,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
 def _write_notice(prepared: PreparedRun, dataset: PreparedDataset, folder: RunFolder) -> None:
     """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
     files = folder.dataset(dataset.name)
-    recorded = prepared.request.method == GROUND_TRUTH
+    recorded = prepared.request.method in RECORDED_MOTION
     text = run_notice(dataset.selection.table.info, recorded_motion=recorded)
     if text and not files.notice.is_file():
         write_text(files.notice, text)
@@ -178,7 +178,7 @@ def _write_scores(
 ) -> None:
     rules = ScoringRules(
         load_protocol().metrics,
-        recorded_motion=prepared.request.method == GROUND_TRUTH,
+        recorded_motion=prepared.request.method in RECORDED_MOTION,
         other_goals=dataset.scored_goals,
     )
     samples = range(prepared.request.samples)

@@ -13,7 +13,7 @@ import pyarrow as pa
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError, RunError, StorageError
 from prbench.evaluation.conditions import ConditionSource, derangement, opaque_ids, run_salt
-from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
+from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
 from prbench.evaluation.progress import Progress, ProgressCallback, silent
@@ -194,7 +194,7 @@ def _remedy(predictions: Predictions, request: ScoreRequest, unknown: list[str])
 
 
 def _rules(request: ScoreRequest, record: RunRecord | None, selection: Selection) -> ScoringRules:
-    recorded_motion = record is not None and record.method.name == GROUND_TRUTH
+    recorded_motion = record is not None and record.method.name in RECORDED_MOTION
     other_goals = None
     if record is not None and recorded_motion and record.control == SHUFFLED_GOAL:
         order = derangement(selection, seed=record.seed)
