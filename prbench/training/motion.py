@@ -10,9 +10,12 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.representation import Mode, encode, mirror
-from prbench.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 
 _LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
+
+
+_SHORTEST_ACROSS = 1e-6  # metres
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,8 @@ def cut(motion: Motion, start: int, n_frames: int, *, name: str) -> Motion:
     assert start >= 0
     assert stop <= motion.n_frames
     kept = motion.joints[start:stop].astype(np.float64)
-    try:
-        canonical_from_motion = invert_rigid(canonical_frame(kept))
-    except ValueError as error:
-        raise InputFileError(
-            name, f"frame {start}", expected="a pose with a heading", found=str(error), remedy="Leave the motion out."
-        ) from error
+    check_headings(kept[:1], name=name, first=start)
+    canonical_from_motion = invert_rigid(canonical_frame(kept))
 
     def moved(points: np.ndarray) -> np.ndarray:
         return transform_points(canonical_from_motion, points.astype(np.float64)).astype(np.float32)
@@ -62,6 +61,25 @@ def cut(motion: Motion, start: int, n_frames: int, *, name: str) -> Motion:
         next_joints=moved(motion.joints[stop] if stop < motion.n_frames else motion.next_joints),
         goal_location=moved(motion.goal_location),
     )
+
+
+def check_headings(joints: Float[np.ndarray, "n 22 3"], *, name: str, first: int = 0) -> None:
+    """Refuse poses that no canonical frame can start with: hips and shoulders on one vertical line.
+
+    Raises:
+        InputFileError: naming the motion and the frame, counted from ``first``.
+    """
+    across = joints[:, Joint.RIGHT_HIP] - joints[:, Joint.LEFT_HIP]
+    across = across + joints[:, Joint.RIGHT_SHOULDER] - joints[:, Joint.LEFT_SHOULDER]
+    without = np.flatnonzero(np.hypot(across[:, 0], across[:, 2]) < _SHORTEST_ACROSS)
+    if without.size:
+        raise InputFileError(
+            name,
+            f"frame {first + int(without[0])}",
+            expected="a pose with a heading",
+            found="hips and shoulders on one vertical line",
+            remedy="Leave the motion out.",
+        )
 
 
 def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 263"]:

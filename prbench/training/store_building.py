@@ -21,7 +21,7 @@ from prbench.sequences.arrow import column
 from prbench.sequences.rows import table_parts
 from prbench.storage import atomic_path, read_json, text_digest, write_json
 from prbench.training.feature_store import STORE, FeatureStore
-from prbench.training.motion import cut, encoded, mirrored, mirrored_text
+from prbench.training.motion import check_headings, cut, encoded, mirrored, mirrored_text
 from prbench.training.rows import Row, Table, read_rows
 
 Crop = Literal["end", "random"]
@@ -173,6 +173,7 @@ def _features(row: Row, encoding: Encoding) -> np.ndarray:
     if row.motion.n_frames <= encoding.max_frames:
         return encoded(row.motion, encoding.mode, name=row.sequence_id)
     check_joints(row.motion.joints, source=row.sequence_id, upright=False)
+    check_headings(row.motion.joints, name=row.sequence_id)  # any of its frames may become the first
     return np.empty((0, N_FEATURES), dtype=np.float32)
 
 
