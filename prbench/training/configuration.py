@@ -29,6 +29,8 @@ class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Keep the end (it holds the goal), or a random part (for text alone)."""
     mode: Literal["continuous", "reference"] = "continuous"
     """Of the representation."""
+    mirrored: bool = False
+    """Show each sequence a second time as a mirror shows it, left and right exchanged."""
 
 
 class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -36,9 +38,11 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
     steps: int
     batch_size: int = 64
-    """Sequences a step, of each process."""
+    """Of each process, for one batch."""
+    batch_unit: Literal["sequences", "frames"] = "sequences"
+    """What ``batch_size`` counts; frames with their padding."""
     micro_batches: int = 1
-    """Batches whose gradients are averaged into one step; the sequences a step are ``batch_size`` times this."""
+    """Batches whose gradients are averaged into one step."""
     learning_rate: float = 1e-4
     schedule: Literal["constant", "cosine"] = "constant"
     warmup_steps: int = 0

@@ -126,10 +126,20 @@ def write_weights(
     """
     stored = {name: _stored(name, tensor, dtype) for name, tensor in tensors.items()}
     header = {**metadata, "format": FORMAT, "format_version": FORMAT_VERSION}
-    content = safetensors.torch.save(stored, metadata=header)
+    content = _sorted_header(safetensors.torch.save(stored, metadata=header))
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
     write_json(path.with_suffix(".json"), {**card, "weights": path.name, "weights_sha256": bytes_digest(content)})
+
+
+def _sorted_header(content: bytes) -> bytes:
+    """The same file with its entries in alphabetical order; the library writes them in another order every time."""
+    (length,) = struct.unpack("<Q", content[:8])
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)  # tensors begin at a multiple of 8
+    return struct.pack("<Q", len(text)) + text + content[8 + length :]
 
 
 def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:

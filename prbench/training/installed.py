@@ -1,0 +1,54 @@
+"""Installed training tasks: listed from package metadata alone, loaded by name."""
+
+from __future__ import annotations
+
+import difflib
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
+
+from prbench.errors import AdapterError, PrbenchError
+
+if TYPE_CHECKING:
+    from prbench.training.task import TrainingTask
+
+ENTRY_POINT_GROUP = "prbench.training_tasks"
+
+
+def list_tasks() -> tuple[str, ...]:
+    """Names of all installed tasks, without importing any of them."""
+    return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
+
+
+def load_task(name: str) -> TrainingTask:
+    """Import a task.
+
+    Raises:
+        AdapterError: if there is none of this name (with those that there are), two packages offer it, or it cannot be
+            imported.
+    """
+    point = _find(name)
+    origin = f"training task '{name}' ({point.value})"
+    try:
+        task = point.load()()
+    except PrbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        cause = f"{type(error).__name__}: {error}".rstrip(".")
+        raise AdapterError(f"{origin}: cannot be loaded: {cause}. Repair or reinstall the package.") from error
+    missing = [part for part in ("name", "configurations", "build") if not hasattr(task, part)]
+    if missing:
+        raise AdapterError(f"{origin}: expected name, configurations and build(), found no {', '.join(missing)}.")
+    return task
+
+
+def _find(name: str) -> EntryPoint:
+    found = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
+    if len({point.value for point in found}) > 1:
+        offers = ", ".join(point.value for point in found)
+        raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
+    if not found:
+        known = list_tasks()
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f" Did you mean '{near[0]}'?" if near else ""
+        raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
+    return found[0]

@@ -1,0 +1,192 @@
+"""From a user's request to trained weights: task, configuration, data, loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from prbench.errors import UsageError
+from prbench.storage import file_digest
+from prbench.training.card import training_card
+from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
+from prbench.training.dataset import SequenceDataset
+from prbench.training.devices import make_fabric
+from prbench.training.installed import load_task
+from prbench.training.loading import load_batches
+from prbench.training.loop import WEIGHTS, Progress, fit, silent
+from prbench.training.record import TrainingRecord, prepare_folder, table_records
+from prbench.training.sampling import LengthBatches
+from prbench.training.state import TrainingState
+from prbench.training.task import TrainingData, TrainingModule, TrainingTask
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
+
+DEFAULT_CONFIGURATION = "small"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRequest:
+    """One training."""
+
+    method: str
+    """Name of an installed training task."""
+    data: tuple[Path, ...]
+    """Folders of built datasets or corpora; their split ``train`` is learnt from."""
+    out: Path
+    """The training folder; goes on with the same training, refuses another."""
+    stage: str | None = None
+    """By default the task's first."""
+    configuration: str = DEFAULT_CONFIGURATION
+    """Name of one that comes with the task, or the path of a TOML file."""
+    overrides: tuple[tuple[str, str], ...] = ()
+    """``("training.steps", "100")`` …"""
+    initial: Path | None = None
+    """Weights to start from."""
+    device: str = "cpu"
+    devices: int = 1
+    """Processes that train together."""
+    threads: int = 1
+    """Torch's threads in each process; on a CPU the last bits of the weights depend on it."""
+    workers: int = 0
+    """Processes that load data for each training process; they change no result."""
+
+
+@dataclass(frozen=True)
+class TrainReport:
+    """What a training has left behind."""
+
+    weights: Path
+    steps: int
+    seconds: float
+    waiting: float
+    """Fraction of the time spent waiting for data."""
+
+
+def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent) -> TrainReport:
+    """Train, or go on training, to the last step.
+
+    Raises:
+        AdapterError: if there is no such task.
+        UsageError: if the request does not fit together, or there is no such device.
+        TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
+        TrainingError: if the folder belongs to another training, or a loss is not finite.
+        MissingExtraError: if the extra ``train`` is not installed.
+        PrbenchError: if data, configuration or initial weights are not what they should be.
+    """
+    task = load_task(request.method)
+    stage, configuration = resolved(request, task)
+    fabric = make_fabric(request.device, devices=request.devices, precision=configuration.training.precision)
+    torch.set_num_threads(request.threads)
+    fabric.launch()
+    torch.set_num_threads(request.threads)  # launching several processes sets one of its own
+    return run(request, task, stage, configuration, fabric, report)
+
+
+def resolved(request: TrainRequest, task: TrainingTask) -> tuple[str, TrainingConfiguration]:
+    """The stage and the configuration of a request.
+
+    Raises:
+        UsageError: for an unknown stage, configuration or key.
+        InputFileError: if the file is no configuration.
+    """
+    stages = getattr(task, "stages", DEFAULT_STAGES)
+    stage = request.stage or stages[0]
+    if stage not in stages:
+        raise UsageError(f"--stage: '{task.name}' has no stage '{stage}'; its stages are: {', '.join(stages)}.")
+    configuration = load_configuration(
+        request.configuration,
+        package=task.configurations,
+        task=task.name,
+        stage=stage,
+        overrides=request.overrides,
+    )
+    return stage, configuration
+
+
+def run(
+    request: TrainRequest,
+    task: TrainingTask,
+    stage: str,
+    configuration: TrainingConfiguration,
+    fabric: Fabric,
+    report: Callable[[Progress], None] = silent,
+) -> TrainReport:
+    """Train in this process, which is one of those that Fabric has launched."""
+    with fabric.rank_zero_first():  # the first makes what is cached, the others find it
+        data = training_dataset(request.data, configuration)
+        record = _record(request, stage, configuration, data)
+        prepare_folder(request.out, record)
+    module = _module(request, task, stage, configuration, data)
+
+    def describe(state: TrainingState) -> dict[str, Any]:
+        return training_card(record, state, fabric.device, request.threads)
+
+    def batches(start: int) -> Iterable[Any]:
+        return _loader(data, configuration, fabric, start, request.workers)
+
+    state = fit(module, batches, configuration, request.out, fabric=fabric, describe=describe, report=report)
+    return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting)
+
+
+def training_dataset(
+    folders: Iterable[Path], configuration: TrainingConfiguration, *, split: str = "train"
+) -> SequenceDataset:
+    """The sequences of a split, as a configuration wants them."""
+    wanted = configuration.data
+    return SequenceDataset(
+        list(folders),
+        split=split,
+        max_frames=wanted.max_frames,
+        crop=wanted.crop,
+        mode=wanted.mode,
+        mirrored=wanted.mirrored and split == "train",
+        seed=configuration.training.seed,
+    )
+
+
+def _record(
+    request: TrainRequest, stage: str, configuration: TrainingConfiguration, data: SequenceDataset
+) -> TrainingRecord:
+    return TrainingRecord(
+        method=request.method,
+        stage=stage,
+        configuration=configuration,
+        data=table_records(data.tables, split="train"),
+        initial_weights_sha256=file_digest(request.initial) if request.initial else None,
+        devices=request.devices,
+    )
+
+
+def _module(
+    request: TrainRequest,
+    task: TrainingTask,
+    stage: str,
+    configuration: TrainingConfiguration,
+    data: SequenceDataset,
+) -> TrainingModule:
+    """The task's module, initialised from the seed alone."""
+    given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(configuration.training.seed)
+        return task.build(configuration.model, data=given, initial=request.initial, stage=stage)
+
+
+def _loader(
+    data: SequenceDataset, configuration: TrainingConfiguration, fabric: Fabric, start: int, workers: int
+) -> Iterable[Any]:
+    settings = configuration.training
+    order = LengthBatches(
+        data,
+        settings.batch_size,
+        settings.seed,
+        fabric.global_rank,
+        fabric.world_size,
+        start,
+        unit=settings.batch_unit,
+    )
+    return load_batches(data, order, workers=workers, pinned=fabric.device.type == "cuda")
