@@ -1,0 +1,29 @@
+"""Text-to-motion metrics in the embedding space of a text–motion matching network (Prime and Reach, section F).
+
+The metrics are NumPy; the networks (:mod:`.networks`, :mod:`.extractor`) import torch and are imported by whoever
+needs them.
+"""
+
+from prbench.evaluation.text_to_motion.distances import (
+    diversity,
+    draw_diversity_pairs,
+    draw_multimodality_pairs,
+    multimodal_distance,
+    multimodality,
+)
+from prbench.evaluation.text_to_motion.fid import FewSamplesWarning, fid
+from prbench.evaluation.text_to_motion.r_precision import RPrecision, r_precision
+from prbench.evaluation.text_to_motion.repetitions import Repeated
+
+__all__ = [
+    "FewSamplesWarning",
+    "RPrecision",
+    "Repeated",
+    "diversity",
+    "draw_diversity_pairs",
+    "draw_multimodality_pairs",
+    "fid",
+    "multimodal_distance",
+    "multimodality",
+    "r_precision",
+]
