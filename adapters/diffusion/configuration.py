@@ -9,6 +9,16 @@ import msgspec
 ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
 
 _POSE = 66  # 22 joints with x, y, z
+_COUNTS = (
+    "width",
+    "heads",
+    "layers",
+    "feed_forward",
+    "frames_per_token",
+    "text_dimension",
+    "diffusion_steps",
+    "max_frames",
+)
 _GOAL_SIZE = {"none": 0, "pose": _POSE, "location": 3}
 
 
@@ -27,6 +37,9 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     layers: int = 8
     feed_forward: int = 1024
     dropout: float = 0.1
+    frames_per_token: int = 1
+    """Neighbouring frames that share a token; 1 as in the paper. More make small models quicker, in training and in
+    noise optimisation alike."""
     text_encoder: str = "distilbert"
     text_dimension: int = 768
     text_tokens: Literal["all", "pooled"] = "all"
@@ -46,7 +59,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     """Whether the features are those of bodies rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section 3)."""
 
     def __post_init__(self) -> None:
-        for name in ("width", "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps", "max_frames"):
+        for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
         if self.width % self.heads or self.width % 2:

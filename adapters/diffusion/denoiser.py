@@ -39,7 +39,7 @@ class Denoiser(nn.Module):
         super().__init__()
         self.configuration = configuration
         width = configuration.width
-        self.frame_embedding = nn.Linear(N_FEATURES, width)
+        self.frame_embedding = nn.Linear(N_FEATURES * configuration.frames_per_token, width)
         self.time_embedding = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.text_embedding = nn.Linear(configuration.text_dimension, width)
         injections = {"addition": Addition, "cross-attention": CrossAttentionInjection}
@@ -55,7 +55,7 @@ class Denoiser(nn.Module):
             )
             for _ in range(configuration.layers)
         )
-        self.head = nn.Linear(width, N_FEATURES)
+        self.head = nn.Linear(width, N_FEATURES * configuration.frames_per_token)
         rows = max(configuration.max_frames + 1, configuration.diffusion_steps)
         self.register_buffer("sinusoid", sinusoid_table(rows, width), persistent=False)
         self.sinusoid: Tensor
@@ -84,6 +84,8 @@ class Denoiser(nn.Module):
         visible: Bool[Tensor, "batch frames"] | None,
     ) -> Float[Tensor, "batch frames 263"]:
         """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
+        frames = noisy.shape[1]
+        noisy, visible = self._tokens(noisy, visible)
         stream = self.frame_embedding(noisy)
         in_front = 0 if prepared.front is None else 1
         if prepared.front is not None:
@@ -93,7 +95,20 @@ class Denoiser(nn.Module):
         stream = self.dropout(stream + self.sinusoid[: stream.shape[1]])
         for layer, memory in zip(self.layers, prepared.layers, strict=True):
             stream = layer(stream, visible, memory, prepared.visible)
-        return self.head(stream[:, in_front:])
+        return self.head(stream[:, in_front:]).unflatten(-1, (-1, N_FEATURES)).flatten(1, 2)[:, :frames]
+
+    def _tokens(
+        self, noisy: Float[Tensor, "batch frames 263"], visible: Bool[Tensor, "batch frames"] | None
+    ) -> tuple[Float[Tensor, "batch tokens size"], Bool[Tensor, "batch tokens"] | None]:
+        """Join the frames of each token; a token with a valid frame is visible, and its padded frames are zeros."""
+        together = self.configuration.frames_per_token
+        if together == 1:
+            return noisy, visible
+        missing = -noisy.shape[1] % together
+        if visible is not None:
+            noisy = noisy.masked_fill(~visible[..., None], 0.0)
+            visible = nn.functional.pad(visible, (0, missing)).unflatten(1, (-1, together)).any(dim=2)
+        return nn.functional.pad(noisy, (0, 0, 0, missing)).unflatten(1, (-1, together)).flatten(2), visible
 
     def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> PreparedCondition:
         """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
