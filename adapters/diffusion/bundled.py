@@ -1,0 +1,68 @@
+"""Weights that come with prbench, by name; and what a user may give instead."""
+
+from __future__ import annotations
+
+import difflib
+from importlib.resources import files
+from pathlib import Path
+
+from prbench.errors import AdapterError
+
+_SUFFIX = ".safetensors"
+
+
+def bundled_names() -> list[str]:
+    """Names of the bundled weights, sorted."""
+    return sorted(path.name.removesuffix(_SUFFIX) for path in _folder().glob(f"*{_SUFFIX}"))
+
+
+def bundled_weights(name: str) -> Path:
+    """The file of bundled weights.
+
+    Raises:
+        AdapterError: if there are none of this name; says what there is.
+    """
+    path = _folder() / f"{name}{_SUFFIX}"
+    if path.is_file():
+        return path
+    names = bundled_names()
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f" Did you mean '{near[0]}'?" if near else ""
+    known = ", ".join(names) or "none in this installation"
+    raise AdapterError(
+        f"weights '{name}': expected a file, a folder, or bundled weights ({known}); found none of these.{hint}"
+    )
+
+
+def resolve(weights: Path | None, default: str) -> Path:
+    """The weights file that is meant.
+
+    Args:
+        weights: A file; a folder with one weights file in it, such as ``prbench train`` makes; the name of bundled
+            weights; None for the default.
+        default: Name of bundled weights.
+
+    Raises:
+        AdapterError: if nothing of that kind is there, or the folder holds none or several.
+    """
+    if weights is None:
+        return bundled_weights(default)
+    if weights.is_file():
+        return weights
+    if weights.is_dir():
+        return _only_file(weights)
+    if len(weights.parts) > 1 or weights.suffix == _SUFFIX:
+        raise AdapterError(f"weights {weights}: expected a file or folder, found neither.")
+    return bundled_weights(weights.name)
+
+
+def _only_file(folder: Path) -> Path:
+    found = sorted(folder.glob(f"*{_SUFFIX}"))
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(path.name for path in found) or "none"
+    raise AdapterError(f"weights {folder}: expected one {_SUFFIX} file in the folder, found {listed}. Name the file.")
+
+
+def _folder() -> Path:
+    return Path(str(files("prbench_adapters.weights")))
