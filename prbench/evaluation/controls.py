@@ -2,10 +2,11 @@
 
 As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling),
 ``ground-truth-resampled`` (the same after a round trip through the features that models learn from: what the
-representation alone costs) and ``scripted`` (clockwork: the floor that a method has to beat). As ``--control
-shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a method whose score
-does not drop ignores its goal; the recorded motion, which gets no goal, is scored against another sequence's goal
-instead.
+representation alone costs) and ``scripted`` (clockwork: the floor that a method has to beat).
+
+As ``--control shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a
+method whose score does not drop ignores its goal; the recorded motion, which gets no goal, is scored against another
+sequence's goal instead.
 """
 
 from __future__ import annotations

@@ -14,8 +14,9 @@ from prbench.evaluation.run import run_method
 from prbench.evaluation.scripted import ScriptedStart, scripted_motions
 from prbench.runs import Predictions, read_scores
 from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, head_forward
+from tests import fakes
 from tests.evaluation.test_run import request
-from tests.fakes import STANDING
+from tests.fakes import STANDING, smooth_motion
 
 TILT = 7.4
 
@@ -175,3 +176,45 @@ def test_a_short_sequence_still_reaches():
     goals = goals_around(8)
     final = clockwork(goals, n_frames=41).joints[:, -1]
     assert np.linalg.norm(final[:, WRISTS] - goals[:, None], axis=-1).min(axis=1).max() < 1e-5
+
+
+@pytest.fixture
+def canonical_table(tmp_path, monkeypatch):
+    """Made-up sequences whose first pelvis stands over the origin, as that of every built table does."""
+
+    def centred(name: str, n_frames: int) -> np.ndarray:
+        joints = smooth_motion(name, n_frames)
+        return joints - joints[0, Joint.PELVIS] * np.array([1, 0, 1], dtype=np.float32)
+
+    monkeypatch.setattr(fakes, "smooth_motion", centred)
+    return fakes.fake_dataset(tmp_path / "canonical", 24)
+
+
+def test_recorded_motion_through_the_features_scores_nearly_the_same(canonical_table, tmp_path):
+    own = means(run_method(request(canonical_table, tmp_path / "own", "ground-truth")))
+    resampled = means(run_method(request(canonical_table, tmp_path / "resampled", "ground-truth-resampled")))
+    assert own.keys() == resampled.keys()
+    assert "prime_success_gaze" in resampled
+    assert 0.0 < resampled["mpjpe"] < 1e-6  # another motion, but hardly
+    assert max(abs(own[name] - resampled[name]) for name in own) < 1e-5
+
+
+def test_recorded_motion_through_the_features_keeps_every_frame(canonical_table):
+    selection = select(canonical_table, split="test", limit=None)
+    source = ConditionSource.read(selection)
+    plan = plan_batches(selection.n_frames, 4)
+    truth, resampled = (
+        list(control_motions(name, selection, source, plan)) for name in ("ground-truth", "ground-truth-resampled")
+    )
+    for recorded, decoded in zip(truth, resampled, strict=True):
+        assert np.array_equal(recorded.n_frames, decoded.n_frames)
+        assert np.abs(recorded.ragged() - decoded.ragged()).max() < 1e-6
+
+
+def test_recorded_motion_through_the_features_is_recorded_motion_under_shuffled_goals(table, tmp_path):
+    own, resampled = (
+        means(run_method(request(table, tmp_path / name, name, control="shuffled-goal")))
+        for name in ("ground-truth", "ground-truth-resampled")
+    )
+    assert own.keys() == resampled.keys()
+    assert "goal_mpjpe" not in resampled
