@@ -13,8 +13,9 @@ from prbench_adapters.diffusion.condition_vector import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.losses import Objective
+from prbench_adapters.diffusion.model import KIND
 from prbench_adapters.diffusion.text_vectors import TextVectors
-from prbench_adapters.diffusion.training import KIND, DiffusionTraining
+from prbench_adapters.diffusion.training import DiffusionTraining
 
 from prbench.errors import InputFileError, UsageError
 from prbench.representation.features import N_FEATURES

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
+from pathlib import Path
 
 import msgspec
 import torch
@@ -10,17 +12,20 @@ from jaxtyping import Bool, Float, Int
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.losses import Objective, losses
+from prbench_adapters.diffusion.model import KIND, REPRESENTATION, MotionModel
 from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.mdm import MDM
+from prbench_adapters.pr import GOALS, PR, Generation, TrainedFor
 
+from prbench.contract import Adapter
 from prbench.representation.tensors import decode
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 
-KIND = "denoiser"
-"""Of the weights file."""
-REPRESENTATION = "humanml3d-263"
+_TEXT_GUIDANCE = 2.5  # methods/pr-model.md, section 5
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,21 @@ class DiffusionTraining(TrainingModule):
             "representation": f"{REPRESENTATION}/{configuration.representation}",
         }
         return tensors, metadata
+
+    def adapter(self, device: str) -> Adapter:
+        """``mdm`` or ``pr`` without noise optimisation, with a copy of the weights as they are now."""
+        model = MotionModel(
+            copy.deepcopy(self.denoiser).to(device),
+            mean=self.mean,
+            std=self.std,
+            scaling=self.scaling,
+            texts=self.texts,
+        )
+        trained = Path("the network in training")
+        if self.denoiser.configuration.goal == "none":
+            return MDM(model, trained, SamplingSettings(guidance=_TEXT_GUIDANCE))
+        condition = next(key for key, goal in GOALS.items() if goal == self.denoiser.configuration.goal)
+        return PR({condition: TrainedFor(model, trained)}, Generation(SamplingSettings(guidance=1.0), None))
 
     def learned_from(self) -> tuple[str, ...]:
         """The initial weights and the text encoder."""

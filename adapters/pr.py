@@ -1,0 +1,199 @@
+"""P&R: motions that look at a goal and reach it, by diffusion with initial state and goal as conditions.
+
+The study's own method (*Prime and Reach*, section 4; ``methods/pr-model.md``): one model for goal poses, one for object
+locations, and an optimisation of the starting noise towards initial pose and goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.errors import AdapterError
+from prbench.skeleton import Joint
+
+if TYPE_CHECKING:
+    from prbench_adapters.diffusion.generation import SamplingSettings
+    from prbench_adapters.diffusion.model import MotionModel
+    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+
+GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
+"""Kind of goal of a model, by the condition of the protocol."""
+DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
+FARTHEST_GOAL = 10.0
+"""Metres from the first pelvis: in the protocol's twelve seconds nobody in these data comes farther."""
+
+_GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
+_OPTIONS = ("guidance", "sampler", "steps", "optimise", "hand", "iterations", "decorrelation", "text-path")
+_MODES = ("off", "fast", "paper")
+_HANDS = ("right", "nearest", "left")
+
+
+@dataclass(frozen=True)
+class TrainedFor:
+    """A model and the file that it came from."""
+
+    model: MotionModel
+    path: Path
+
+
+@dataclass(frozen=True)
+class Generation:
+    """How motions are made from conditions."""
+
+    sampling: SamplingSettings
+    """Without optimisation."""
+    optimisation: OptimisationSettings | None
+    """None for plain sampling."""
+
+
+class PR:
+    """Generates motions towards a goal pose or an object location, with a model for each.
+
+    Args:
+        models: By condition; those of one file or one folder may serve one condition only.
+        generation: Sampling or noise optimisation.
+    """
+
+    name = "pr"
+    conditions = frozenset(GOALS)
+
+    def __init__(self, models: Mapping[Condition, TrainedFor], generation: Generation) -> None:
+        self.models, self.generation = dict(models), generation
+        configurations = [trained.model.configuration for trained in self.models.values()]
+        self.max_frames = min(configuration.max_frames for configuration in configurations)
+        self.native_fps = configurations[0].fps
+
+    def weights_for(self, condition: Condition) -> Path:
+        """The weights file that a condition uses.
+
+        Raises:
+            AdapterError: if the weights given are those of the other kind of goal.
+        """
+        return self._trained_for(condition).path
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
+        """Generate one motion for each row.
+
+        Raises:
+            AdapterError: for a goal that no body can reach, or weights of the other kind of goal.
+        """
+        model = self._trained_for(batch.condition).model
+        require_goals_within_reach(batch)
+        if self.generation.optimisation is None:
+            from prbench_adapters.diffusion.generation import generate
+
+            return generate(model, batch, self.generation.sampling)
+        from prbench_adapters.diffusion.optimised import generate_optimised
+
+        return generate_optimised(model, batch, self.generation.optimisation)
+
+    def _trained_for(self, condition: Condition) -> TrainedFor:
+        if condition in self.models:
+            return self.models[condition]
+        other, given = next(iter(self.models.items()))
+        raise AdapterError(
+            f"weights {given.path}: expected a model of goal '{GOALS[condition]}' for condition '{condition.value}', found"
+            f" one of goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
+        )
+
+
+def require_goals_within_reach(batch: ConditionBatch) -> None:
+    """Refuse goals that are not finite or too far away to belong to this motion.
+
+    Raises:
+        AdapterError: naming the row, its goal and the distance.
+    """
+    assert batch.initial_joints is not None
+    goal = batch.goal_location if batch.goal_joints is None else batch.goal_joints[:, Joint.PELVIS]
+    assert goal is not None
+    distance = np.linalg.norm(goal - batch.initial_joints[:, Joint.PELVIS], axis=1)
+    finite = np.isfinite(goal if batch.goal_joints is None else batch.goal_joints.reshape(len(batch), -1)).all(axis=1)
+    bad = np.flatnonzero(~finite | ~(distance <= FARTHEST_GOAL))
+    if bad.size:
+        row = int(bad[0])
+        where = ", ".join(f"{value:.2f}" for value in goal[row])
+        raise AdapterError(
+            f"adapter 'pr', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal within"
+            f" {FARTHEST_GOAL:g} m of the first pose, found ({where}), {distance[row]:.2f} m away. Goals are metres in"
+            " the canonical frame of the first pose; `prbench validate` checks a table."
+        )
+
+
+def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR:
+    """Entry point ``pr``.
+
+    Options: ``guidance`` (1), ``sampler`` (ddpm or ddim), ``steps`` (all of the training's); ``optimise`` (off, fast or
+    paper) with ``hand`` (right, nearest, left), ``iterations`` and ``decorrelation``; ``text-path`` (files of the text
+    encoder, if the weights need one that has some).
+
+    Args:
+        weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
+            ``pr-small-goal-pose``, whichever the condition asks for.
+        options: See above.
+        device: ``cpu``, ``cuda`` …
+
+    Raises:
+        AdapterError: if there is no such device, no such weights, or they know no goal.
+        InputFileError: if a file is not one of a denoiser.
+        ValueError: for options that are unknown or have impossible values.
+    """
+    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.options import require_known
+
+    require_known(options, _OPTIONS)
+    text_path = options.get("text-path")
+    if weights is None:
+        paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
+        models = {condition: _load(path, device, text_path, (condition,)) for condition, path in paths.items()}
+    else:
+        trained = _load(resolve(weights, ""), device, text_path, tuple(GOALS))
+        goal = trained.model.configuration.goal
+        models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
+    fewest = min(trained.model.configuration.diffusion_steps for trained in models.values())
+    return PR(models, _generation(options, diffusion_steps=fewest))
+
+
+def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Condition, ...]) -> TrainedFor:
+    from prbench_adapters.diffusion.model import MotionModel
+
+    model = MotionModel.load(path, device, text_path=text_path)
+    wanted = [GOALS[condition] for condition in allowed]
+    if model.configuration.goal not in wanted:
+        raise AdapterError(
+            f"weights {path}: expected a model of goal {' or '.join(wanted)}, found one of goal"
+            f" '{model.configuration.goal}'. Choose weights that `prbench train --method pr --stage finetune` made."
+        )
+    return TrainedFor(model, path)
+
+
+def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
+    """What the options ask for, checked before anything is generated."""
+    from prbench_adapters.diffusion.noise_optimisation.settings import FAST, PAPER
+    from prbench_adapters.diffusion.options import choice, number, sampling_settings, whole_number
+
+    sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
+    mode = choice(options, "optimise", _MODES)
+    hand = choice(options, "hand", _HANDS)
+    if mode == "off":
+        idle = [key for key in ("hand", "iterations", "decorrelation") if key in options]
+        if idle:
+            raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
+        return Generation(sampling, None)
+    if options.get("sampler") == "ddpm":
+        raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
+    preset = FAST if mode == "fast" else PAPER
+    changed = replace(
+        preset,
+        hand=hand,
+        guidance=sampling.guidance,
+        ddim_steps=sampling.steps or min(preset.ddim_steps, diffusion_steps),
+        iterations=whole_number(options, "iterations", most=100_000) or preset.iterations,
+        decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
+    )
+    return Generation(sampling, changed)
