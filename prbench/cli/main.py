@@ -24,12 +24,15 @@ from prbench.cli import (
     score,
     stats,
     synthesize,
+    train,
     validate,
+    view,
 )
 from prbench.errors import PrbenchError
 
 _COMMANDS = (
     run,
+    view,
     inspect,
     build_dataset,
     build_corpus,
@@ -41,6 +44,7 @@ _COMMANDS = (
     explain,
     synthesize,
     score,
+    train,
     leaderboard,
     release,
     adapters,

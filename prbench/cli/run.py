@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_data, add_workers, command, key_value, positive
+from prbench.cli.arguments import add_data, add_permission, add_workers, command, key_value, positive
 from prbench.cli.progress import progress
+from prbench.cli.sequence_scores import print_sequence_scores
 from prbench.cli.summaries import print_summary
 
 if TYPE_CHECKING:
@@ -35,6 +36,15 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: one under ./runs); resumes")
     parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
     parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+    parser.add_argument(
+        "--sequence",
+        action="append",
+        default=[],
+        metavar="ID",
+        help="run this one only; the id, or a beginning, end or part that fits one only; repeatable",
+    )
+    parser.add_argument("--view", type=Path, metavar="FILE", help="show the motions as .png, .mp4 or .html")
+    add_permission(parser)
     parser.add_argument("--weights", type=Path, metavar="FILE", help="the method's weights")
     parser.add_argument(
         "--option", type=key_value, action="append", default=[], metavar="KEY=VALUE", help="for the method; repeatable"
@@ -52,6 +62,10 @@ def _run(arguments: argparse.Namespace) -> int:
     from prbench.engine import engine_for
     from prbench.evaluation.run import run_method
 
+    if arguments.view is not None:
+        from prbench.viewing.replay.file_kind import file_kind
+
+        file_kind(arguments.view)  # what would fail after the run fails before it
     engine = engine_for(arguments.workers)
     data = tuple(arguments.data) if arguments.data else (_embedded_table(engine),)
     with progress(f"running {arguments.method}") as show:
@@ -62,10 +76,32 @@ def _run(arguments: argparse.Namespace) -> int:
         )
     if report.batches_found:
         print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
-    for summary in report.summaries:
-        print_summary(summary, motionless=report.folder.record.method.motionless)
+    if arguments.sequence:
+        print_sequence_scores(report.folder)
+    else:
+        for summary in report.summaries:
+            print_summary(summary, motionless=report.folder.record.method.motionless)
     print(f"run folder: {report.folder.path}")
+    if arguments.view is not None:
+        _view(arguments, report.folder.path, data)
     return 0
+
+
+def _view(arguments: argparse.Namespace, run: Path, data: tuple[Path, ...]) -> None:
+    from prbench.workflows.view import ViewRequest, view
+
+    request = ViewRequest(
+        out=arguments.view,
+        runs=(run,),
+        data=data,
+        sequences=tuple(arguments.sequence),
+        permitted=tuple(arguments.permission),
+    )
+    with progress(f"drawing {arguments.view.name}") as show:
+        report = view(request, show)
+    for notice in report.notices:
+        print(notice)
+    print(f"view: {report.out}")
 
 
 def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunRequest:
@@ -80,6 +116,7 @@ def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunReques
         options=dict(arguments.option),
         split=arguments.split,
         limit=arguments.limit,
+        sequences=tuple(arguments.sequence),
         seed=arguments.seed,
         samples=arguments.samples,
         batch_size=arguments.batch_size,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
 from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.lookup import find_sequence_id
 from prbench.sequences.table import SPLITS, SequenceTable, smallest_by_hash
 from prbench.storage import text_digest
 
@@ -105,6 +107,37 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
         return everything
     kept = set(smallest_by_hash(ids, limit))
     return everything.chosen(np.array([name in kept for name in ids]))
+
+
+def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str], *, split: str) -> list[Selection]:
+    """Choose single sequences; tables that hold none of them are left out.
+
+    Args:
+        tables: Where to look.
+        wanted: Ids, or parts of ids that fit one sequence only.
+        split: Of the run.
+
+    Raises:
+        UsageError: if none or several fit (naming some), or the sequence is in another split.
+        TableError: see :func:`select`.
+    """
+    splits = {name: where for table in tables for name, where in _split_of_each(table)}
+    among = ", ".join(table.info.dataset for table in tables)
+    ids = {find_sequence_id(name, list(splits), among=among) for name in wanted}
+    for name in sorted(ids):
+        if splits[name] != split:
+            raise UsageError(f"{name} is in split '{splits[name]}', the run is of '{split}': --split {splits[name]}")
+    chosen = []
+    for table in tables:
+        if ids & {name for name, _ in _split_of_each(table)}:
+            selection = select(table, split=split, limit=None)
+            chosen.append(selection.chosen(np.array([name in ids for name in selection.sequence_ids])))
+    return chosen
+
+
+def _split_of_each(table: SequenceTable) -> list[tuple[str, str]]:
+    rows = table.scalars()
+    return list(zip(rows["sequence_id"].to_pylist(), rows["split"].to_pylist(), strict=True))
 
 
 def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[np.ndarray, "_"]]:

@@ -19,7 +19,7 @@ from prbench.evaluation.controls import METHOD_CONTROLS, RECORDED_MOTION, SHUFFL
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, weights_digest
 from prbench.evaluation.native_rate import native_frames
-from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select
+from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select, select_sequences
 from prbench.evaluation.request import RunRequest
 from prbench.manifests import load_protocol
 from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
@@ -83,7 +83,9 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         request.method, request.weights, tuple(sorted(request.options.items())), request.device, request.threads
     )
     method, installed = _method(request, spec)
-    datasets = tuple(_dataset(request, table, spec, method, installed) for table in tables)
+    datasets = tuple(
+        _dataset(request, chosen, spec, method, installed) for chosen in _chosen_sequences(request, tables)
+    )
     record = _record(request, method, datasets)
     return PreparedRun(request, record, datasets, request.out or _default_folder(record))
 
@@ -113,14 +115,21 @@ def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, Instal
     ), installed
 
 
+def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[Selection]:
+    """Of each table; where single sequences are asked for, only of the tables that hold one."""
+    if request.sequences:
+        return select_sequences(tables, request.sequences, split=request.split)
+    return [select(table, split=request.split, limit=request.limit) for table in tables]
+
+
 def _dataset(
     request: RunRequest,
-    table: SequenceTable,
+    chosen: Selection,
     spec: MethodSpec,
     method: MethodRecord,
     installed: InstalledAdapter | None,
 ) -> PreparedDataset:
-    chosen = select(table, split=request.split, limit=request.limit)
+    table = chosen.table
     selection = supported(chosen, max_frames=method.max_frames, native_fps=method.native_fps)
     if not len(selection):
         raise AdapterError(
@@ -168,6 +177,9 @@ def _record(request: RunRequest, method: MethodRecord, datasets: tuple[PreparedD
         control=request.control,
         split=request.split,
         limit=request.limit,
+        sequences=tuple(sorted(name for one in datasets for name in one.chosen.sequence_ids))
+        if request.sequences
+        else (),
         seed=request.seed,
         samples=request.samples,
         device=request.device,

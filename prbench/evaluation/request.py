@@ -31,6 +31,8 @@ class RunRequest:
     split: str = "test"
     limit: int | None = None
     """Run only the sequences with the smallest SHA-256 of their id, this many of each dataset."""
+    sequences: tuple[str, ...] = ()
+    """Run only these: ids, or parts of ids that fit one sequence of the split only."""
     seed: int = 0
     samples: int = 1
     """Motions drawn for each sequence."""
@@ -53,6 +55,8 @@ class RunRequest:
         ):
             if value < 1:
                 raise UsageError(f"{name}: expected 1 or more, found {value}.")
+        if self.sequences and self.limit is not None:
+            raise UsageError("--sequence names the sequences already; leave --limit out.")
         if self.seed < 0:
             raise UsageError(f"--seed: expected 0 or more, found {self.seed}.")
         if self.control not in (None, SHUFFLED_GOAL):

@@ -135,6 +135,8 @@ def _selections(request: ScoreRequest, record: RunRecord | None, table: Sequence
     split = request.split or (record.split if record else "test")
     limit = request.limit if request.limit is not None or record is None else record.limit
     chosen = select(table, split=split, limit=limit)
+    if record is not None and record.sequences and request.limit is None:
+        chosen = chosen.chosen(np.isin(chosen.sequence_ids, record.sequences))
     if record is None:
         return chosen, chosen
     method = record.method

@@ -69,6 +69,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     control: str | None
     split: str
     limit: int | None
+    sequences: tuple[str, ...] = ()
+    """Ids, if the run is of single sequences instead of a split's; sorted."""
     seed: int
     samples: int
     device: str

@@ -1,0 +1,105 @@
+"""Which table a run was made on: a run folder holds digests only, no paths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from prbench.errors import RunError, TableError, UsageError
+from prbench.runs import RunFolder
+from prbench.runs.record import TableRecord
+from prbench.sequences import SequenceTable
+from prbench.viewing.replay.run_motions import RunMotions
+from prbench.workflows.first_run import default_table_folder
+
+_SHOWN = 12  # characters of a digest
+
+
+def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[SequenceTable]:
+    """The tables that all runs have in common, in the order of the first run.
+
+    Args:
+        runs: One or more.
+        data: Dataset folders; where none is given, the tables in prbench's own cache are tried by digest.
+
+    Raises:
+        TableError: if no table was named and none in the cache is the one.
+        RunError: if a named table is another one than a run's; names both digests.
+        UsageError: if the runs have no dataset in common.
+    """
+    common = [
+        record
+        for record in runs[0].record.tables
+        if all(record.dataset in {table.dataset for table in run.record.tables} for run in runs)
+    ]
+    if not common:
+        raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
+    named = [SequenceTable.open(folder) for folder in data]
+    if not named:
+        tables = [_from_cache(runs[0], record) for record in common]
+    else:
+        tables = [table for table in named if table.info.dataset in {record.dataset for record in common}]
+        if not tables:
+            raise RunError(
+                f"{runs[0].path}: the run is of {', '.join(record.dataset for record in common)}; --data names"
+                f" {', '.join(table.info.dataset for table in named)}. Name the table that it was made on."
+            )
+    for run in runs:
+        for table in tables:
+            _require_table_of(run, table)
+    return tables
+
+
+def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
+    record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+    if not _is_table_of(record, table):
+        raise RunError(
+            f"{table.folder}: expected the table that {run.path} was made on (content digest"
+            f" {record.content_digest[:_SHOWN]}…), found another one ({table.info.content_digest[:_SHOWN]}…)."
+            " Name that table with --data DIR, or run the method again on this one."
+        )
+
+
+def _is_table_of(record: TableRecord, table: SequenceTable) -> bool:
+    return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)
+
+
+def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
+    """The embedded default table, or another one that an earlier version left beside it."""
+    default = default_table_folder()
+    for folder in [default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]:
+        if (folder / "dataset.json").is_file():
+            table = SequenceTable.open(folder)
+            if table.info.dataset == record.dataset and _is_table_of(record, table):
+                return table
+    raise TableError(
+        f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
+        " which is not among the embedded ones. Name its folder with --data DIR."
+    )
+
+
+def require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequence[str]) -> None:
+    """Refuse sequences that a run has no motion of, and say why it has none.
+
+    Raises:
+        UsageError: naming the first one.
+    """
+    for name in sequence_ids:
+        if name not in run:
+            raise UsageError(f"{run.run.path}: holds no motion of {name}: {_why_left_out(run, table, name)}")
+
+
+def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
+    record = run.run.record
+    rows = table.scalars()
+    row = rows["sequence_id"].to_pylist().index(name)
+    split, n_frames = rows["split"][row].as_py(), rows["n_frames"][row].as_py()
+    if split != record.split:
+        return f"it is in split '{split}', the run is of '{record.split}'."
+    if record.method.max_frames is not None and n_frames > record.method.max_frames:
+        return f"it has {n_frames} frames, {record.method.name} generates at most {record.method.max_frames}."
+    if record.limit is not None:
+        return f"the run was limited to {record.limit} sequences (--limit). Run it alone: prbench run … --sequence ID"
+    if record.sequences:
+        return "the run was of other sequences (--sequence)."
+    return "the run was interrupted before it. Run the same `prbench run` again: it resumes."

@@ -1,0 +1,151 @@
+"""``prbench view``: find the tables that runs belong to, choose sequences, and have them drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import UsageError
+from prbench.evaluation.controls import GROUND_TRUTH
+from prbench.runs import RunFolder
+from prbench.sequences import SequenceTable
+from prbench.sequences.lookup import find_sequence_id
+from prbench.sequences.table import smallest_by_hash
+from prbench.viewing.replay import palette
+from prbench.viewing.replay.file_kind import file_kind
+from prbench.viewing.replay.read import read_scenes
+from prbench.viewing.replay.run_motions import RunMotions, run_labels
+from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.write import write_view
+from prbench.workflows.tables_of_runs import require_in_run, tables_of_runs
+
+DEFAULT_LIMIT = 4
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished steps, all steps, and what was finished last."""
+
+
+def _silent(done: int, total: int, last: str) -> None:
+    """Say nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewRequest:
+    """What a user wants to see.
+
+    Raises:
+        UsageError: if parts of it do not fit together.
+    """
+
+    out: Path
+    """The file; its suffix chooses the kind."""
+    runs: tuple[Path, ...] = ()
+    """Run folders whose motions stand beside one another; none for recorded motion alone."""
+    data: tuple[Path, ...] = ()
+    """Tables; where none is given, the tables in prbench's own cache are tried."""
+    sequences: tuple[str, ...] = ()
+    """Ids, or parts of ids that fit one sequence only."""
+    limit: int | None = None
+    """At most so many sequences of each dataset, chosen as `prbench run --limit` does; by default four."""
+    sample: int = 0
+    """Of runs that drew several motions."""
+    permitted: Collection[str] = ()
+    """Datasets for which the user has permission to pass recorded motion on."""
+
+    def __post_init__(self) -> None:
+        if not self.runs and not self.data:
+            raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
+        if self.sequences and self.limit is not None:
+            raise UsageError("--sequence names the sequences already; leave --limit out.")
+        if len(self.runs) > len(palette.METHODS):
+            raise UsageError(f"expected at most {len(palette.METHODS)} runs in one view, found {len(self.runs)}.")
+        if len(set(self.runs)) < len(self.runs):
+            raise UsageError("a run folder is named more than once.")
+
+
+@dataclass(frozen=True)
+class ViewReport:
+    """What was shown."""
+
+    out: Path
+    scenes: tuple[Scene, ...]
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the datasets' terms ask, as it stands in the view."""
+        return tuple(dict.fromkeys(scene.notice for scene in self.scenes if scene.notice))
+
+
+def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
+    """Render runs, or recorded motion, into one file.
+
+    Raises:
+        UsageError: if the file's suffix is unknown, or a sequence is unknown or left out by a run.
+        RunError: if a run has no predictions, or was made on another table.
+        TableError: if a table cannot be found or read.
+        RedistributionError: if nothing is left that the licence lets be shown.
+        MissingExtraError: if MP4 or HTML is asked for without the extra `view`.
+        StorageError: if the file cannot be written.
+    """
+    kind = file_kind(request.out)
+    scenes = scenes_of(request)
+    write_view(scenes, request.out, kind, progress)
+    return ViewReport(request.out, scenes)
+
+
+def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
+    """Read what is to be shown, table after table."""
+    runs = [RunFolder.open(path) for path in request.runs]
+    labels = run_labels(request.runs, [run.record for run in runs])
+    tables = tables_of_runs(runs, request.data) if runs else [SequenceTable.open(path) for path in request.data]
+    shown = [Shown(table, _opened(runs, labels, table, request.sample)) for table in tables]
+    scenes: list[Scene] = []
+    for part, ids in zip(shown, _chosen(request, shown), strict=True):
+        if ids:
+            scenes += read_scenes(part.table, ids, part.generated, permitted=request.permitted)
+    return tuple(scenes)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One table with the runs that were made on it."""
+
+    table: SequenceTable
+    runs: tuple[RunMotions, ...]
+
+    @property
+    def generated(self) -> list[RunMotions]:
+        """All but runs of the recorded motion itself, which every view shows anyway."""
+        return [
+            run for run in self.runs if run.run.record.method.name != GROUND_TRUTH or run.run.record.control is not None
+        ]
+
+
+def _opened(
+    runs: Sequence[RunFolder], labels: Sequence[str], table: SequenceTable, sample: int
+) -> tuple[RunMotions, ...]:
+    return tuple(
+        RunMotions.open(run, table.info.dataset, label=label, sample=sample)
+        for run, label in zip(runs, labels, strict=True)
+    )
+
+
+def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
+    """Ids of each table: those asked for, else a few that every run holds."""
+    known = [part.table.scalars()["sequence_id"].to_pylist() for part in shown]
+    if not request.sequences:
+        held = [
+            [name for name in ids if all(name in run for run in part.runs)]
+            for ids, part in zip(known, shown, strict=True)
+        ]
+        if not any(held):
+            raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
+        return [smallest_by_hash(ids, request.limit or DEFAULT_LIMIT) for ids in held]
+    everything = [name for ids in known for name in ids]
+    among = ", ".join(part.table.info.dataset for part in shown)
+    wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
+    for part, ids in zip(shown, known, strict=True):
+        for run in part.runs:
+            require_in_run(run, part.table, [name for name in wanted if name in ids])
+    return [[name for name in wanted if name in ids] for ids in known]
