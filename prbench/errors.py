@@ -103,9 +103,17 @@ class TrainingError(PrbenchError):
 
 
 class TrainingStopped(PrbenchError):
-    """A training was asked to stop, by SIGTERM or Ctrl-C, and has saved what it had; the same command goes on."""
+    """A training was asked to stop and has saved what it had; the same command goes on.
 
-    exit_code = 143  # 128 + SIGTERM, as shells have it
+    Args:
+        message: What was saved.
+        signal: Number of the signal that asked; the exit code is 128 more, as shells have it. By default SIGTERM's.
+    """
+
+    def __init__(self, message: str, *, signal: int | None = None) -> None:
+        self.signal = signal or 15
+        self.exit_code = 128 + self.signal
+        super().__init__(message)
 
 
 class MissingExtraError(PrbenchError):

@@ -59,22 +59,20 @@ def _train(arguments: argparse.Namespace) -> int:
     request = _request(arguments)
     with show_training(f"training {arguments.method}") as show:
         report = train(request, report=show)
+    if not report.first_process:
+        return 0
     print(f"waited for data {report.waiting:.1%} of {report.seconds:.0f} s", file=sys.stderr)
     print(f"weights: {report.weights}")
     return 0
 
 
 def _show_configuration(arguments: argparse.Namespace) -> int:
-    from prbench.training.configuration import DEFAULT_STAGES, as_toml, load_configuration
+    from prbench.training.configuration import as_toml
     from prbench.training.installed import load_task
+    from prbench.training.run import resolved
 
-    task = load_task(arguments.method)
-    configuration = load_configuration(
-        arguments.config,
-        package=task.configurations,
-        task=task.name,
-        stage=arguments.stage or getattr(task, "stages", DEFAULT_STAGES)[0],
-        overrides=arguments.set,
+    _, configuration = resolved(
+        load_task(arguments.method), arguments.config, stage=arguments.stage, overrides=arguments.set
     )
     print(as_toml(configuration), end="")
     return 0

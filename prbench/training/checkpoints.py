@@ -49,6 +49,8 @@ class Checkpoints:
             InputFileError: if it is damaged.
             TrainingError: if it is of another network.
         """
+        for left in self.folder.glob(".step-*"):
+            shutil.rmtree(left, ignore_errors=True)  # half-written by a process that was killed
         steps = self.steps()
         if not steps:
             return False
@@ -76,7 +78,10 @@ def _described(state: TrainingState) -> dict[str, object]:
         "step": state.step,
         "seconds": state.seconds,
         "waited": state.waited,
-        "tally": {"losses": state.tally.losses, "steps": state.tally.steps},
+        "tally": {
+            "losses": {name: float(total) for name, total in state.tally.losses.items()},
+            "batches": state.tally.batches,
+        },
         "rows": state.rows,
         "validations": state.validations,
     }

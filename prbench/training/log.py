@@ -28,7 +28,7 @@ class TrainingLog:
         self.out = out
         self._writer = _summary_writer(out / "tensorboard", resumed_at)
 
-    def add(self, row: Row, *, group: str = "train") -> None:
+    def add(self, row: Row, *, group: str) -> None:
         """Log one row; ``group`` comes before the names, as in ``train/loss``."""
         step = int(row["step"])
         for name, value in row.items():

@@ -18,23 +18,25 @@ import torch
 
 from prbench.errors import TrainingError, TrainingStopped
 from prbench.randomness import named_generator
-from prbench.training.average import WeightAverage, trained_parameters
 from prbench.training.checkpoints import Checkpoints
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench.training.devices import make_fabric
 from prbench.training.learning_rate import learning_rate
-from prbench.training.log import TrainingLog
+from prbench.training.outputs import Describe, Outputs
 from prbench.training.state import Row, Tally, TrainingState
 from prbench.training.stopping import StopRequest, stop_on_signals
 from prbench.training.task import TrainingModule
-from prbench.training.weights import write_weights
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-WEIGHTS = "weights.safetensors"
 CHECKPOINTS = "checkpoints"
 _STEPS_BETWEEN_QUESTIONS = 10  # processes that train together agree to stop; asking costs a message each
+
+Batches = Callable[[int], Iterable[Any]]
+"""From the number of batches taken before to the batches that follow, without end."""
+Validate = Callable[[TrainingModule], Row]
+"""From a module with the averaged weights, in evaluation mode, to what was measured."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,6 @@ def silent(progress: Progress) -> None:
     """Show nothing."""
 
 
-Batches = Callable[[int], Iterable[Any]]
-"""From the number of batches taken before to the batches that follow, without end."""
-
-
 def fit(
     module: TrainingModule,
     batches: Batches,
@@ -64,8 +62,8 @@ def fit(
     out: Path,
     *,
     fabric: Fabric | None = None,
-    describe: Callable[[TrainingState], dict[str, Any]] = lambda state: {"steps": state.step},
-    validate: Callable[[TrainingState], Row] | None = None,
+    describe: Describe = lambda state: {"steps": state.step},
+    validate: Validate | None = None,
     report: Callable[[Progress], None] = silent,
 ) -> TrainingState:
     """Train a module, or go on with it; ends with the averaged weights in ``out/weights.safetensors``.
@@ -77,8 +75,8 @@ def fit(
         out: The training folder: checkpoints, logs, curves, weights and their card.
         fabric: Device, processes and precision, launched; the CPU by default.
         describe: The card for a state.
-        validate: Measures a state; called with the averaged weights in place, on the first process.
-        report: Called after every step, on the first process.
+        validate: Called every ``validation.every`` steps, by the first process.
+        report: Called after every step, by the first process.
 
     Returns:
         The state after the last step.
@@ -88,77 +86,87 @@ def fit(
         TrainingError: if a loss is no longer finite, or a checkpoint does not fit the module.
         StorageError: if a file cannot be written.
     """
-    return Fit(module, batches, configuration, out, fabric, describe, validate, report).run()
+    fabric = fabric or make_fabric("cpu", precision=configuration.training.precision)
+    module.seed, module.rank = configuration.training.seed, fabric.global_rank
+    module.train().to(fabric.device)
+    state = TrainingState.start(module, configuration.training)
+    checkpoints = Checkpoints(out / CHECKPOINTS)
+    resumed = checkpoints.restore(state)
+    fabric.barrier()  # nobody writes a new checkpoint before everybody has read the old one
+    outputs = None
+    if fabric.is_global_zero:
+        dtype = configuration.training.weights_dtype
+        outputs = Outputs(out, checkpoints, describe, dtype=dtype, resumed_at=state.step)
+    try:
+        with stop_on_signals() as stop, torch.random.fork_rng(devices=[]):
+            session = _Session(state, configuration, fabric, outputs, stop, validate, report)
+            if not resumed:
+                session.save()  # from here on the folder resumes
+            session.train(batches)
+            if resumed and outputs is not None:
+                outputs.write_results(state)  # the last session may have been killed before it could
+    finally:
+        if outputs is not None:
+            outputs.close()
+    return state
 
 
-class Fit:
-    """One session of a training. See :func:`fit`."""
+@dataclass
+class _Session:
+    """A training between its start, or resumption, and its end."""
 
-    def __init__(
-        self,
-        module: TrainingModule,
-        batches: Batches,
-        configuration: TrainingConfiguration,
-        out: Path,
-        fabric: Fabric | None,
-        describe: Callable[[TrainingState], dict[str, Any]],
-        validate: Callable[[TrainingState], Row] | None,
-        report: Callable[[Progress], None],
-    ) -> None:
-        self.settings: OptimisationConfiguration = configuration.training
-        self.every = configuration.validation.every
-        self.batches, self.out = batches, out
-        self.describe, self.validate, self.report = describe, validate, report
-        self.fabric = fabric or make_fabric("cpu", precision=self.settings.precision)
-        module.seed, module.rank = self.settings.seed, self.fabric.global_rank
-        module.train().to(self.fabric.device)
-        optimiser = make_optimiser(module, self.settings)
-        average = WeightAverage(module, self.settings.ema, warmup=self.settings.ema_warmup)
-        self.state = TrainingState(module, optimiser, average)
-        self.checkpoints = Checkpoints(out / CHECKPOINTS)
+    state: TrainingState
+    configuration: TrainingConfiguration
+    fabric: Fabric
+    outputs: Outputs | None
+    stop: StopRequest
+    validate: Validate | None
+    report: Callable[[Progress], None]
 
-    def run(self) -> TrainingState:
-        """Go on from the newest checkpoint to the last step."""
-        resumed = self.checkpoints.restore(self.state)
-        self.fabric.barrier()
-        self.log = TrainingLog(self.out, resumed_at=self.state.step) if self.fabric.is_global_zero else None
-        try:
-            with stop_on_signals() as stop, torch.random.fork_rng(devices=[]):
-                if not resumed:
-                    self._save()  # from here on the folder resumes
-                if self.state.step < self.settings.steps:
-                    self._train(stop)
-        finally:
-            if self.log is not None:
-                self.log.close()
-        return self.state
+    @property
+    def settings(self) -> OptimisationConfiguration:
+        return self.configuration.training
 
-    def _train(self, stop: StopRequest) -> None:
+    def train(self, batches: Batches) -> None:
+        """Go on to the last step.
+
+        Raises:
+            TrainingStopped: if asked to stop before that.
+        """
         state, settings = self.state, self.settings
-        # Only now, because a process group may copy the weights of the first process to the others.
-        self.network = self.fabric.setup_module(state.module, move_to_device=False)
-        incoming = iter(self.batches(state.step * settings.micro_batches))
+        # Set up here, after a checkpoint was restored: a process group copies the first process's weights to all.
+        network = self.fabric.setup_module(state.module, move_to_device=False)
+        self.validated_at = int(state.validations[-1]["step"]) if state.validations else 0
+        self._validated()  # if the session before was stopped instead
+        incoming = iter(batches(state.step * settings.micro_batches))
         while state.step < settings.steps:
             started = time.perf_counter()
-            self._step(incoming)
-            state.seconds += time.perf_counter() - started
+            self._step(network, incoming)
             row = self._log_row() if self._due(settings.log_every) else None
-            measured = self._validated() if self.every and self._due(self.every) else None
-            if self.fabric.is_global_zero:
+            state.seconds += time.perf_counter() - started
+            asked = state.step < settings.steps and self._asked_to_stop()
+            measured = None if asked else self._validated()
+            if self.outputs is not None:
                 self.report(Progress(state.step, settings.steps, row, measured))
-            asked = self._asked_to_stop(stop)
             if asked or self._due(settings.save_every):
-                self._save()
-            if asked and state.step < settings.steps:
+                self.save()
+            if asked:
                 raise TrainingStopped(
-                    f"stopped{f' by {stop.name}' if stop else ''} after step {state.step} of {settings.steps};"
-                    f" everything is saved in {self.out}. The same command goes on from there."
+                    f"stopped after step {state.step} of {settings.steps}; everything is saved."
+                    " The same command goes on from there.",
+                    signal=self.stop.signal,
                 )
+
+    def save(self) -> None:
+        """Write all outputs; the other processes wait."""
+        if self.outputs is not None:
+            self.outputs.save(self.state)
+        self.fabric.barrier()
 
     def _due(self, every: int) -> bool:
         return self.state.step % every == 0 or self.state.step == self.settings.steps
 
-    def _step(self, incoming: Iterator[Any]) -> None:
+    def _step(self, network: Any, incoming: Iterator[Any]) -> None:
         """One step of the optimiser over ``micro_batches`` batches."""
         state, settings = self.state, self.settings
         for group in state.optimiser.param_groups:
@@ -169,22 +177,16 @@ class Fit:
             state.waited += time.perf_counter() - started
             number = state.step * settings.micro_batches + micro
             _seed_dropout(settings.seed, number, self.fabric.global_rank)
-            with self.fabric.no_backward_sync(self.network, enabled=micro < settings.micro_batches - 1):
-                losses = self.network(batch, number)
+            with self.fabric.no_backward_sync(network, enabled=micro < settings.micro_batches - 1):
+                losses = network(batch, number)
                 self.fabric.backward(losses["loss"] / settings.micro_batches)
-            self._tally(losses)
+            state.tally.add(losses)
         if settings.gradient_clip is not None:
-            torch.nn.utils.clip_grad_norm_(list(state.average.parameters.values()), settings.gradient_clip)
+            torch.nn.utils.clip_grad_norm_(state.average.parameters.values(), settings.gradient_clip)
         state.optimiser.step()
         state.optimiser.zero_grad()
         state.step += 1
         state.average.update(state.step)
-
-    def _tally(self, losses: dict[str, torch.Tensor]) -> None:
-        tally = self.state.tally
-        for name, loss in losses.items():
-            tally.losses[name] = tally.losses.get(name, 0.0) + float(loss.detach())
-        tally.steps += 1
 
     def _log_row(self) -> Row:
         """Means since the last line, over all processes.
@@ -193,77 +195,56 @@ class Fit:
             TrainingError: if one is not finite.
         """
         state = self.state
-        means = state.tally.means()
-        if self.fabric.world_size > 1:
-            together = torch.tensor(list(means.values()), dtype=torch.float64, device=self.fabric.device)
-            reduced = self.fabric.all_reduce(together, reduce_op="mean")
-            means = dict(zip(means, reduced.tolist()))  # pyright: ignore[reportAttributeAccessIssue]
+        means = self._over_processes(state.tally.means())
         for name, value in means.items():
             if not math.isfinite(value):
                 raise TrainingError(
-                    f"'{name}' is {value} at step {state.step}: the training has diverged. The checkpoints in"
-                    f" {self.checkpoints.folder} are from before; try a lower learning rate or gradient_clip in"
-                    " another folder."
+                    f"'{name}' is {value} at step {state.step}: the training has diverged. The checkpoints are from"
+                    " before; try a lower learning rate or a gradient_clip in another folder."
                 )
         state.tally = Tally()
         rate = learning_rate(state.step - 1, self.settings)
         row = {"step": state.step, **means, "learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
         state.rows.append(row)
-        if self.log is not None:
-            self.log.add(row)
+        if self.outputs is not None:
+            self.outputs.add(row, group="train")
         return row
 
+    def _over_processes(self, means: dict[str, float]) -> dict[str, float]:
+        if self.fabric.world_size == 1:
+            return means
+        together = torch.tensor(list(means.values()), device=self.fabric.device)
+        reduced = self.fabric.all_reduce(together, reduce_op="mean")
+        assert isinstance(reduced, torch.Tensor)
+        return dict(zip(means, reduced.tolist()))
+
     def _validated(self) -> Row | None:
-        if self.validate is None:
+        """Validate the averaged weights if it is time; only the first process does, and the others wait."""
+        state, every = self.state, self.configuration.validation.every
+        if self.validate is None or not every or not state.step or not self._due(every):
             return None
-        measured = None
-        if self.fabric.is_global_zero:
-            with self.state.average.applied(), torch.no_grad():
-                self.state.module.eval()
-                measured = {"step": self.state.step, **self.validate(self.state)}
-                self.state.module.train()
-            self.state.validations.append(measured)
-            if self.log is not None:
-                self.log.add(measured, group="validation")
+        if self.validated_at == state.step:
+            return None
+        self.validated_at, measured = state.step, None
+        if self.outputs is not None:
+            state.module.eval()
+            with state.average.applied(), torch.no_grad():
+                measured = {"step": state.step, **self.validate(state.module)}
+            state.module.train()
+            state.validations.append(measured)
+            self.outputs.add(measured, group="validation")
         self.fabric.barrier()
         return measured
 
-    def _asked_to_stop(self, stop: StopRequest) -> bool:
+    def _asked_to_stop(self) -> bool:
         if self.fabric.world_size == 1:
-            return bool(stop)
+            return bool(self.stop)
         if self.state.step % _STEPS_BETWEEN_QUESTIONS:
             return False
-        asked = torch.tensor(float(bool(stop)), device=self.fabric.device)
-        return bool(self.fabric.all_reduce(asked, reduce_op="sum") > 0)  # pyright: ignore[reportOperatorIssue]
-
-    def _save(self) -> None:
-        """Checkpoint, averaged weights with their card, curves; by the first process."""
-        if self.fabric.is_global_zero:
-            self.checkpoints.save(self.state)
-            self._write_weights()
-            if self.log is not None:
-                self.log.draw(self.state)
-        self.fabric.barrier()
-
-    def _write_weights(self) -> None:
-        with self.state.average.applied():
-            tensors, metadata = self.state.module.weights()
-            write_weights(
-                self.out / WEIGHTS, tensors, metadata, self.describe(self.state), dtype=self.settings.weights_dtype
-            )
-
-
-def make_optimiser(module: TrainingModule, settings: OptimisationConfiguration) -> torch.optim.AdamW:
-    """AdamW over the parameters that require gradients."""
-    parameters = list(trained_parameters(module).values())
-    fused = all(parameter.device.type in ("cpu", "cuda") for parameter in parameters)
-    return torch.optim.AdamW(
-        parameters,
-        lr=settings.learning_rate,
-        betas=settings.betas,
-        weight_decay=settings.weight_decay,
-        fused=fused,
-    )
+        asked = torch.tensor(float(bool(self.stop)), device=self.fabric.device)
+        votes = self.fabric.all_reduce(asked, reduce_op="sum")
+        assert isinstance(votes, torch.Tensor)
+        return bool(votes > 0)
 
 
 def _seed_dropout(seed: int, number: int, rank: int) -> None:

@@ -86,7 +86,8 @@ def prepare_folder(out: Path, record: TrainingRecord) -> None:
             f"{out}: holds another training: '{key}' is {then} there, but {now} was asked for."
             " Repeat the command of that training to go on with it, or choose another folder for --out."
         )
-    write_json(path, asked)  # what may change has changed
+    if asked != found:
+        write_json(path, asked)  # what may change has changed
 
 
 def first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from prbench.errors import UsageError
+from prbench.errors import TrainingStopped, UsageError
 from prbench.storage import file_digest
 from prbench.training.card import training_card
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
@@ -17,11 +17,13 @@ from prbench.training.dataset import SequenceDataset
 from prbench.training.devices import make_fabric
 from prbench.training.installed import load_task
 from prbench.training.loading import load_batches
-from prbench.training.loop import WEIGHTS, Progress, fit, silent
+from prbench.training.loop import Progress, fit, silent
+from prbench.training.outputs import WEIGHTS
 from prbench.training.record import TrainingRecord, prepare_folder, table_records
 from prbench.training.sampling import LengthBatches
-from prbench.training.state import TrainingState
+from prbench.training.state import Row, TrainingState
 from prbench.training.task import TrainingData, TrainingModule, TrainingTask
+from prbench.training.validation import Validation
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -65,6 +67,8 @@ class TrainReport:
     seconds: float
     waiting: float
     """Fraction of the time spent waiting for data."""
+    first_process: bool
+    """False in all but one of several processes; these have nothing to tell."""
 
 
 def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent) -> TrainReport:
@@ -79,7 +83,7 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
         PrbenchError: if data, configuration or initial weights are not what they should be.
     """
     task = load_task(request.method)
-    stage, configuration = resolved(request, task)
+    stage, configuration = resolved(task, request.configuration, stage=request.stage, overrides=request.overrides)
     fabric = make_fabric(request.device, devices=request.devices, precision=configuration.training.precision)
     torch.set_num_threads(request.threads)
     fabric.launch()
@@ -87,25 +91,27 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
     return run(request, task, stage, configuration, fabric, report)
 
 
-def resolved(request: TrainRequest, task: TrainingTask) -> tuple[str, TrainingConfiguration]:
-    """The stage and the configuration of a request.
+def resolved(
+    task: TrainingTask, configuration: str, *, stage: str | None = None, overrides: Sequence[tuple[str, str]] = ()
+) -> tuple[str, TrainingConfiguration]:
+    """The stage and the configuration of a training.
+
+    Args:
+        task: What is trained.
+        configuration: Name of one that comes with the task, or the path of a TOML file.
+        stage: By default the task's first.
+        overrides: ``("training.steps", "100")`` …
 
     Raises:
         UsageError: for an unknown stage, configuration or key.
         InputFileError: if the file is no configuration.
     """
-    stages = getattr(task, "stages", DEFAULT_STAGES)
-    stage = request.stage or stages[0]
-    if stage not in stages:
-        raise UsageError(f"--stage: '{task.name}' has no stage '{stage}'; its stages are: {', '.join(stages)}.")
-    configuration = load_configuration(
-        request.configuration,
-        package=task.configurations,
-        task=task.name,
-        stage=stage,
-        overrides=request.overrides,
-    )
-    return stage, configuration
+    stages: tuple[str, ...] = getattr(task, "stages", DEFAULT_STAGES)
+    chosen = stage or stages[0]
+    if chosen not in stages:
+        raise UsageError(f"--stage: '{task.name}' has no stage '{chosen}'; its stages are: {', '.join(stages)}.")
+    package, name = task.configurations, task.name
+    return chosen, load_configuration(configuration, package=package, task=name, stage=chosen, overrides=overrides)
 
 
 def run(
@@ -121,16 +127,34 @@ def run(
         data = training_dataset(request.data, configuration)
         record = _record(request, stage, configuration, data)
         prepare_folder(request.out, record)
-    module = _module(request, task, stage, configuration, data)
+        module = _module(request, task, stage, configuration, data)
+        validation = Validation.prepare(data.tables, configuration) if fabric.is_global_zero else None
 
     def describe(state: TrainingState) -> dict[str, Any]:
         return training_card(record, state, fabric.device, request.threads)
 
     def batches(start: int) -> Iterable[Any]:
-        return _loader(data, configuration, fabric, start, request.workers)
+        return _batches(data, configuration, fabric, start, request.workers)
 
-    state = fit(module, batches, configuration, request.out, fabric=fabric, describe=describe, report=report)
-    return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting)
+    def validate(module: TrainingModule) -> Row:
+        return validation.measure(module, fabric.device, fabric.autocast()) if validation is not None else {}
+
+    try:
+        state = fit(
+            module,
+            batches,
+            configuration,
+            request.out,
+            fabric=fabric,
+            describe=describe,
+            validate=validate,
+            report=report,
+        )
+    except TrainingStopped as stopped:
+        if fabric.is_global_zero:
+            raise
+        raise SystemExit(stopped.exit_code) from stopped  # one process speaks for all
+    return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
 def training_dataset(
@@ -176,7 +200,7 @@ def _module(
         return task.build(configuration.model, data=given, initial=request.initial, stage=stage)
 
 
-def _loader(
+def _batches(
     data: SequenceDataset, configuration: TrainingConfiguration, fabric: Fabric, start: int, workers: int
 ) -> Iterable[Any]:
     settings = configuration.training

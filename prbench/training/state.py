@@ -8,6 +8,7 @@ import torch
 
 from prbench.errors import TrainingError
 from prbench.training.average import WeightAverage
+from prbench.training.configuration import OptimisationConfiguration
 from prbench.training.task import TrainingModule
 
 Row = dict[str, float]
@@ -18,12 +19,19 @@ Row = dict[str, float]
 class Tally:
     """Sums since the last line of the log, so that a line means the same in a resumed run."""
 
-    losses: dict[str, float] = field(default_factory=dict)
-    steps: int = 0
+    losses: dict[str, torch.Tensor | float] = field(default_factory=dict)
+    """Kept on their device: reading them would make a GPU wait."""
+    batches: int = 0
+
+    def add(self, losses: dict[str, torch.Tensor]) -> None:
+        """Count the losses of one batch."""
+        for name, loss in losses.items():
+            self.losses[name] = self.losses.get(name, 0.0) + loss.detach()
+        self.batches += 1
 
     def means(self) -> dict[str, float]:
         """Mean of every loss."""
-        return {name: total / self.steps for name, total in self.losses.items()}
+        return {name: float(total) / self.batches for name, total in self.losses.items()}
 
 
 @dataclass
@@ -43,6 +51,20 @@ class TrainingState:
     rows: list[Row] = field(default_factory=list)
     """The log so far."""
     validations: list[Row] = field(default_factory=list)
+
+    @classmethod
+    def start(cls, module: TrainingModule, settings: OptimisationConfiguration) -> TrainingState:
+        """The state before the first step; the module is where it will be trained."""
+        average = WeightAverage(module, settings.ema, warmup=settings.ema_warmup)
+        parameters = list(average.parameters.values())
+        optimiser = torch.optim.AdamW(
+            parameters,
+            lr=settings.learning_rate,
+            betas=settings.betas,
+            weight_decay=settings.weight_decay,
+            fused=all(parameter.device.type in ("cpu", "cuda") for parameter in parameters),
+        )
+        return cls(module, optimiser, average)
 
     @property
     def waiting(self) -> float:

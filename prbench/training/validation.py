@@ -1,0 +1,172 @@
+"""Validation while training goes on: losses, and the benchmark's metrics, on part of the validation split.
+
+The noise of the losses is the same every time, so two validations differ by the weights alone. Motions are generated
+and scored exactly as ``prbench run`` does it (*Prime and Reach*, section 5.2), by the module's own adapter.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from prbench.contract import Adapter, Condition
+from prbench.engine import InProcess
+from prbench.errors import UsageError
+from prbench.evaluation.conditions import ConditionSource, run_salt
+from prbench.evaluation.declared import Declared
+from prbench.evaluation.motions import generate_checked
+from prbench.evaluation.planning import Selection, plan_batches, select
+from prbench.evaluation.preparation import supported
+from prbench.evaluation.scoring import ScoringRules, score_selection
+from prbench.manifests import load_protocol
+from prbench.metrics import METRICS
+from prbench.runs.predictions import PredictionRows, write_part
+from prbench.sequences import SequenceTable
+from prbench.sequences.table import smallest_by_hash
+from prbench.training.batch import collate
+from prbench.training.configuration import TrainingConfiguration
+from prbench.training.dataset import SequenceDataset
+from prbench.training.rows import Table
+from prbench.training.state import Row
+from prbench.training.task import TrainingModule
+
+SPLIT = "validation"
+_SCORES = tuple(info.id for info in METRICS if info.main)
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What is measured, and on which sequences; the same at every step of a training."""
+
+    data: SequenceDataset
+    places: tuple[int, ...]
+    """Of the chosen items in ``data``, by length."""
+    selections: tuple[Selection, ...]
+    """Of the tables that motions are generated for."""
+    condition: Condition | None
+    batch_size: int
+    seed: int
+
+    @classmethod
+    def prepare(cls, tables: Iterable[Table], configuration: TrainingConfiguration) -> Validation | None:
+        """Choose the sequences; None if the configuration asks for no validation.
+
+        Tables without validation sequences are left out, and corpora, which have no goals, give losses only.
+
+        Raises:
+            UsageError: if no table has validation sequences.
+        """
+        wanted, data = configuration.validation, configuration.data
+        if not wanted.every:
+            return None
+        usable = [table for table in tables if table.scalars(split=SPLIT).num_rows]
+        if not usable:
+            raise UsageError(
+                "no table has sequences in split 'validation'. Build more recordings, or train without:"
+                " --set validation.every=0."
+            )
+        dataset = SequenceDataset(
+            usable,
+            split=SPLIT,
+            max_frames=data.max_frames,
+            crop=data.crop,
+            mode=data.mode,
+            seed=configuration.training.seed,
+        )
+        return cls(
+            dataset,
+            _chosen(dataset, usable, wanted.sequences),
+            _selections(usable, wanted.sequences) if wanted.condition is not None else (),
+            Condition(wanted.condition) if wanted.condition is not None else None,
+            wanted.batch_size,
+            configuration.training.seed,
+        )
+
+    def measure(
+        self, module: TrainingModule, device: torch.device, autocast: AbstractContextManager | None = None
+    ) -> Row:
+        """Losses and metrics of a module as it is, by name; what has no value on these sequences is left out.
+
+        Args:
+            module: In evaluation mode.
+            device: Where it is.
+            autocast: Entered for the losses: the precision of the training.
+        """
+        with autocast or contextlib.nullcontext():
+            measured = self._losses(module, device)
+        adapter = module.adapter(str(device)) if self.condition is not None else None
+        if adapter is not None:
+            measured |= self._metrics(adapter)
+        return {name: value for name, value in measured.items() if math.isfinite(value)}
+
+    def _losses(self, module: TrainingModule, device: torch.device) -> Row:
+        totals: dict[str, float] = defaultdict(float)
+        for number, start in enumerate(range(0, len(self.places), self.batch_size)):
+            places = self.places[start : start + self.batch_size]
+            batch = collate([self.data[place] for place in places]).to(device)
+            for name, loss in module(batch, -1 - number).items():
+                totals[name] += float(loss) * len(places)
+        return {name: total / len(self.places) for name, total in totals.items()}
+
+    def _metrics(self, adapter: Adapter) -> Row:
+        """Mean of every metric over the sequences of all tables."""
+        values: dict[str, list[np.ndarray]] = defaultdict(list)
+        declared = Declared.by(adapter, origin="the network in training")
+        for selection in self.selections:
+            kept = supported(selection, max_frames=declared.max_frames, native_fps=declared.native_fps)
+            if len(kept):
+                for name, found in self._scored(adapter, kept).items():
+                    values[name].append(found)
+        joined = {name: np.concatenate(values[name]) for name in _SCORES if name in values}
+        return {name: float(np.nanmean(found)) for name, found in joined.items() if not np.isnan(found).all()}
+
+    def _scored(self, adapter: Adapter, selection: Selection) -> dict[str, np.ndarray]:
+        protocol = load_protocol()
+        with tempfile.TemporaryDirectory(prefix="prbench-validation-") as folder:
+            for number, rows in enumerate(plan_batches(selection.n_frames, self.batch_size)):
+                self._generate(adapter, selection, rows, Path(folder) / f"part-{number:05d}.parquet")
+            rules = ScoringRules(protocol.metrics)
+            tables = list(score_selection(selection, Path(folder), samples=(0,), rules=rules, engine=InProcess()))
+        metrics = np.concatenate([np.array(table["metric"].to_pylist()) for table in tables])
+        values = np.concatenate([table["value"].to_numpy() for table in tables])
+        return {name: values[metrics == name] for name in np.unique(metrics).tolist()}
+
+    def _generate(self, adapter: Adapter, selection: Selection, rows: np.ndarray, path: Path) -> None:
+        assert self.condition is not None
+        ids = tuple(selection.sequence_ids[row] for row in rows)
+        salt = run_salt(self.seed, selection.table.info.identity_digest)
+        source = ConditionSource.read(selection)
+        batch = source.batch(rows, self.condition, seed=self.seed, salt=salt, sample=0)
+        motions, _ = generate_checked(
+            adapter, batch, seed=self.seed, method="the network in training", sequence_ids=ids
+        )
+        write_part(
+            path,
+            ids,
+            [batch.noise_seed],
+            [PredictionRows.from_padded(motions.joints, motions.n_frames)],
+            protocol_version=load_protocol().version,
+        )
+
+
+def _chosen(dataset: SequenceDataset, tables: Iterable[Table], limit: int) -> tuple[int, ...]:
+    """Places of the rows of each table with the smallest hash of their id, in order of length."""
+    chosen: set[str] = set()
+    for table in tables:
+        chosen.update(smallest_by_hash(table.scalars(split=SPLIT)["sequence_id"].to_pylist(), limit))
+    places = [place for place, name in enumerate(dataset.sequence_ids) if name in chosen]
+    return tuple(sorted(places, key=lambda place: (int(dataset.lengths[place]), place)))
+
+
+def _selections(tables: Iterable[Table], limit: int) -> tuple[Selection, ...]:
+    scorable = (table for table in tables if isinstance(table, SequenceTable) and table.info.why_not_scored is None)
+    return tuple(select(table, split=SPLIT, limit=limit) for table in scorable)
