@@ -29,7 +29,10 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         execute=_run,
     )
     parser.add_argument(
-        "--method", required=True, metavar="NAME", help="an installed method, or the control ground-truth or scripted"
+        "--method",
+        required=True,
+        metavar="NAME",
+        help="an installed method, or a control: ground-truth, ground-truth-resampled, scripted",
     )
     parser.add_argument("--condition", choices=_CONDITIONS, default="none", help="what the method is given")
     add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
