@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from prbench_adapters.diffusion.batching import parts_of_similar_length
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.noise_optimisation.decoder import FrozenModel, UnrolledChain
 from prbench_adapters.diffusion.noise_optimisation.objective import ObjectiveFromSettings, Targets, prime_and_reach
@@ -43,21 +44,6 @@ def optimise_noise(
         for rows in parts_of_similar_length(n_frames.numpy(), settings.batch_size)
     ]
     return _together(parts, noise, n_frames, settings)
-
-
-def parts_of_similar_length(n_frames: Int[np.ndarray, " batch"], largest: int) -> list[np.ndarray]:
-    """Row numbers in parts of at most ``largest``, shortest sequences first.
-
-    A part ends early where the next sequence would make the shortest one carry a quarter of its length as padding.
-    """
-    parts: list[list[int]] = []
-    for row in np.argsort(n_frames, kind="stable").tolist():
-        fits = parts and len(parts[-1]) < largest and n_frames[row] <= 1.25 * n_frames[parts[-1][0]]
-        if fits:
-            parts[-1].append(row)
-        else:
-            parts.append([row])
-    return [np.array(part) for part in parts]
 
 
 def _part(

@@ -5,7 +5,8 @@ Nothing here needs torch, so that options are checked before anything heavy is l
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import math
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 Hand = Literal["right", "left", "nearest"]
@@ -64,14 +65,24 @@ class OptimisationSettings:
         return asdict(self)
 
 
-PAPER = OptimisationSettings(checkpointing=7)
-"""T = 50, M = 400, learning rate 0.05, alpha 0.5 (*Prime and Reach*, sections 4.2 and 5.1), DNO's solver and its
-decorrelation term. Blocks of about sqrt(50) steps are computed twice, so that memory stays small."""
-
-FAST = OptimisationSettings(ddim_steps=5, iterations=79, warmup=10, keep="best")
-"""At most 400 network passes a sequence."""
-
-DNO_PAPER = OptimisationSettings(iterations=400, checkpointing=7)
-"""The baseline with the same budget as the paper's method: S = 400, K = 50 (``methods/dno.md``)."""
-
 Mode = Literal["fast", "paper"]
+
+
+def paper(diffusion_steps: int) -> OptimisationSettings:
+    """All T steps of the training schedule, M = 400, learning rate 0.05, alpha 0.5 (*Prime and Reach*, section 5.1).
+
+    Solver and decorrelation are DNO's. Blocks of about sqrt(T) steps are computed twice, so that memory stays small.
+    """
+    return OptimisationSettings(ddim_steps=diffusion_steps, checkpointing=math.ceil(math.sqrt(diffusion_steps)))
+
+
+def dno_paper(diffusion_steps: int) -> OptimisationSettings:
+    """The baseline with the same budget: S = 400; K = T up to 50 steps, else 10 (``methods/dno.md``)."""
+    return replace(paper(diffusion_steps), ddim_steps=diffusion_steps if diffusion_steps <= 50 else 10)
+
+
+def fast(diffusion_steps: int) -> OptimisationSettings:
+    """At most 400 network passes a sequence: 79 iterations of 5 steps, and the last decoding."""
+    return OptimisationSettings(
+        ddim_steps=min(5, diffusion_steps), iterations=79, learning_rate=0.2, warmup=10, keep="best"
+    )

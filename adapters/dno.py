@@ -1,0 +1,90 @@
+"""DNO: the noise of a frozen text-to-motion model is optimised until its motion meets the keyframes.
+
+The study's baseline (*Prime and Reach*, section 5.3; ``methods/dno.md``): no network of its own. With the bundled prior
+or another text-to-motion model it is the zero-shot row, with a prior fine-tuned on P&R sequences the other one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.contract import Condition, ConditionBatch, Motions
+
+if TYPE_CHECKING:
+    from prbench_adapters.diffusion.model import MotionModel
+    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+
+DEFAULT_WEIGHTS = "mdm-small"
+_NO_PROMPT, _OWN_PROMPT = "none", "own"
+_MODES = ("fast", "paper")
+
+
+class DNO:
+    """Meets the first frame and the goal by moving the noise; the initial velocity has no term unless asked for."""
+
+    name = "dno"
+    conditions = frozenset({Condition.GOAL_POSE, Condition.GOAL_LOCATION})
+
+    def __init__(
+        self, model: MotionModel, weights: Path, settings: OptimisationSettings, *, prompt: str = _NO_PROMPT
+    ) -> None:
+        self.model, self.weights, self.settings, self.prompt = model, weights, settings, prompt
+        self.max_frames = model.configuration.max_frames
+        self.native_fps = model.configuration.fps
+
+    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one prior for both goals
+        """The weights file in use."""
+        return self.weights
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
+        """Optimise one motion for each row."""
+        from prbench_adapters.diffusion.noise_optimisation import generate_optimised, keyframes
+
+        return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
+
+    def _texts(self, batch: ConditionBatch) -> tuple[str, ...] | None:
+        if self.prompt == _OWN_PROMPT:
+            return batch.text
+        return ("" if self.prompt == _NO_PROMPT else self.prompt,) * len(batch)
+
+
+def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DNO:
+    """Entry point ``dno``.
+
+    Options: ``optimise`` (fast or paper), ``prompt`` (none, own for each sequence's text, or any text), ``guidance``
+    (1), ``text-path``, and those of :mod:`prbench_adapters.diffusion.noise_optimisation.options`.
+
+    Args:
+        weights: File, folder or name of bundled weights of a text-to-motion model; None for ``mdm-small``.
+        options: See above.
+        device: ``cpu``, ``cuda`` …
+
+    Raises:
+        AdapterError: if there is no such device, no such weights, or they need a goal.
+        InputFileError: if the file is not one of a denoiser.
+        ValueError: for options that are unknown or have impossible values.
+    """
+    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.model import MotionModel, require_goal
+    from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS
+    from prbench_adapters.diffusion.options import require_known
+
+    require_known(options, ("optimise", "prompt", "guidance", "text-path", *OPTIMISATION_OPTIONS))
+    path = resolve(weights, DEFAULT_WEIGHTS)
+    model = MotionModel.load(path, device, text_path=options.get("text-path"))
+    require_goal(model, path, "none")
+    settings = _settings(options, model.configuration.diffusion_steps)
+    return DNO(model, path, settings, prompt=options.get("prompt", _NO_PROMPT))
+
+
+def _settings(options: Mapping[str, str], diffusion_steps: int) -> OptimisationSettings:
+    from dataclasses import replace
+
+    from prbench_adapters.diffusion.noise_optimisation import dno_paper, fast, optimisation_settings
+    from prbench_adapters.diffusion.options import choice, number
+
+    preset = {"fast": fast, "paper": dno_paper}[choice(options, "optimise", _MODES)](diffusion_steps)
+    preset = replace(preset, guidance=number(options, "guidance", preset.guidance))
+    return optimisation_settings(options, preset, diffusion_steps=diffusion_steps)
