@@ -50,7 +50,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     weight_decay: float = 0.0
     betas: tuple[float, float] = (0.9, 0.999)
     gradient_clip: float | None = None
-    """Largest norm of the gradient over all parameters."""
+    """Largest norm of the gradient over all parameters, or over those of each network where the task says so."""
     ema: float = 0.9999
     """Decay of the average of the weights, which is what is saved; 0 keeps no average."""
     ema_warmup: bool = True

@@ -142,8 +142,9 @@ class _Session:
         while state.step < settings.steps:
             started = time.perf_counter()
             self._step(network, incoming)
-            row = self._log_row() if self._due(settings.log_every) else None
+            means = self._means() if self._due(settings.log_every) else None
             state.seconds += time.perf_counter() - started
+            row = self._log(means) if means is not None else None
             asked = state.step < settings.steps and self._asked_to_stop()
             measured = None if asked else self._validated()
             if self.outputs is not None:
@@ -182,33 +183,27 @@ class _Session:
                 self.fabric.backward(losses["loss"] / settings.micro_batches)
             state.tally.add(losses)
         if settings.gradient_clip is not None:
-            torch.nn.utils.clip_grad_norm_(state.average.parameters.values(), settings.gradient_clip)
+            for group in state.module.gradient_groups():
+                torch.nn.utils.clip_grad_norm_(group, settings.gradient_clip)
         state.optimiser.step()
         state.optimiser.zero_grad()
         state.step += 1
         state.average.update(state.step)
 
-    def _log_row(self) -> Row:
-        """Means since the last line, over all processes.
+    def _means(self) -> dict[str, float]:
+        """Mean losses since the last line of the log, over all processes; waits for the device.
 
         Raises:
             TrainingError: if one is not finite.
         """
-        state = self.state
-        means = self._over_processes(state.tally.means())
+        means = self._over_processes(self.state.tally.means())
         for name, value in means.items():
             if not math.isfinite(value):
                 raise TrainingError(
-                    f"'{name}' is {value} at step {state.step}: the training has diverged. The checkpoints are from"
-                    " before; try a lower learning rate or a gradient_clip in another folder."
+                    f"'{name}' is {value} at step {self.state.step}: the training has diverged. The checkpoints are"
+                    " from before; try a lower learning rate or a gradient_clip in another folder."
                 )
-        state.tally = Tally()
-        rate = learning_rate(state.step - 1, self.settings)
-        row = {"step": state.step, **means, "learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
-        state.rows.append(row)
-        if self.outputs is not None:
-            self.outputs.add(row, group="train")
-        return row
+        return means
 
     def _over_processes(self, means: dict[str, float]) -> dict[str, float]:
         if self.fabric.world_size == 1:
@@ -217,6 +212,16 @@ class _Session:
         reduced = self.fabric.all_reduce(together, reduce_op="mean")
         assert isinstance(reduced, torch.Tensor)
         return dict(zip(means, reduced.tolist()))
+
+    def _log(self, means: dict[str, float]) -> Row:
+        state = self.state
+        state.tally = Tally()
+        rate = learning_rate(state.step - 1, self.settings)
+        row = {"step": state.step, **means, "learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
+        state.rows.append(row)
+        if self.outputs is not None:
+            self.outputs.add(row, group="train")
+        return row
 
     def _validated(self) -> Row | None:
         """Validate the averaged weights if it is time; only the first process does, and the others wait."""

@@ -7,7 +7,7 @@ without arguments which returns a :class:`TrainingTask`. A task builds a :class:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -81,6 +81,10 @@ class TrainingModule(nn.Module):
     def learned_from(self) -> tuple[str, ...]:
         """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
         return ()
+
+    def gradient_groups(self) -> Sequence[Sequence[nn.Parameter]]:
+        """The parameters whose gradients are clipped together, by the norm of each group: all of them by default."""
+        return (tuple(self.parameters()),)
 
     def generator(self, step: int) -> torch.Generator:
         """A generator on the CPU that depends on seed, step and rank alone, so that a resumed run repeats its draws.
