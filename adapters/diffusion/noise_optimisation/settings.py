@@ -86,3 +86,7 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
     return OptimisationSettings(
         ddim_steps=min(5, diffusion_steps), iterations=79, learning_rate=0.2, warmup=10, keep="best"
     )
+
+
+PAPER, FAST = paper(50), fast(50)
+"""The two modes for models of 50 steps."""
