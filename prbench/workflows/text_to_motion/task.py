@@ -1,0 +1,147 @@
+"""The training task ``t2m-evaluator``: from a ``[model]`` table and data to a module to train."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+import torch
+
+from prbench.errors import InputFileError, UsageError
+from prbench.evaluation.text_to_motion.configuration import GLOVE, EvaluatorConfiguration
+from prbench.representation import Statistics
+from prbench.training.task import TrainingData
+from prbench.training.weights import Weights, read_weights
+from prbench.workflows.text_to_motion.losses import EvaluatorObjective
+from prbench.workflows.text_to_motion.tokens import token_vectors
+from prbench.workflows.text_to_motion.training import MOVEMENT_KIND, STAGES, EvaluatorTraining, Stage
+
+
+@dataclass(frozen=True)
+class EvaluatorTask:
+    """A training task (:class:`prbench.training.task.TrainingTask`)."""
+
+    name: str = "t2m-evaluator"
+    configurations: str = "prbench.workflows.text_to_motion.configurations"
+    stages: tuple[str, ...] = STAGES
+
+    def build(
+        self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
+    ) -> EvaluatorTraining:
+        """Make the networks in their state before the first step.
+
+        Args:
+            model: Keys of :class:`EvaluatorConfiguration` and of :class:`EvaluatorObjective`.
+            data: The training split.
+            initial: The trained autoencoder that stage ``contrastive`` starts from, and no other stage.
+            stage: ``full``, ``autoencoder`` or ``contrastive``.
+
+        Raises:
+            UsageError: if the table does not describe an evaluator, or stage and initial weights do not fit together.
+            InputFileError: if the initial weights or the word vectors do not fit it.
+        """
+        configuration, objective = read_model_table(model)
+        _require_fit(configuration, data)
+        _require_stage(stage, initial, objective)
+        start = read_weights(initial, kind=MOVEMENT_KIND) if initial is not None else None
+        tokens, words_digest = token_vectors(
+            configuration.text, data.train.tables, words=objective.words, path=objective.text_path
+        )
+        module = EvaluatorTraining(
+            configuration,
+            objective,
+            stage=cast(Stage, stage),
+            statistics=_statistics(start, data),
+            tokens=tokens,
+            words_digest=words_digest,
+            origin=_origin(configuration, words_digest, start),
+        )
+        if start is not None:
+            _continue_from(module, start)
+        return module
+
+
+def read_model_table(model: Mapping[str, Any]) -> tuple[EvaluatorConfiguration, EvaluatorObjective]:
+    """Split the table ``[model]`` into the networks and what they are trained for.
+
+    Raises:
+        UsageError: for an unknown key or a value of a wrong kind.
+    """
+    trained_for = {key: value for key, value in model.items() if key in EvaluatorObjective.__struct_fields__}
+    networks = {key: value for key, value in model.items() if key not in trained_for}
+    try:
+        return msgspec.convert(networks, EvaluatorConfiguration), msgspec.convert(trained_for, EvaluatorObjective)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"[model]: {error}.") from error
+
+
+def _require_fit(configuration: EvaluatorConfiguration, data: TrainingData) -> None:
+    for key, wanted, found in (
+        ("data.mode", configuration.representation, data.mode),
+        ("frames per second of the tables", configuration.fps, data.fps),
+    ):
+        if wanted != found:
+            raise UsageError(f"{key}: the evaluator expects {wanted}, found {found}. Change one of the two.")
+    if data.max_frames > configuration.max_frames:
+        raise UsageError(
+            f"data.max_frames: expected at most the evaluator's {configuration.max_frames}, found {data.max_frames}."
+            " Lower it, or raise model.max_frames."
+        )
+
+
+def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjective) -> None:
+    if stage == "contrastive" and initial is None:
+        raise UsageError("--stage contrastive needs --init FILE: the weights that --stage autoencoder has left.")
+    if stage != "contrastive" and initial is not None:
+        raise UsageError(f"--stage {stage} starts from nothing; --init belongs to --stage contrastive.")
+    if stage == "full" and objective.autoencoder_batches < 1:
+        raise UsageError("--stage full needs model.autoencoder_batches: how many batches train the autoencoder first.")
+    if stage == "full" and torch.distributed.is_initialized() and torch.distributed.get_world_size() > 1:
+        raise UsageError(
+            "--stage full trains in one process. With several, run --stage autoencoder, then --stage contrastive"
+            " with its weights as --init."
+        )
+
+
+def _statistics(start: Weights | None, data: TrainingData) -> Statistics:
+    if start is None:
+        return data.train.statistics().for_evaluator()
+    mean, std = (start.require(f"statistics.{name}", (263,)).numpy() for name in ("mean", "std"))
+    return Statistics(mean, std)
+
+
+def _continue_from(module: EvaluatorTraining, start: Weights) -> None:
+    """Take over the trained movement encoder.
+
+    Raises:
+        InputFileError: if it is one of another size or representation.
+    """
+    old = start.configuration(EvaluatorConfiguration)
+    for name in ("movement_width", "representation", "fps"):
+        wanted, found = getattr(module.configuration, name), getattr(old, name)
+        if wanted != found:
+            raise InputFileError(
+                start.path,
+                f"configuration.{name}",
+                expected=f"{wanted}, as in the configuration of this training",
+                found=f"{found}",
+                remedy=f"Add --set model.{name}={found}, or start from another autoencoder.",
+            )
+    start.load_into(module.movement, "movement")
+
+
+def _origin(configuration: EvaluatorConfiguration, words_digest: str, start: Weights | None) -> tuple[str, ...]:
+    lines = [f"text vectors {configuration.text} (frozen)"]
+    if configuration.text == GLOVE:
+        lines = [f"word vectors and lists, sha256 {words_digest} (frozen)"]
+    if start is not None:
+        lines.append(f"movement encoder {start.path.name}, sha256 {start.digest} (frozen)")
+    return tuple(lines)
+
+
+def t2m_evaluator() -> EvaluatorTask:
+    """Entry point ``t2m-evaluator``."""
+    return EvaluatorTask()

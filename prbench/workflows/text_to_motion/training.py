@@ -1,0 +1,191 @@
+"""Training of the evaluator: a movement autoencoder first, then texts and motions in one space."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import nn
+
+from prbench.errors import TableError
+from prbench.evaluation.text_to_motion.configuration import MOVEMENT_FEATURES, SNIPPET, EvaluatorConfiguration
+from prbench.evaluation.text_to_motion.extractor import cut_tokens
+from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementDecoder, MovementEncoder, TextEncoder
+from prbench.representation import Statistics
+from prbench.text import TextEncoder as TokenVectors
+from prbench.training import MotionBatch
+from prbench.training.task import TrainingModule
+from prbench.workflows.text_to_motion.losses import (
+    EvaluatorObjective,
+    contrastive_losses,
+    different_texts,
+    reconstruction_losses,
+)
+
+Stage = Literal["full", "autoencoder", "contrastive"]
+STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
+EVALUATOR_KIND, MOVEMENT_KIND = "t2m-evaluator", "t2m-movement"
+"""Of weights files: a whole evaluator, or a trained movement autoencoder alone."""
+_SHORTER = 1 / 3
+"""Probability that a motion loses one more snippet than its length needs (``methods/mdm.md``)."""
+
+
+class EvaluatorTraining(TrainingModule):
+    """The evaluator's networks with their losses.
+
+    Stage ``full`` trains the autoencoder for the first batches and everything else afterwards; the stages
+    ``autoencoder`` and ``contrastive`` are those two halves as trainings of their own.
+
+    Args:
+        configuration: Of the networks.
+        objective: Of the losses.
+        stage: Which half, or both.
+        statistics: Weighted for an evaluator.
+        tokens: Vectors of the words of a text.
+        words_digest: Of a vocabulary that the user supplies; empty if there is none.
+        origin: Lines for the card.
+    """
+
+    def __init__(
+        self,
+        configuration: EvaluatorConfiguration,
+        objective: EvaluatorObjective,
+        *,
+        stage: Stage,
+        statistics: Statistics,
+        tokens: TokenVectors,
+        words_digest: str = "",
+        origin: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__()
+        self.configuration, self.objective, self.stage = configuration, objective, stage
+        self.tokens, self.words_digest, self.origin = tokens, words_digest, origin
+        self.movement = MovementEncoder(configuration.movement_width)
+        self.decoder = MovementDecoder(configuration.movement_width)
+        self.motion = MotionEncoder(configuration)
+        self.text = TextEncoder(configuration, tokens.dimension)
+        self.mean: torch.Tensor
+        self.std: torch.Tensor
+        self.register_buffer("mean", torch.from_numpy(statistics.mean.copy()), persistent=False)
+        self.register_buffer("std", torch.from_numpy(statistics.std.copy()), persistent=False)
+        for network, stages in (
+            (self.movement, ("full", "autoencoder")),
+            (self.decoder, ("full", "autoencoder")),
+            (self.motion, ("full", "contrastive")),
+            (self.text, ("full", "contrastive")),
+        ):
+            network.requires_grad_(stage in stages)
+
+    def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """The losses of the phase that a step belongs to.
+
+        Returns:
+            ``loss``, and ``reconstruction`` of the autoencoder or ``positive``, ``negative``, ``ranked`` of the
+            contrast; in stage ``full`` all of them, those of the other phase being zero.
+
+        Raises:
+            TableError: if motions are too short, or a batch has no second motion to contrast with.
+        """
+        found = self.reconstruct(batch, step) if self.reconstructs(step) else self.contrast(batch, step)
+        if self.stage != "full":
+            return found
+        absent = found["loss"].new_zeros(())
+        return {name: found.get(name, absent) for name in ("loss", "reconstruction", "positive", "negative", "ranked")}
+
+    def reconstructs(self, step: int) -> bool:
+        """Whether a step trains the autoencoder; validation, which counts below zero, is of what comes out."""
+        return self.stage == "autoencoder" or (self.stage == "full" and 0 <= step < self.objective.autoencoder_batches)
+
+    def reconstruct(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """Short clips of every motion through the autoencoder."""
+        self.movement.train(self.training)
+        features = self._standardised(batch.features)
+        lengths = (batch.n_frames.clamp_max(self.objective.window) // SNIPPET * SNIPPET).to(features.device)
+        _require_snippets(lengths, batch)
+        chances = torch.rand(len(features), self.objective.windows, generator=self.generator(step))
+        room = (batch.n_frames - self.objective.window).clamp_min(0)
+        starts = (chances.to(room.device) * (room[:, None] + 1)).long().flatten()
+        rows = torch.arange(len(features), device=room.device).repeat_interleave(self.objective.windows)
+        clips, lengths = _clips(features, rows, starts, self.objective.window), lengths[rows]
+        snippets = self.movement(clips, lengths)
+        return reconstruction_losses(self.objective, clips, self.decoder(snippets), snippets, lengths)
+
+    def contrast(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """Texts and motions of a batch against each other, on snippets of the frozen movement encoder."""
+        if len(batch) < 2:
+            raise TableError("a contrast needs two motions or more in a batch; raise training.batch_size.")
+        generator = self.generator(step)
+        shorter = torch.rand(len(batch), generator=generator) < _SHORTER
+        shift = int(torch.randint(1, len(batch), (1,), generator=generator))
+        counts = batch.n_frames // SNIPPET
+        _require_snippets(counts, batch)
+        counts = torch.where(shorter.to(counts.device) & (counts > 1), counts - 1, counts)
+        self.movement.eval()
+        features = self._standardised(batch.features)[:, : int(counts.max()) * SNIPPET]
+        with torch.no_grad():
+            snippets = self.movement(features, counts * SNIPPET)
+        tokens, lengths = cut_tokens(self.tokens.encode(batch.text), self.configuration)
+        text, motion = self.text(tokens.to(features.device), lengths), self.motion(snippets, counts)
+        return contrastive_losses(
+            text, motion, shift=shift, margin=self.objective.margin, counted=self._counted(batch, shift)
+        )
+
+    def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+        """Networks and statistics as one object; the decoder is kept where a contrast is still to follow."""
+        half = self.stage == "autoencoder"
+        networks: dict[str, nn.Module] = {"movement": self.movement}
+        networks |= {"decoder": self.decoder} if half else {"motion": self.motion, "text": self.text}
+        tensors = {
+            f"{name}.{key}": tensor
+            for name, network in networks.items()
+            for key, tensor in network.state_dict().items()
+        }
+        tensors |= {"statistics.mean": self.mean, "statistics.std": self.std}
+        metadata = {
+            "kind": MOVEMENT_KIND if half else EVALUATOR_KIND,
+            "configuration": msgspec.json.encode(self.configuration).decode(),
+            "representation": f"humanml3d-263/{self.configuration.representation}",
+            "words": self.words_digest,
+        }
+        return tensors, metadata
+
+    def learned_from(self) -> tuple[str, ...]:
+        """The text vectors and the initial weights."""
+        return self.origin
+
+    def gradient_groups(self) -> tuple[tuple[nn.Parameter, ...], ...]:
+        """Each network's gradient is clipped by its own norm."""
+        networks = (self.movement, self.decoder, self.motion, self.text)
+        return tuple(tuple(network.parameters()) for network in networks)
+
+    def _standardised(
+        self, features: Float[torch.Tensor, "batch frames 263"]
+    ) -> Float[torch.Tensor, "batch frames 259"]:
+        return ((features - self.mean) / self.std)[..., :MOVEMENT_FEATURES]
+
+    def _counted(self, batch: MotionBatch, shift: int) -> Bool[torch.Tensor, " batch"] | None:
+        if self.objective.equal_texts_are_negatives:
+            return None
+        return different_texts(batch.text, shift).to(batch.features.device)
+
+
+def _clips(
+    features: Float[torch.Tensor, "batch frames 259"],
+    rows: Int[torch.Tensor, " clips"],
+    starts: Int[torch.Tensor, " clips"],
+    window: int,
+) -> Float[torch.Tensor, "clips window 259"]:
+    """``window`` frames from each start; beyond the end of the batch the last frame is repeated, to be masked."""
+    frames = starts[:, None] + torch.arange(window, device=starts.device)
+    return features[rows[:, None], frames.clamp_max(features.shape[1] - 1)]
+
+
+def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -> None:
+    if int(counts.min()) < 1:
+        row = int(counts.argmin())
+        raise TableError(
+            f"{batch.sequence_id[row]}: an evaluator needs motions of {SNIPPET} frames or more,"
+            f" found {int(batch.n_frames[row])}."
+        )
