@@ -13,6 +13,9 @@ import torch
 from jaxtyping import Bool, Float
 
 from prbench.representation.features import N_FEATURES
+from prbench.skeleton import BONES
+
+_PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -22,6 +25,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Of L_joint in square metres; 0 trains on features alone (table S5)."""
     velocity_loss_weight: float = 0.0
     """Of the squared error of joint displacements between neighbouring frames, square metres; not in the study."""
+    bone_loss_weight: float = 0.0
+    """Of the squared error of the 21 bone vectors, square metres; not in the study. It teaches small models lengths that
+    do not change, and where the head points."""
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
     loss_average: Literal["frames", "sequences"] = "frames"
@@ -36,7 +42,7 @@ def losses(
     joints: Float[torch.Tensor, "batch frames 22 3"],
     padding: Bool[torch.Tensor, "batch frames"],
 ) -> dict[str, torch.Tensor]:
-    """The weighted sum ``loss`` and its parts ``features``, ``joints`` and ``velocities``, unweighted.
+    """The weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
 
     Args:
         objective: The weights.
@@ -47,16 +53,18 @@ def losses(
         padding: True where there is no frame; whatever stands there leaves no trace.
     """
     valid = ~padding
-    displacement = (predicted_joints - joints).diff(dim=1)
+    error = predicted_joints - joints
     parts = {
         "features": _average(objective, _squared(predicted - clean, valid), valid),
-        "joints": _average(objective, _squared(predicted_joints - joints, valid), valid),
-        "velocities": _average(objective, _squared(displacement, valid[:, 1:]), valid),
+        "joints": _average(objective, _squared(error, valid), valid),
+        "velocities": _average(objective, _squared(error.diff(dim=1), valid[:, 1:]), valid),
+        "bones": _average(objective, _squared(error[:, :, _CHILDREN] - error[:, :, _PARENTS], valid), valid),
     }
     total = (
         parts["features"]
         + objective.joint_loss_weight * parts["joints"]
         + objective.velocity_loss_weight * parts["velocities"]
+        + objective.bone_loss_weight * parts["bones"]
     )
     return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
 
