@@ -26,8 +26,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     velocity_loss_weight: float = 0.0
     """Of the squared error of joint displacements between neighbouring frames, square metres; not in the study."""
     bone_loss_weight: float = 0.0
-    """Of the squared error of the 21 bone vectors, square metres; not in the study. It teaches small models lengths that
-    do not change, and where the head points."""
+    """Of the squared error of the 21 bone vectors, square metres; not in the study. It teaches small models to keep
+    lengths, and where the head points."""
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
     loss_average: Literal["frames", "sequences"] = "frames"
