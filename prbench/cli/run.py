@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 from prbench.cli.arguments import add_data, add_permission, add_workers, command, key_value, positive
 from prbench.cli.progress import progress
 from prbench.cli.sequence_scores import print_sequence_scores
-from prbench.cli.summaries import print_summary
+from prbench.cli.summaries import print_side_by_side, print_summary
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.evaluation.request import RunRequest
+    from prbench.evaluation.run import RunReport
 
+_FIRST_RUN_WORKERS = 2
 _CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 
 
@@ -55,39 +57,62 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--control", choices=["shuffled-goal"], help="give every sequence another one's goal")
     parser.add_argument("--seed", type=int, default=0, help="of the run (default 0)")
     parser.add_argument("--samples", type=positive, default=1, metavar="N", help="motions a sequence (default 1)")
-    parser.add_argument("--batch-size", type=positive, default=64, metavar="N", help="sequences a batch (default 64)")
+    parser.add_argument("--batch-size", type=positive, metavar="N", help="sequences a batch (default 64)")
     parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
     parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads a worker (default 1)")
     add_workers(parser)
+    parser.set_defaults(workers=None)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from prbench.engine import engine_for
-    from prbench.evaluation.run import run_method
 
     if arguments.view is not None:
         from prbench.viewing.replay.file_kind import file_kind
 
         file_kind(arguments.view)  # what would fail after the run fails before it
-    engine = engine_for(arguments.workers)
-    data = tuple(arguments.data) if arguments.data else (_embedded_table(engine),)
-    with progress(f"running {arguments.method}") as show:
-        report = run_method(
-            _request(arguments, data),
-            engine=engine,
-            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
-        )
-    if report.batches_found:
-        print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
+    first_run = not arguments.data
+    engine = engine_for(arguments.workers or (_FIRST_RUN_WORKERS if first_run else 1))
+    data = (_embedded_table(engine),) if first_run else tuple(arguments.data)
+    request = _request(arguments, data)
+    report = _generated(request, engine)
     if arguments.sequence:
         print_sequence_scores(report.folder)
     else:
         for summary in report.summaries:
             print_summary(summary, motionless=report.folder.record.method.motionless)
+    if first_run:
+        _in_company(request, report, engine)
     print(f"run folder: {report.folder.path}")
     if arguments.view is not None:
         _view(arguments, report.folder.path, data)
+    elif first_run:
+        print(f"look at it: prbench view {report.folder.path} --out motions.png   (or .mp4, .html)")
     return 0
+
+
+def _generated(request: RunRequest, engine: Engine) -> RunReport:
+    from prbench.evaluation.run import run_method
+
+    with progress(f"running {request.method}") as show:
+        report = run_method(
+            request,
+            engine=engine,
+            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
+        )
+    if report.batches_found:
+        print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
+    return report
+
+
+def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> None:
+    """Show a first run beside the methods that tell what its scores are worth."""
+    from prbench.workflows.first_run import companions
+
+    reports = [report, *(_generated(companion, engine) for companion in companions(request))]
+    if len(reports) > 1:
+        still = {shown.folder.record.method.name for shown in reports if shown.folder.record.method.motionless}
+        print_side_by_side([shown.summaries[0] for shown in reports], motionless=frozenset(still))
 
 
 def _view(arguments: argparse.Namespace, run: Path, data: tuple[Path, ...]) -> None:
@@ -109,8 +134,12 @@ def _view(arguments: argparse.Namespace, run: Path, data: tuple[Path, ...]) -> N
 
 def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunRequest:
     from prbench.contract import Condition
-    from prbench.evaluation.request import RunRequest
+    from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
+    from prbench.workflows import first_run
 
+    limit, batch_size = arguments.limit, arguments.batch_size or DEFAULT_BATCH_SIZE
+    if not arguments.data and not arguments.sequence:
+        limit, batch_size = limit or first_run.SEQUENCES, arguments.batch_size or first_run.BATCH_SIZE
     return RunRequest(
         method=arguments.method,
         data=data,
@@ -118,11 +147,11 @@ def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunReques
         weights=arguments.weights,
         options=dict(arguments.option),
         split=arguments.split,
-        limit=arguments.limit,
+        limit=limit,
         sequences=tuple(arguments.sequence),
         seed=arguments.seed,
         samples=arguments.samples,
-        batch_size=arguments.batch_size,
+        batch_size=batch_size,
         device=arguments.device,
         threads=arguments.threads,
         control=arguments.control,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
@@ -34,6 +36,29 @@ def print_summary(summary: DatasetSummary, *, motionless: bool = False) -> None:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
+
+
+def print_side_by_side(summaries: Sequence[DatasetSummary], *, motionless: frozenset[str]) -> None:
+    """Print the six metrics of several methods on the same sequences, one column a method.
+
+    Args:
+        summaries: Of one dataset each, the same.
+        motionless: Names of methods that stand still, which get no Foot Skating.
+    """
+    from prbench.metrics import METRICS
+
+    first = summaries[0]
+    rows = []
+    for info in (info for info in METRICS if info.main):
+        cells = []
+        for summary in summaries:
+            found = next((metric for metric in summary.metrics if metric.metric == info.id), None)
+            absent = found is None or (summary.method in motionless and info.id == "foot_skating")
+            cells.append("–" if found is None or absent else "\n".join(_cells(found)))
+        rows.append((info.title, *cells))
+    header = ("metric", *(f"{summary.method}\n({summary.condition})" for summary in summaries))
+    title = f"{first.title}, {first.sequences} sequences of {first.recordings} recordings, split {first.split}"
+    print_table(f"{title}: means and 95 % intervals", header, rows, numbers=range(1, len(header)), spaced=True)
 
 
 def _cells(metric: MetricSummary) -> tuple[str, str]:

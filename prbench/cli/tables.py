@@ -6,14 +6,19 @@ from collections.abc import Collection, Iterable, Sequence
 
 
 def print_table(
-    title: str, header: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Collection[int] = ()
+    title: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    numbers: Collection[int] = (),
+    spaced: bool = False,
 ) -> None:
-    """Print rows under a header; columns listed in ``numbers`` are set to the right."""
+    """Print rows under a header; columns listed in ``numbers`` are set to the right, ``spaced`` rows stand apart."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
     for index, name in enumerate(header):
         table.add_column(name, justify="right" if index in numbers else "left", overflow="fold")
     for row in rows:

@@ -1,13 +1,19 @@
-"""The embedded default: a small synthetic dataset in the user's cache, built when no data is given."""
+"""The embedded default: a small synthetic dataset in the user's cache, built when no data is given, and the company
+that a method gets there."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import prbench
+from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.evaluation.cache import cache_folder
+from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
+from prbench.evaluation.request import RunRequest
 from prbench.manifests import digest_of, load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SCHEMA_VERSION
@@ -20,6 +26,12 @@ if TYPE_CHECKING:
 PRESET = "adt"
 RECORDINGS = 40
 SEED = 0
+SEQUENCES = 48
+"""Of the test split that a first run generates, unless it is told how many."""
+BATCH_SIZE = 12
+"""Sequences a batch in a first run: small enough that two workers share the work."""
+_COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))
+"""Methods beside which a first run is shown, and their condition; None takes the run's own."""
 
 
 def default_table_folder() -> Path:
@@ -42,3 +54,13 @@ def default_table(engine: Engine, progress: Progress) -> SequenceTable:
 
         build_synthetic_table(PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress)
     return SequenceTable.open(folder)
+
+
+def companions(request: RunRequest) -> Iterator[RunRequest]:
+    """The same sequences for text alone, clockwork, a mean pose and the recorded motion; none for one of these."""
+    if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:
+        return
+    for method, condition in _COMPANIONS:
+        yield replace(
+            request, method=method, condition=condition or request.condition, weights=None, options={}, out=None
+        )
