@@ -1,5 +1,4 @@
-"""The embedded default: a small synthetic dataset in the user's cache, built when no data is given, and the company
-that a method gets there."""
+"""The embedded default, used when no data is given: a small synthetic dataset, and the company a method gets there."""
 
 from __future__ import annotations
 
