@@ -6,6 +6,8 @@ import pytest
 import torch
 from prbench_adapters.diffusion.losses import Objective, losses
 
+from prbench.skeleton import Joint
+
 
 def _zeros(frames: int = 4, batch: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     return torch.zeros(batch, frames, 263), torch.zeros(batch, frames, 22, 3), torch.zeros(batch, frames).bool()
@@ -31,6 +33,17 @@ def test_weights_choose_the_parts():
     )
     assert float(found["velocities"]) == pytest.approx(8 / (263 * 4))
     assert float(found["loss"]) == pytest.approx(80 / (263 * 4))
+
+
+def test_a_body_moved_as_a_whole_has_no_bone_loss_and_a_stretched_one_has():
+    features, joints, padding = _zeros()
+    stretched = joints.clone()
+    stretched[0, 2, Joint.RIGHT_WRIST, 1] = 0.5  # one bone, half a metre too long, in one of four frames
+    weights = Objective(joint_loss_weight=0.0, bone_loss_weight=2.0)
+    assert float(losses(weights, features, features, joints + 1.0, joints, padding)["loss"]) == pytest.approx(0.0)
+    found = losses(weights, features, features, stretched, joints, padding)
+    assert float(found["bones"]) == pytest.approx(0.25 / (263 * 4))
+    assert float(found["loss"]) == pytest.approx(0.5 / (263 * 4))
 
 
 def test_whatever_stands_in_padding_leaves_no_trace():
