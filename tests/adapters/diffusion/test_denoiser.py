@@ -1,0 +1,271 @@
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.denoiser import Denoiser
+
+from tests.adapters.diffusion import tiny
+
+VARIANTS = {
+    "decoder": {},
+    "pooled": {"text_tokens": "pooled"},
+    "time-in-frames": {"time_in_frames": True},
+    "encoder": {"architecture": "encoder"},
+    "location": {"goal": "location"},
+    "pose-by-attention": {"goal": "pose", "injection": "cross-attention"},
+    "encoder-pose": {"architecture": "encoder", "goal": "pose"},
+    "three-frames-a-token": {"frames_per_token": 3},
+}
+
+
+@pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())
+def network(request):
+    """In float64, so that a trace of what should leave none cannot hide behind rounding."""
+    return tiny.denoiser(**request.param).double()
+
+
+def _inputs(network: Denoiser, batch: int = 3, frames: int = 7, tokens: int = 4, seed: int = 0):
+    generator, dtype = torch.Generator().manual_seed(seed), network.head.weight.dtype
+    size = network.configuration.condition_size
+    text = torch.randn((batch, tokens, 64), generator=generator, dtype=dtype)
+    vector = torch.randn((batch, size), generator=generator, dtype=dtype) if size else None
+    condition = EncodedCondition(text, torch.zeros((batch, tokens), dtype=torch.bool), vector)
+    noisy = torch.randn((batch, frames, 263), generator=generator, dtype=dtype)
+    return noisy, torch.arange(batch) % network.configuration.diffusion_steps, condition
+
+
+def _padded_condition(condition: EncodedCondition, more: int) -> EncodedCondition:
+    """The same words, and ``more`` columns of padding with garbage in them."""
+    batch, _, dimension = condition.text.shape
+    garbage = torch.full((batch, more, dimension), 7.0, dtype=condition.text.dtype)
+    text = torch.cat([condition.text, garbage], dim=1)
+    padding = torch.cat([condition.padding, torch.ones((batch, more), dtype=torch.bool)], dim=1)
+    return dataclasses.replace(condition, text=text, padding=padding)
+
+
+def test_padding_of_frames_leaves_no_trace(network):
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 7, 7])
+    plain = network(noisy, step, condition, n_frames)
+    padded = torch.cat([noisy, torch.full((3, 5, 263), 30.0, dtype=noisy.dtype)], dim=1)
+    torch.testing.assert_close(network(padded, step, condition, n_frames)[:, :7], plain, rtol=0, atol=1e-12)
+
+
+def test_padding_of_words_leaves_no_trace(network):
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 7, 7])
+    plain = network(noisy, step, condition, n_frames)
+    torch.testing.assert_close(
+        network(noisy, step, _padded_condition(condition, 3), n_frames), plain, rtol=0, atol=1e-12
+    )
+
+
+def test_batch_mates_leave_no_trace(network):
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 4, 2])
+    together = network(noisy, step, condition, n_frames)
+    for row, n in enumerate(n_frames.tolist()):
+        one = slice(row, row + 1)
+        alone = network(noisy[one, :n], step[one], condition.rows(one), n_frames[one])
+        torch.testing.assert_close(together[one, :n], alone, rtol=0, atol=1e-12)
+
+
+def test_an_explicit_mask_of_nothing_changes_nothing(network):
+    """On an accelerator full batches are masked too, because nobody looks."""
+    noisy, step, condition = _inputs(network)
+    prepared = network.prepare(condition, step)
+    masked = network.denoise(noisy, prepared, torch.ones((3, 7), dtype=torch.bool))
+    torch.testing.assert_close(masked, network.denoise(noisy, prepared, None), rtol=0, atol=1e-12)
+
+
+def test_frames_step_and_text_all_matter(network):
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 7, 7])
+    plain = network(noisy, step, condition, n_frames)
+    louder = dataclasses.replace(condition, text=2 * condition.text)
+    for changed in (
+        network(noisy, step + 3, condition, n_frames),
+        network(noisy, step, louder, n_frames),
+        network(noisy.flip(1), step, condition, n_frames).flip(1),  # positions are told apart
+    ):
+        assert (changed - plain).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["location", "pose-by-attention", "encoder-pose"])
+def test_every_part_of_the_condition_vector_matters(name):
+    network = tiny.denoiser(**VARIANTS[name])
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 7, 7])
+    plain = network(noisy, step, condition, n_frames)
+    assert condition.vector is not None
+    for part in network.configuration.condition_parts.values():
+        vector = condition.vector.clone()
+        vector[:, part] += 1.0
+        changed = network(noisy, step, dataclasses.replace(condition, vector=vector), n_frames)
+        assert (changed - plain).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("injection", ["addition", "cross-attention"])
+@pytest.mark.parametrize("architecture", ["decoder", "encoder"])
+def test_a_new_goal_model_starts_at_the_output_of_the_model_without_goal(injection, architecture):
+    before = tiny.denoiser(architecture=architecture).double()
+    after = (
+        Denoiser(tiny.configuration(architecture=architecture, goal="location", injection=injection)).eval().double()
+    )
+    missing = after.load_state_dict(before.state_dict(), strict=False).missing_keys
+    assert missing
+    assert all(name.startswith("condition.") for name in missing)
+    noisy, step, condition = _inputs(after)
+    n_frames = torch.tensor([7, 5, 7])
+    without = dataclasses.replace(condition, vector=None)
+    torch.testing.assert_close(
+        after(noisy, step, condition, n_frames), before(noisy, step, without, n_frames), rtol=0, atol=1e-12
+    )
+
+
+def test_a_single_memory_token_is_a_constant_per_layer():
+    """Softmax over one key is 1: the short way is the general attention."""
+    network = tiny.denoiser(text_tokens="pooled").double()
+    noisy, step, condition = _inputs(network)
+    short = network.prepare(condition, step)
+    assert all(isinstance(layer, torch.Tensor) and layer.shape == (3, 1, 16) for layer in short.layers)
+    network.train()  # dropout is drawn in no place: rate 0.1 is set aside
+    for module in network.modules():
+        if isinstance(getattr(module, "dropout", None), float):
+            module.dropout = 0.0
+        if isinstance(module, torch.nn.Dropout):
+            module.p = 0.0
+    general = network.prepare(condition, step)
+    assert all(isinstance(layer, tuple) for layer in general.layers)
+    torch.testing.assert_close(
+        network.denoise(noisy, short, None), network.denoise(noisy, general, None), rtol=0, atol=1e-12
+    )
+
+
+def test_in_training_every_parameter_gets_a_gradient():
+    """Also with one memory token, where queries and keys have no say: processes that train together wait for all."""
+    for name, variant in VARIANTS.items():
+        network = tiny.denoiser(**variant).train().requires_grad_(True)
+        noisy, step, condition = _inputs(network)
+        network(noisy, step, condition, torch.tensor([7, 4, 2])).sum().backward()
+        without = [key for key, parameter in network.named_parameters() if parameter.grad is None]
+        assert not without, name
+
+
+def test_prepared_conditions_give_the_same_bytes_as_a_plain_pass(network):
+    noisy, step, condition = _inputs(network)
+    prepared = network.prepare(condition, step)
+    visible = torch.arange(7) < torch.tensor([7, 4, 2])[:, None]
+    assert torch.equal(
+        network.denoise(noisy, prepared, visible), network(noisy, step, condition, torch.tensor([7, 4, 2]))
+    )
+
+
+def test_one_step_for_all_rows_is_that_step_in_each_row(network):
+    noisy, _, condition = _inputs(network)
+    one = network.denoise(noisy, network.prepare(condition, torch.tensor([5])), None)
+    each = network.denoise(noisy, network.prepare(condition, torch.tensor([5, 5, 5])), None)
+    torch.testing.assert_close(one, each, rtol=0, atol=1e-12)
+
+
+def test_three_condition_tokens_are_attended_to_as_equation_8_says():
+    network = tiny.denoiser(goal="location", injection="cross-attention").double()
+    _, step, condition = _inputs(network)
+    injection = network.condition
+    plain = network.text_embedding(condition.text) + network.time_embedding(network.sinusoid[step])[:, None]
+    expected = torch.empty_like(plain)
+    for row in range(3):
+        vector = condition.vector[row]
+        parts = [vector[:66], vector[66:132], vector[132:135]]
+        tokens = [layer(part) for layer, part in zip(injection.embeddings.values(), parts, strict=True)]
+        for word in range(plain.shape[1]):
+            query = injection.query.weight @ plain[row, word]
+            scores = torch.stack([query @ (injection.key.weight @ token) for token in tokens]) / 16**0.5
+            weights = scores.exp() / scores.exp().sum()
+            values = torch.stack([injection.value.weight @ token for token in tokens])
+            expected[row, word] = plain[row, word] + weights @ values
+    torch.testing.assert_close(network.memory(condition, step), expected, rtol=0, atol=1e-5)
+
+
+def test_the_added_condition_is_the_same_for_every_word():
+    network = tiny.denoiser(goal="pose").double()
+    _, step, condition = _inputs(network)
+    silent = dataclasses.replace(condition, vector=torch.zeros_like(condition.vector))
+    difference = network.memory(condition, step) - network.memory(silent, step)
+    torch.testing.assert_close(difference, difference[:, :1].expand_as(difference), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        difference[:, 0], condition.vector @ network.condition.projection.weight.T, rtol=1e-5, atol=1e-5
+    )
+
+
+def test_a_model_without_text_does_not_hear_it():
+    network = tiny.denoiser(goal="location", dropped=("text",))
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 7, 7])
+    assert torch.equal(
+        network(noisy, step, condition, n_frames), network(noisy, step, condition.without_text(), n_frames)
+    )
+
+
+def test_the_vector_is_asked_for_where_it_is_needed_and_refused_where_it_is_not():
+    with_goal, without = tiny.denoiser(goal="pose"), tiny.denoiser()
+    noisy, step, condition = _inputs(with_goal)
+    n_frames = torch.tensor([7, 7, 7])
+    with pytest.raises(ValueError, match="goal 'pose' needs a condition vector"):
+        with_goal(noisy, step, dataclasses.replace(condition, vector=None), n_frames)
+    with pytest.raises(ValueError, match="goal 'none' takes no condition vector"):
+        without(noisy, step, condition, n_frames)
+
+
+def test_a_row_without_any_word_still_gives_numbers(network):
+    noisy, step, condition = _inputs(network)
+    silent = dataclasses.replace(condition, padding=torch.ones_like(condition.padding))
+    assert network(noisy, step, silent, torch.tensor([7, 4, 2])).isfinite().all()
+
+
+def test_bfloat16_passes_stay_near_the_float32_ones(network):
+    network = network.float()
+    noisy, step, condition = _inputs(network)
+    n_frames = torch.tensor([7, 4, 2])
+    plain = network(noisy, step, condition, n_frames)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        rough = network(noisy, step, condition, n_frames)
+    for row, n in enumerate(n_frames.tolist()):
+        torch.testing.assert_close(
+            rough[row, :n].float(), plain[row, :n], rtol=0.1, atol=0.1 * float(plain.abs().max())
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"width": 18, "heads": 4}, "multiple of 'heads'"),
+        ({"width": 15, "heads": 3}, "must be even"),
+        ({"layers": 0}, "'layers' must be at least 1"),
+        ({"dropout": 1.0}, "'dropout'"),
+        ({"fps": 0.0}, "'fps'"),
+    ],
+)
+def test_sizes_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        tiny.configuration(**changes)
+
+
+@pytest.mark.parametrize(("goal", "size"), [("none", 0), ("location", 135), ("pose", 198)])
+def test_the_size_of_the_condition_vector(goal, size):
+    configuration = tiny.configuration(goal=goal)
+    assert configuration.condition_size == size
+    assert sum(part.stop - part.start for part in configuration.condition_parts.values()) == size
+
+
+def test_the_paper_size_has_as_many_parameters_as_measured():
+    """``methods/mdm.md``: 17.88 M and 26.3 M without text encoder (with CLIP's vectors of 512 numbers)."""
+    from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+
+    for architecture, millions in (("encoder", 17.88), ("decoder", 26.3)):
+        with torch.device("meta"):
+            network = Denoiser(DenoiserConfiguration(architecture=architecture, text_dimension=512))
+        assert sum(p.numel() for p in network.parameters()) / 1e6 == pytest.approx(millions, abs=0.05)

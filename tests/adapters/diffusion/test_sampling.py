@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from prbench_adapters.diffusion.guidance import guided
+from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
+from prbench_adapters.diffusion.schedule import CosineSchedule
+
+from tests.adapters.diffusion import tiny
+
+SHAPE = (2, 4, 3)
+
+
+def _normal(seed: int = 0, shape: tuple[int, ...] = SHAPE) -> torch.Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def _any_denoiser(noisy: torch.Tensor, step: int) -> torch.Tensor:
+    """A smooth function of state and step that is no optimal denoiser of anything."""
+    return torch.tanh(noisy * (0.3 + 0.01 * step)) + 0.1
+
+
+def _no_noise(step: int) -> torch.Tensor:
+    return torch.zeros(SHAPE, dtype=torch.float64)
+
+
+@pytest.mark.parametrize(("total", "steps"), [(50, 50), (50, 10), (1000, 20)])
+def test_ddim_agrees_with_the_scheduler_of_diffusers(total, steps):
+    ddim = pytest.importorskip("diffusers.schedulers.scheduling_ddim")
+    schedule, state = CosineSchedule(total), _normal()
+    theirs = ddim.DDIMScheduler(
+        num_train_timesteps=total, trained_betas=schedule.betas, prediction_type="sample", clip_sample=False
+    )
+    theirs.alphas_cumprod = torch.as_tensor(schedule.alphas_cumprod)  # theirs are rounded to float32
+    theirs.final_alpha_cumprod = torch.tensor(1.0, dtype=torch.float64)
+    theirs.set_timesteps(steps)
+    expected = state
+    for step in theirs.timesteps:
+        expected = theirs.step(_any_denoiser(expected, int(step)), int(step), expected).prev_sample
+    actual = sample_ddim(_any_denoiser, schedule, state, steps=steps)
+    torch.testing.assert_close(actual, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(("total", "steps"), [(50, 50), (50, 10)])
+def test_ddpm_agrees_with_the_scheduler_of_diffusers(total, steps):
+    ddpm = pytest.importorskip("diffusers.schedulers.scheduling_ddpm")
+    schedule, state = CosineSchedule(total), _normal()
+    theirs = ddpm.DDPMScheduler(
+        num_train_timesteps=total, trained_betas=schedule.betas, prediction_type="sample", clip_sample=False
+    )
+    theirs.alphas_cumprod = torch.as_tensor(schedule.alphas_cumprod)
+    theirs.one = torch.tensor(1.0, dtype=torch.float64)
+    theirs.set_timesteps(steps)
+    expected, drawn = state, torch.Generator().manual_seed(7)
+    for step in theirs.timesteps:
+        clean = _any_denoiser(expected, int(step))
+        expected = theirs.step(clean, int(step), expected, generator=drawn).prev_sample
+    ours = torch.Generator().manual_seed(7)
+    actual = sample_ddpm(
+        _any_denoiser,
+        schedule,
+        state,
+        lambda _: torch.randn(SHAPE, generator=ours, dtype=torch.float64),
+        steps=steps,
+    )
+    torch.testing.assert_close(actual, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("steps", [1, 7, 50])
+def test_a_denoiser_that_knows_the_answer_is_believed(steps):
+    answer = _normal(3)
+    schedule = CosineSchedule(50)
+    assert torch.equal(sample_ddim(lambda x, t: answer, schedule, _normal(), steps=steps), answer)
+    drawn = sample_ddpm(lambda x, t: answer, schedule, _normal(), lambda t: _normal(t), steps=steps)
+    torch.testing.assert_close(drawn, answer, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("steps", [5, 50])
+@pytest.mark.parametrize("spread", [0.5, 1.0, 3.0])
+def test_ddim_on_normal_data_is_the_product_of_known_factors(steps, spread):
+    """Data N(0, s²): the best denoiser is linear, √ᾱ s²/σ² x with σ² = ᾱ s² + 1 - ᾱ, and so is every step."""
+    schedule = CosineSchedule(50)
+    levels = schedule.alphas_cumprod
+    variance = levels * spread**2 + 1 - levels
+
+    def best(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        return noisy * (math.sqrt(levels[step]) * spread**2 / variance[step])
+
+    factor, cleaner = 1.0, 1.0
+    for level in levels[schedule.kept_steps(steps)]:
+        sigma = level * spread**2 + 1 - level
+        factor *= (math.sqrt(cleaner * level) * spread**2 + math.sqrt((1 - cleaner) * (1 - level))) / sigma
+        cleaner = level
+    torch.testing.assert_close(sample_ddim(best, schedule, _normal(), steps=steps), _normal() * factor)
+
+
+def test_many_ddim_steps_map_noise_to_the_quantiles_of_normal_data():
+    """The limit of small steps keeps x_t / σ_t; the start's σ is nearly 1, the data's is s."""
+    schedule, spread = CosineSchedule(1000), 2.0
+    levels = schedule.alphas_cumprod
+
+    def best(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        return noisy * (math.sqrt(levels[step]) * spread**2 / (levels[step] * spread**2 + 1 - levels[step]))
+
+    torch.testing.assert_close(sample_ddim(best, schedule, _normal()), _normal() * spread, rtol=0.01, atol=0)
+
+
+@pytest.mark.parametrize("steps", [10, 50])
+def test_ddpm_on_unit_normal_data_without_noise_shrinks_by_the_last_signal_level(steps):
+    """E[x_{t-1} | x_t] = √α_t x_t for x0 ~ N(0, 1); the product of all √α_t is √ᾱ of the start."""
+    schedule = CosineSchedule(50)
+    levels = schedule.alphas_cumprod
+
+    def best(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        return noisy * math.sqrt(levels[step])
+
+    expected = _normal() * math.sqrt(levels[schedule.kept_steps(steps)[-1]])
+    torch.testing.assert_close(sample_ddpm(best, schedule, _normal(), _no_noise, steps=steps), expected)
+
+
+def test_ddpm_towards_one_answer_has_the_noise_level_of_every_state():
+    """If all data are one point c, x_t is N(√ᾱ_t c, 1 - ᾱ_t) on the way there as on the way back."""
+    schedule, shape, answer = CosineSchedule(50), (40_000, 1, 1), 1.5
+    generator, seen = torch.Generator().manual_seed(1), {}
+
+    def noise(step: int) -> torch.Tensor:
+        return torch.randn(shape, generator=generator, dtype=torch.float64)
+
+    def knowing(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        seen[step] = (float(noisy.mean()), float(noisy.var()))
+        return torch.full_like(noisy, answer)
+
+    sample_ddpm(knowing, schedule, noise(0), noise)
+    for step in (45, 20, 5):
+        level = schedule.alphas_cumprod[step]
+        assert seen[step] == pytest.approx((math.sqrt(level) * answer, 1 - level), rel=0.03, abs=0.01)
+
+
+def _chain(**kwargs: int) -> tuple[torch.Tensor, torch.Tensor]:
+    model = tiny.model()
+    start = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(2)).requires_grad_()
+    batch = tiny.text_batch([6, 4])
+    denoise = guided(model.denoiser, model.encode(batch), torch.tensor([6, 4]), 2.5, reuse=True)
+    joints = model.joints(sample_ddim(denoise, model.schedule, start, **kwargs))
+    (gradient,) = torch.autograd.grad(joints[0].square().sum() + joints[1, :4].square().sum(), start)
+    return joints, gradient
+
+
+@pytest.mark.parametrize("checkpointing", [1, 3, 8, 20])
+def test_checkpointed_gradients_are_the_plain_ones(checkpointing):
+    joints, gradient = _chain()
+    joints_too, gradient_too = _chain(checkpointing=checkpointing)
+    assert torch.equal(joints, joints_too)
+    assert gradient.abs().max() > 0
+    torch.testing.assert_close(gradient_too, gradient, rtol=1e-6, atol=1e-9)
+
+
+def test_checkpointing_computes_each_block_once_more():
+    calls = []
+
+    def counting(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        calls.append(step)
+        return _any_denoiser(noisy, step)
+
+    start = _normal().requires_grad_()
+    sample_ddim(counting, CosineSchedule(50), start, steps=5, checkpointing=2).sum().backward()
+    assert calls[:5] == [40, 30, 20, 10, 0]
+    assert sorted(calls) == sorted([40, 30, 20, 10, 0] * 2)
+
+
+def test_the_gradient_with_respect_to_the_noise_is_that_of_finite_differences():
+    model = tiny.model()
+    model.denoiser.double()
+    condition = model.encode(tiny.text_batch([5]))
+    condition = type(condition)(condition.text.double(), condition.padding)
+    denoise = guided(model.denoiser, condition, torch.tensor([5]), 2.5)
+
+    def last_wrist(start: torch.Tensor) -> torch.Tensor:
+        return model.joints(sample_ddim(denoise, model.schedule, start))[0, -1, 21].sum()
+
+    start = _normal(4, (1, 5, 263)).requires_grad_()
+    (gradient,) = torch.autograd.grad(last_wrist(start), start)
+    direction = _normal(5, (1, 5, 263))
+    with torch.no_grad():
+        slope = (last_wrist(start + 1e-5 * direction) - last_wrist(start - 1e-5 * direction)) / 2e-5
+    assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=1e-6)
+
+
+def test_ddpm_asks_for_noise_in_every_step_but_the_last():
+    asked = []
+
+    def noise(step: int) -> torch.Tensor:
+        asked.append(step)
+        return _normal(step)
+
+    sample_ddpm(_any_denoiser, CosineSchedule(50), _normal(), noise, steps=5)
+    assert asked == [40, 30, 20, 10]
+
+
+def test_the_noisiest_state_of_the_schedule_is_nearly_all_noise():
+    assert np.sqrt(CosineSchedule(50).alphas_cumprod[-1]) < 1e-3

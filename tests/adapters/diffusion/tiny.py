@@ -1,0 +1,91 @@
+"""A denoiser of random weights that is quick to run, as a model and as a weights file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from prbench_adapters.diffusion.condition_vector import ConditionScaling
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.model import MotionModel
+from prbench_adapters.diffusion.text_vectors import TextVectors
+
+from prbench.contract import Condition, ConditionBatch
+from prbench.text import text_encoder
+from prbench.training.weights import write_weights
+
+TEXTS = ("The person moves across and picks an object.", "The person moves across and puts an object down there.")
+
+
+def configuration(**changes: object) -> DenoiserConfiguration:
+    """Width 16, two layers, eight diffusion steps, at most 40 frames; the built-in text encoder."""
+    values = {
+        "width": 16,
+        "layers": 2,
+        "heads": 2,
+        "feed_forward": 24,
+        "text_encoder": "hashed-ngrams",
+        "text_dimension": 64,
+        "diffusion_steps": 8,
+        "max_frames": 40,
+    }
+    return DenoiserConfiguration(**{**values, **changes})
+
+
+def denoiser(*, seed: int = 0, **changes: object) -> Denoiser:
+    """In evaluation mode; random numbers in every parameter, also in those that start at zero."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        network = Denoiser(configuration(**changes))
+        for name, parameter in network.named_parameters():
+            mean = 1.0 if name.endswith("norm.weight") else 0.0
+            torch.nn.init.normal_(parameter, mean, 0.3 if parameter.ndim > 1 else 0.1)
+    return network.eval().requires_grad_(False)
+
+
+def statistics() -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and standard deviation that give motions of some decimetres."""
+    return torch.linspace(-0.01, 0.01, 263), torch.full((263,), 0.02)
+
+
+def model(*, seed: int = 0, **changes: object) -> MotionModel:
+    """The denoiser with statistics."""
+    network = denoiser(seed=seed, **changes)
+    mean, std = statistics()
+    size = network.configuration.condition_size
+    scaling = ConditionScaling.of(network.configuration, torch.zeros(size), torch.ones(size)) if size else None
+    return MotionModel(network, mean=mean, std=std, scaling=scaling, texts=TextVectors(text_encoder("hashed-ngrams")))
+
+
+def write(path: Path, *, seed: int = 0, metadata: dict[str, str] | None = None, **changes: object) -> Path:
+    """The same as a weights file."""
+    network = denoiser(seed=seed, **changes)
+    mean, std = statistics()
+    tensors = {f"denoiser.{name}": tensor for name, tensor in network.state_dict().items()}
+    tensors |= {"statistics.mean": mean, "statistics.std": std}
+    size = network.configuration.condition_size
+    if size:
+        tensors |= {"condition.mean": torch.zeros(size), "condition.std": torch.ones(size)}
+    header = {
+        "kind": "denoiser",
+        "configuration": msgspec.json.encode(network.configuration).decode(),
+        "representation": f"humanml3d-263/{network.configuration.representation}",
+    }
+    write_weights(path, tensors, {**header, **(metadata or {})}, {})
+    return path
+
+
+def text_batch(n_frames: list[int], *, first_seed: int = 100) -> ConditionBatch:
+    """Condition ``text``; seeds count up from ``first_seed``, the two texts alternate."""
+    n = len(n_frames)
+    return ConditionBatch(
+        condition=Condition.TEXT,
+        n_frames=np.array(n_frames),
+        fps=20.0,
+        opaque_id=tuple(str(i) for i in range(n)),
+        noise_seed=tuple(first_seed + i for i in range(n)),
+        text=tuple(TEXTS[i % 2] for i in range(n)),
+    )
