@@ -50,7 +50,12 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--view", type=Path, metavar="FILE", help="show the motions as .png, .mp4 or .html")
     add_permission(parser)
-    parser.add_argument("--weights", type=Path, metavar="FILE", help="the method's weights")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="NAME|FILE",
+        help="the method's weights: bundled ones by name, a file or a folder",
+    )
     parser.add_argument(
         "--option", type=key_value, action="append", default=[], metavar="KEY=VALUE", help="for the method; repeatable"
     )

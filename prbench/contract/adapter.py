@@ -23,10 +23,15 @@ ENTRY_POINT_GROUP = "prbench.adapters"
 class Adapter(Protocol):
     """A motion generator.
 
-    Three optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
+    Optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
     never cut), ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
     result to the table's grid) and ``motionless`` (true for a method whose motions stand still; its Foot Skating is
     printed as a dash).
+
+    So is one optional method, ``weights_for(condition) -> Path | None``: the file or folder of the weights that the
+    method will use under this condition. ``run.json`` then records their name and digest, and a run is not resumed
+    with others. A method that comes with weights needs it, and so does one that accepts names of weights where a path
+    is expected (``--weights NAME``); otherwise the path that the user gave is recorded.
     """
 
     name: str
@@ -64,7 +69,8 @@ class LoadAdapter(Protocol):
         """Make the adapter.
 
         Args:
-            weights: A file or folder given by the user, or None for the method's default.
+            weights: A file or folder given by the user, or None for the method's default. A single word that is no
+                path may come too, as the name of weights that the method knows; refuse unknown ones.
             options: ``--option key=value`` as given; unknown keys must be refused with a ``ValueError``.
             device: ``cpu``, ``cuda``, ``cuda:1`` …
         """

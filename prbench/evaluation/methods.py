@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from prbench.contract import Adapter, Trainable, TrainingRun
-from prbench.errors import UsageError
+from prbench.contract import Adapter, Condition, Trainable, TrainingRun
+from prbench.errors import AdapterError, UsageError
 from prbench.evaluation.adapters import InstalledAdapter, load_adapter
 from prbench.evaluation.cache import cache_folder
 from prbench.evaluation.training_split import TrainingSplit
@@ -76,6 +76,31 @@ def _load(spec: MethodSpec) -> LoadedMethod:
 def forget_loaded_methods() -> None:
     """Load afresh what is asked for next; a new run never meets the state that an earlier one left in a method."""
     _load.cache_clear()
+
+
+def used_weights(adapter: Adapter, condition: Condition, given: Path | None, *, origin: str) -> Path | None:
+    """The weights that a method uses under a condition: those it names itself (``weights_for``), else those given.
+
+    Raises:
+        AdapterError: if it names something that is no path.
+    """
+    weights_for = getattr(adapter, "weights_for", None)
+    if weights_for is None:
+        return given
+    weights = weights_for(condition)
+    if weights is None or isinstance(weights, Path):
+        return weights
+    raise AdapterError(f"{origin}: expected weights_for() to return a pathlib.Path or None, found {weights!r}.")
+
+
+def require_weights(weights: Path | None) -> None:
+    """Refuse a path that does not exist; a single word may be a name that the method knows.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    if weights is not None and not weights.exists() and (len(weights.parts) > 1 or weights.suffix):
+        raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
 
 
 def weights_digest(weights: Path | None) -> str | None:

@@ -17,7 +17,7 @@ from prbench.evaluation.adapters import InstalledAdapter, find_adapter, require_
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import METHOD_CONTROLS, RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.declared import Declared
-from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, weights_digest
+from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, require_weights, used_weights, weights_digest
 from prbench.evaluation.native_rate import native_frames
 from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select, select_sequences
 from prbench.evaluation.request import RunRequest
@@ -96,18 +96,19 @@ def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, Instal
         own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
         limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
         return MethodRecord(name=request.method, kind="control", **own, **limits), None
-    digest = weights_digest(request.weights)
+    require_weights(request.weights)
     installed = find_adapter(request.method, also_known=METHOD_CONTROLS)
-    adapter = spec.load().adapter
+    adapter, origin = spec.load().adapter, f"adapter '{request.method}'"
     require_condition(request.method, adapter, request.condition)
-    declared = Declared.by(adapter, origin=f"adapter '{request.method}'")
+    declared = Declared.by(adapter, origin=origin)
+    weights = used_weights(adapter, request.condition, request.weights, origin=origin)
     return MethodRecord(
         name=request.method,
         kind="adapter",
         package=installed.package,
         version=installed.version,
-        weights=request.weights.name if request.weights else None,
-        weights_digest=digest,
+        weights=weights.name if weights else None,
+        weights_digest=weights_digest(weights),
         options=dict(spec.options),
         max_frames=declared.max_frames,
         native_fps=declared.native_fps,

@@ -21,7 +21,7 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     package: str
     version: str
     weights: str | None
-    """Last part of the path that was given, for people."""
+    """Last part of the path of the weights in use, given or bundled, for people."""
     weights_digest: str | None
     options: dict[str, str]
     max_frames: int | None
