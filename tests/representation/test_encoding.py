@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.representation import BLOCKS, canonicalise, decode, decode_rotations, encode, mirror, rest_offsets
 from prbench.representation.features import REST_DIRECTIONS, REST_OFFSETS
-from prbench.skeleton import PARENTS, Joint
+from prbench.skeleton import PARENTS, Joint, bone_lengths
 from tests.fakes import STANDING, smooth_motion
 from tests.representation.motions import turned, walk
 
@@ -110,6 +110,13 @@ def test_rotations_give_the_motion_back_on_its_own_bones():
     spun = turned(np.repeat(pose[None], 90, axis=0), np.linspace(0, 2 * np.pi, 90)).astype(np.float32)
     features = encode(spun)
     assert np.abs(decode_rotations(features, rest_offsets(pose)) - spun[:-1]).max() < 2e-6
+
+
+def test_bones_from_generated_rotations_have_the_given_lengths():
+    """Numbers that a network has generated are no rotations; the bones keep their lengths all the same."""
+    features = np.random.default_rng(0).normal(size=(7, 263)).astype(np.float32)
+    joints = decode_rotations(features, rest_offsets(STANDING))
+    assert np.allclose(bone_lengths(joints - joints[:, :1]), bone_lengths(STANDING), atol=1e-6)
 
 
 def test_a_bone_opposite_to_its_rest_direction_is_half_a_turn():
