@@ -29,9 +29,7 @@ FARTHEST_GOAL = 10.0
 """Metres from the first pelvis: in the protocol's twelve seconds nobody in these data comes farther."""
 
 _GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
-_OPTIONS = ("guidance", "sampler", "steps", "optimise", "hand", "iterations", "decorrelation", "text-path")
-_MODES = ("off", "fast", "paper")
-_HANDS = ("right", "nearest", "left")
+_MODES = ("fast", "paper", "off")
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class PR:
             from prbench_adapters.diffusion.generation import generate
 
             return generate(model, batch, self.generation.sampling)
-        from prbench_adapters.diffusion.optimised import generate_optimised
+        from prbench_adapters.diffusion.noise_optimisation import generate_optimised
 
         return generate_optimised(model, batch, self.generation.optimisation)
 
@@ -98,8 +96,8 @@ class PR:
             return self.models[condition]
         other, given = next(iter(self.models.items()))
         raise AdapterError(
-            f"weights {given.path}: expected a model of goal '{GOALS[condition]}' for condition '{condition.value}', found"
-            f" one of goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
+            f"weights {given.path}: expected a model of goal '{GOALS[condition]}' for '{condition.value}', found one of"
+            f" goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
         )
 
 
@@ -128,9 +126,9 @@ def require_goals_within_reach(batch: ConditionBatch) -> None:
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR:
     """Entry point ``pr``.
 
-    Options: ``guidance`` (1), ``sampler`` (ddpm or ddim), ``steps`` (all of the training's); ``optimise`` (off, fast or
-    paper) with ``hand`` (right, nearest, left), ``iterations`` and ``decorrelation``; ``text-path`` (files of the text
-    encoder, if the weights need one that has some).
+    Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the others of
+    :mod:`prbench_adapters.diffusion.noise_optimisation.options`; ``guidance`` (1), ``steps``; without optimisation also
+    ``sampler`` (ddpm or ddim); ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -144,9 +142,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         ValueError: for options that are unknown or have impossible values.
     """
     from prbench_adapters.diffusion.bundled import resolve
-    from prbench_adapters.diffusion.options import require_known
+    from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS
+    from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    require_known(options, _OPTIONS)
+    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", *OPTIMISATION_OPTIONS))
     text_path = options.get("text-path")
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -174,26 +173,20 @@ def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Conditi
 
 def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
     """What the options ask for, checked before anything is generated."""
-    from prbench_adapters.diffusion.noise_optimisation.settings import FAST, PAPER
-    from prbench_adapters.diffusion.options import choice, number, sampling_settings, whole_number
+    from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS, fast, optimisation_settings, paper
+    from prbench_adapters.diffusion.options import choice, sampling_settings
 
     sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
     mode = choice(options, "optimise", _MODES)
-    hand = choice(options, "hand", _HANDS)
     if mode == "off":
-        idle = [key for key in ("hand", "iterations", "decorrelation") if key in options]
+        idle = [key for key in OPTIMISATION_OPTIONS if key in options]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         return Generation(sampling, None)
-    if options.get("sampler") == "ddpm":
+    if sampling.sampler == "ddpm" and "sampler" in options:
         raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
-    preset = FAST if mode == "fast" else PAPER
-    changed = replace(
-        preset,
-        hand=hand,
-        guidance=sampling.guidance,
-        ddim_steps=sampling.steps or min(preset.ddim_steps, diffusion_steps),
-        iterations=whole_number(options, "iterations", most=100_000) or preset.iterations,
-        decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
-    )
-    return Generation(sampling, changed)
+    if "steps" in options and "ddim-steps" in options:
+        raise ValueError("options 'steps' and 'ddim-steps' mean the same in noise optimisation; give one of them.")
+    preset = {"fast": fast, "paper": paper}[mode](diffusion_steps)
+    preset = replace(preset, guidance=sampling.guidance, ddim_steps=sampling.steps or preset.ddim_steps)
+    return Generation(sampling, optimisation_settings(options, preset, diffusion_steps=diffusion_steps))

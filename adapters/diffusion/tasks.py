@@ -23,7 +23,9 @@ from prbench.text import text_encoder
 from prbench.training.task import TrainingData
 from prbench.training.weights import Weights, read_weights
 
-FREE_TO_CHANGE = frozenset({"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames"})
+FREE_TO_CHANGE = frozenset(
+    {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
+)
 """What fine-tuning may set otherwise than the weights that it starts from."""
 
 
