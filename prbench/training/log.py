@@ -79,7 +79,7 @@ def draw_curves(path: Path, rows: list[Row], validations: list[Row]) -> None:
         figure.savefig(temporary, dpi=110, format="png")
 
 
-_Curve = tuple[list[float], list[float]]
+_Curve = tuple[list[float | int], list[float | int]]
 
 
 def _plots(rows: list[Row], validations: list[Row]) -> dict[str, dict[str, _Curve]]:

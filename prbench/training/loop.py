@@ -217,7 +217,8 @@ class _Session:
         state = self.state
         state.tally = Tally()
         rate = learning_rate(state.step - 1, self.settings)
-        row = {"step": state.step, **means, "learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
+        clock = {"learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
+        row: Row = {"step": state.step, **means, **clock}
         state.rows.append(row)
         if self.outputs is not None:
             self.outputs.add(row, group="train")

@@ -11,7 +11,7 @@ from prbench.training.average import WeightAverage
 from prbench.training.configuration import OptimisationConfiguration
 from prbench.training.task import TrainingModule
 
-Row = dict[str, float]
+Row = dict[str, float | int]
 """One line of the log: ``step`` and what was measured there, by name."""
 
 
