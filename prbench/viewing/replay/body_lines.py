@@ -12,6 +12,7 @@ from prbench.skeleton import BONES, Joint
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
 
 THIN, THICK = 0.9, 2.1  # points
 HEAD = 4.5  # points
@@ -28,8 +29,8 @@ def bone_segments(points: Float[np.ndarray, "*poses 22 k"]) -> Float[np.ndarray,
 
 def draw_bodies(
     axes: Axes, points: Float[np.ndarray, "poses 22 2"], colour: str, *, alpha: float = 1.0
-) -> LineCollection:
-    """Draw poses that are already flat, and return their lines, one a bone, pose after pose."""
+) -> tuple[LineCollection, Line2D]:
+    """Draw poses that are already flat, and return their lines, one a bone, pose after pose, and their heads."""
     from matplotlib.collections import LineCollection
 
     lines = LineCollection(
@@ -41,8 +42,8 @@ def draw_bodies(
         zorder=3,
     )
     axes.add_collection(lines)
-    axes.plot(*points[:, Joint.HEAD].T, "o", color=colour, markersize=HEAD, alpha=alpha, zorder=3)
-    return lines
+    (heads,) = axes.plot(*points[:, Joint.HEAD].T, "o", color=colour, markersize=HEAD, alpha=alpha, zorder=3)
+    return lines, heads
 
 
 def side_view(

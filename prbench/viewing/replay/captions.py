@@ -32,6 +32,22 @@ def score_sentence(scene: Scene, motion: ShownMotion) -> str:
     return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True) if value != "–")
 
 
+def verdict(scene: Scene, motion: ShownMotion) -> str:
+    """The two main scores in a few words."""
+    _, primed, reached, wrist, *_ = score_row(scene, motion)
+    if primed == "–":
+        return "not scored"
+    return f"Prime Success {primed}, Reach Success {reached} ({wrist})"
+
+
+def phase(scene: Scene, frame: int) -> str:
+    """What happens at a frame, where something does: shown for a quarter of a second."""
+    if frame == scene.n_frames - 1:
+        return f"{scene.action}  "
+    since = frame / scene.fps - scene.prime_time
+    return "prime  " if abs(since) <= 0.125 else ""
+
+
 def _yes_no(rate: float | None) -> str:
     return "–" if rate is None else "yes" if rate >= 0.5 else "no"
 

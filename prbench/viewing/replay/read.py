@@ -85,6 +85,7 @@ def scene_of(
         sequence_id=chunk.sequence_ids[0],
         dataset=info.dataset,
         title=_title(chunk),
+        action=chunk.strings("action")[0],
         fps=float(chunk.numbers("fps")[0]),
         n_frames=int(chunk.n_frames[0]),
         prime_time=float(chunk.numbers("prime_time")[0] - chunk.numbers("start_time")[0]),

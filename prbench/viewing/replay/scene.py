@@ -72,6 +72,8 @@ class Scene:
     dataset: str
     title: str
     """What is done with which hand, for people."""
+    action: str
+    """``pick`` or ``put``."""
     fps: float
     n_frames: int
     prime_time: float

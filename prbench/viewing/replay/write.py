@@ -30,3 +30,11 @@ def write_view(scenes: Sequence[Scene], path: Path, kind: FileKind, progress: Pr
         if len(scenes) > MOST_SCENES:
             raise UsageError(f"{path}: expected at most {MOST_SCENES} sequences in one PNG, found {len(scenes)}.")
         draw_sheet(scenes, path, progress=progress)
+    elif kind == "mp4":
+        from prbench.viewing.replay.film import film_scenes
+
+        film_scenes(scenes, path, progress)
+    else:
+        from prbench.viewing.replay.page import write_page
+
+        write_page(scenes, path, progress)

@@ -1,0 +1,174 @@
+"""Bodies, rays and goal of one sequence in viser's scene; each motion walks in a lane of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.skeleton import Joint
+from prbench.viewing.replay import palette
+from prbench.viewing.replay.body_lines import BONE_WIDTHS, THICK, bone_segments
+from prbench.viewing.replay.captions import phase
+from prbench.viewing.replay.rays import head_rays, lengths_to, rays
+from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+_WIDTHS = {True: 0.03, False: 0.016}  # metres: right limbs and trunk, left limbs
+_HEAD_RADIUS = 0.07
+_LONGEST_RAY = 6.0
+_BETWEEN = 0.8  # metres between lanes
+_LEAST_LANE = 1.0
+_THICK = np.array([width == THICK for width in BONE_WIDTHS])
+
+
+def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
+    """Where the lane of each motion lies: beside one another, across the way towards the goal, around the middle."""
+    across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
+    spans = [np.ptp(motion.joints[:, Joint.PELVIS] @ across) for motion in scene.motions]
+    step = max(_LEAST_LANE, float(max(spans))) + _BETWEEN
+    places = (np.arange(len(scene.motions)) - (len(scene.motions) - 1) / 2) * step
+    return places[:, None] * across
+
+
+def set_up_room(server: ViserServer, scenes: Sequence[Scene]) -> None:
+    """Floor, light, and a camera that sees the first sequence from where its goal is."""
+    server.scene.set_up_direction("+y")
+    server.scene.add_grid(
+        "/floor",
+        width=40.0,
+        height=40.0,
+        plane="xz",
+        cell_size=0.5,
+        section_size=1.0,
+        cell_color=(228, 228, 228),
+        section_color=(200, 200, 200),
+    )
+    place, look_at = camera_of(scenes[0])
+    server.initial_camera.position = (float(place[0]), float(place[1]), float(place[2]))
+    server.initial_camera.look_at = (float(look_at[0]), float(look_at[1]), float(look_at[2]))
+    server.initial_camera.up = (0.0, 1.0, 0.0)
+
+
+def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Place of a camera and what it looks at: ahead of the bodies and to their side, far enough to see all lanes."""
+    lanes = lane_offsets(scene)
+    pelvis = np.concatenate(
+        [motion.joints[:, Joint.PELVIS] + lane for motion, lane in zip(scene.motions, lanes, strict=True)]
+    )
+    low, high = pelvis.min(axis=0), pelvis.max(axis=0)
+    look_at = np.array([(low[0] + high[0]) / 2, 0.9, (low[2] + high[2]) / 2])
+    across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
+    away = 0.8 * scene.picture_axis - 0.6 * across
+    distance = 2.2 + 0.75 * float(np.linalg.norm((high - low)[[0, 2]]))
+    return look_at + away * distance + [0.0, 0.25 * distance, 0.0], look_at
+
+
+class PageStage:
+    """The nodes of one sequence, hidden until it is its turn.
+
+    Args:
+        server: Keeps the scene.
+        number: Of the sequence on the page.
+        scene: The sequence.
+    """
+
+    def __init__(self, server: ViserServer, number: int, scene: Scene) -> None:
+        self._root = server.scene.add_frame(f"/sequence_{number}", show_axes=False, visible=False)
+        self._scene = scene
+        self._bodies = [
+            _Body(server, f"/sequence_{number}/motion_{lane}", scene, motion, offset)
+            for lane, (motion, offset) in enumerate(zip(scene.motions, lane_offsets(scene), strict=True))
+        ]
+        self._clock = server.scene.add_label(
+            f"/sequence_{number}/clock", "", position=tuple(self._above()), anchor="bottom-center"
+        )
+
+    def show(self, visible: bool) -> None:
+        """Let the sequence appear or vanish."""
+        self._root.visible = visible
+
+    def set_frame(self, frame: int) -> None:
+        """Move everything to a frame."""
+        for body in self._bodies:
+            body.set_frame(frame)
+        happens = phase(self._scene, frame).strip()
+        self._clock.text = f"{self._scene.title}: {frame / self._scene.fps:.2f} s{f' · {happens}' if happens else ''}"
+
+    def _above(self) -> Float[np.ndarray, "3"]:
+        pelvis = self._scene.motions[0].joints[:, Joint.PELVIS]
+        middle = (pelvis.min(axis=0) + pelvis.max(axis=0)) / 2
+        return np.array([middle[0], 2.5, middle[2]])
+
+
+class _Body:
+    """One motion in its lane, with its rays and its own copy of the goal."""
+
+    def __init__(
+        self, server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
+    ) -> None:
+        joints = motion.joints + offset
+        location = None if scene.goal is None else scene.goal.location + offset
+        lengths = lengths_to(joints[:, Joint.HEAD], location, _LONGEST_RAY)
+        colour = palette.rgb(motion.colour)
+        self._heads = joints[:, Joint.HEAD]
+        self._head = server.scene.add_icosphere(f"{name}/head", radius=_HEAD_RADIUS, color=colour, subdivisions=2)
+        bones = bone_segments(joints)
+        segments = {
+            "right": (bones[:, _THICK], colour, _WIDTHS[True]),
+            "left": (bones[:, ~_THICK], colour, _WIDTHS[False]),
+            "head_ray": (head_rays(joints, scene.head_tilt_deg, lengths)[:, None], colour, 0.008),
+        }
+        if motion.label == RECORDED and scene.gaze is not None:
+            segments["gaze"] = _gaze_segments(scene, offset, location), palette.rgb(palette.GAZE), 0.012
+        self._moving = [
+            (
+                positions.astype(np.float32),
+                server.scene.add_line_segments(
+                    f"{name}/{what}", positions[0].astype(np.float32), colors=shade, thickness=width
+                ),
+            )
+            for what, (positions, shade, width) in segments.items()
+        ]
+        _add_still(server, name, scene, motion, offset)
+
+    def set_frame(self, frame: int) -> None:
+        """Move the body to a frame."""
+        self._head.position = self._heads[frame]
+        for positions, handle in self._moving:
+            handle.points = positions[frame]
+
+
+def _gaze_segments(
+    scene: Scene, offset: Float[np.ndarray, "3"], location: Float[np.ndarray, "3"] | None
+) -> Float[np.ndarray, "n 1 2 3"]:
+    """Recorded gaze rays; of no length where the gaze is not valid."""
+    assert scene.gaze is not None, "asked for only where there is gaze"
+    origin = scene.gaze.origin + offset
+    lengths = np.where(scene.gaze.valid, lengths_to(origin, location, _LONGEST_RAY), 0.0)
+    return rays(origin, scene.gaze.direction, lengths)[:, None]
+
+
+def _add_still(
+    server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
+) -> None:
+    """Label, way of the pelvis on the floor, and goal."""
+    colour = palette.rgb(motion.colour)
+    floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
+    way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
+    server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
+    server.scene.add_label(f"{name}/label", motion.label, position=tuple(floor[0]), anchor="top-center")
+    if scene.goal is not None:
+        edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
+        server.scene.add_line_segments(f"{name}/goal_box", edges, colors=palette.rgb(palette.GOAL_EDGE), thickness=0.01)
+        server.scene.add_icosphere(
+            f"{name}/goal",
+            radius=0.03,
+            color=palette.rgb(palette.GOAL),
+            subdivisions=2,
+            position=tuple(scene.goal.location + offset),
+        )
