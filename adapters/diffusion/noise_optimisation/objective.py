@@ -71,13 +71,16 @@ class PrimeAndReach:
     jerk_weight: float = 0.5
     hand: Hand = "right"
     initial_velocity_weight: float = 0.0
+    jerk_power: float | None = None
+    """Minimise this power norm of all jerks instead of the largest one; None is the paper's maximum."""
 
     def __call__(self, joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets) -> Losses:
         """Losses of each sequence; squared distances are averaged over joints, so that 1 joint weighs as much as 22."""
         initial = squared_distance(joints[:, 0], targets.initial_joints)
         goal, pursued = goal_losses(joints, n_frames, targets, self.hand)
         jerk = largest_jerk(joints, n_frames)
-        minimised = initial + pursued + self.jerk_weight * jerk
+        smooth = jerk if self.jerk_power is None else jerk_norm(joints, n_frames, self.jerk_power)
+        minimised = initial + pursued + self.jerk_weight * smooth
         if self.initial_velocity_weight:
             velocity = squared_distance(joints[:, 1] - joints[:, 0], targets.initial_joints - targets.previous_joints)
             minimised = minimised + self.initial_velocity_weight * velocity
@@ -120,7 +123,7 @@ ObjectiveFromSettings = Callable[[OptimisationSettings], Objective]
 
 def prime_and_reach(settings: OptimisationSettings) -> Objective:
     """The paper's objective."""
-    return PrimeAndReach(settings.jerk_weight, settings.hand, settings.initial_velocity_weight)
+    return PrimeAndReach(settings.jerk_weight, settings.hand, settings.initial_velocity_weight, settings.jerk_power)
 
 
 def keyframes(settings: OptimisationSettings) -> Objective:
@@ -188,6 +191,16 @@ def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> PerSe
     """The largest of :func:`jerk_lengths` (``methods/pr-model.md`` section 6.4), 0 for fewer than four frames."""
     lengths = jerk_lengths(joints, n_frames).flatten(1)
     return lengths.amax(dim=1) if lengths.shape[1] else joints.new_zeros(len(joints))
+
+
+def jerk_norm(joints: Joints, n_frames: Int[torch.Tensor, " batch"], power: float) -> PerSequence:
+    """(sum of jerk^power)^(1/power) over frames and joints: never below the largest jerk, near it for a high power.
+
+    Its gradient reaches every place that is about as jerky as the worst one, where the maximum reaches one place only.
+    """
+    lengths = jerk_lengths(joints, n_frames).flatten(1)
+    largest = largest_jerk(joints, n_frames).detach().clamp_min(1e-12)
+    return largest * (lengths / largest[:, None]).pow(power).sum(dim=1).clamp_min(1e-12).pow(1.0 / power)
 
 
 def _location(targets: Targets) -> Float[torch.Tensor, "batch 3"]:

@@ -31,6 +31,8 @@ class OptimisationSettings:
     """Whether each sequence's gradient is brought to length 1 before Adam."""
     jerk_weight: float = 0.5
     """The paper's alpha."""
+    jerk_power: float | None = None
+    """Power norm of the jerks that is minimised instead of the largest jerk, which is reported; None minimises it."""
     decorrelation_weight: float = 1000.0
     """DNO's; the paper does not mention this term, so 0 is its literal reading."""
     initial_velocity_weight: float = 0.0

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, prime_and_reach
+from prbench_adapters.diffusion.noise_optimisation.adam import AdamState, unit_gradient
+from prbench_adapters.diffusion.noise_optimisation.optimise import optimise
+
+from tests.adapters.diffusion.noise_optimisation.linear import LinearDecoder, noise
+
+SETTINGS = OptimisationSettings(iterations=50, warmup=5, learning_rate=0.5, decorrelation_weight=10.0, jerk_weight=0.01)
+
+
+def _targets(batch, *, goal=(0.4, 1.0, 0.6)):
+    initial = torch.zeros(batch, 22, 3)
+    return Targets(
+        initial_joints=initial, previous_joints=initial, goal_location=torch.tensor([goal] * batch, dtype=torch.float32)
+    )
+
+
+def _solve(start, settings=SETTINGS, *, targets=None, lengths=None, seeds=None):
+    lengths = torch.full((len(start),), start.shape[1]) if lengths is None else torch.tensor(lengths)
+    return optimise(
+        LinearDecoder(),
+        prime_and_reach(settings),
+        _targets(len(start)) if targets is None else targets,
+        start,
+        lengths,
+        range(len(start)) if seeds is None else seeds,
+        settings,
+    )
+
+
+def test_fifty_iterations_lower_the_goal_loss_more_than_tenfold():
+    found = _solve(noise(3, 12))
+    start = torch.as_tensor(found.history.goal[0])
+    assert (found.goal < start / 10).all()
+    wrist = found.joints[:, -1, 21]
+    torch.testing.assert_close((wrist - torch.tensor([0.4, 1.0, 0.6])).square().sum(-1), found.goal)
+
+
+def test_sequences_do_not_influence_one_another():
+    start, lengths = noise(3, 12), [12, 7, 9]
+    together = _solve(start, lengths=lengths)
+    for row, length in enumerate(lengths):
+        alone = _solve(start[row : row + 1, :length], lengths=[length], seeds=[row])
+        torch.testing.assert_close(together.noise[row, :length], alone.noise[0], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(together.history.goal[:, row], alone.history.goal[:, 0], rtol=1e-4, atol=1e-7)
+
+
+def test_a_sequence_that_is_finished_leaves_and_the_others_go_on_as_before():
+    start = noise(2, 12)
+    start[0, 0, :66], start[0, -1, 63:66] = 0.0, torch.tensor([4.0, 10.0, 6.0])  # meets its targets from the start
+    settings = replace(SETTINGS, stop_below=1e-6)
+    found, alone = _solve(start, settings), _solve(start[1:], settings, seeds=[1])
+    assert found.iterations[0] == 1
+    assert (
+        found.network_passes.tolist() == [1, found.iterations[1] + (found.goal[1] > 1e-6)] or found.iterations[1] < 50
+    )
+    assert np.isnan(found.history.goal[1:, 0]).all()
+    torch.testing.assert_close(found.noise[0], start[0])
+    torch.testing.assert_close(found.noise[1], alone.noise[0], rtol=0, atol=1e-5)
+
+
+def test_when_all_are_finished_nothing_more_is_computed():
+    start = torch.zeros(2, 12, 70)
+    start[:, -1, 63:66] = torch.tensor([4.0, 10.0, 6.0])
+    found = _solve(start, replace(SETTINGS, stop_below=1e-6))
+    assert found.network_passes.tolist() == [1, 1]
+    assert (found.goal < 1e-6).all()
+
+
+def test_every_iteration_and_the_last_decoding_are_counted():
+    assert _solve(noise(2, 8), replace(SETTINGS, iterations=7)).network_passes.tolist() == [8, 8]
+
+
+def test_the_first_step_of_the_published_schedule_moves_nothing():
+    start = noise(1, 8)
+    found = _solve(start, replace(SETTINGS, iterations=1))
+    torch.testing.assert_close(found.noise, start, rtol=0, atol=0)
+
+
+def test_without_a_gradient_nothing_becomes_nan():
+    start = torch.zeros(1, 8, 70)
+    targets = _targets(1, goal=(0.0, 0.0, 0.0))
+    found = _solve(start, replace(SETTINGS, decorrelation_weight=0.0), targets=targets)
+    assert torch.isfinite(found.noise).all()
+    torch.testing.assert_close(found.noise, start, rtol=0, atol=0)
+    assert (found.history.gradient_norm == 0).all()
+
+
+def test_the_best_iterate_is_kept_even_if_later_ones_are_worse():
+    settings = replace(SETTINGS, learning_rate=8.0)  # overshoots
+    last, best = _solve(noise(2, 12), settings), _solve(noise(2, 12), replace(settings, keep="best"))
+    seen = np.nanmin(best.history.initial + best.history.goal, axis=0)
+    assert ((best.initial + best.goal).numpy() <= seen + 1e-7).all()
+    assert ((best.initial + best.goal) <= (last.initial + last.goal) + 1e-7).all()
+    decoded = LinearDecoder()(best.noise)
+    torch.testing.assert_close(decoded, best.joints)
+
+
+def test_what_lies_behind_a_sequence_is_never_moved():
+    start = noise(2, 12)
+    found = _solve(start, lengths=[12, 6])
+    torch.testing.assert_close(found.noise[1, 6:], start[1, 6:], rtol=0, atol=0)
+    assert not torch.equal(found.noise[1, :6], start[1, :6])
+
+
+def test_settings_and_learning_rates_are_recorded():
+    found = _solve(noise(1, 8))
+    assert found.settings.record() == asdict(SETTINGS)
+    assert found.history.learning_rate[0] == 0.0
+    assert found.history.learning_rate[5] == pytest.approx(0.5 * (np.cos(np.pi * 5 / 50) + 1) / 2)
+
+
+def test_adam_equals_that_of_torch():
+    start, target = noise(2, 5), noise(2, 5, seed=1)
+    parameter = start.clone().requires_grad_()
+    official = torch.optim.Adam([parameter], lr=0.05)
+    ours, state = start, AdamState.start(start)
+    for _ in range(20):
+        official.zero_grad()
+        (parameter - target).square().sum().backward()
+        official.step()
+        ours, state = state.stepped(ours, 2 * (ours - target), 0.05)
+    torch.testing.assert_close(ours, parameter.detach(), rtol=0, atol=1e-5)
+
+
+def test_gradients_get_length_one_each_and_zero_stays_zero():
+    gradient = noise(3, 4)
+    gradient[1] = 0.0
+    unit, lengths = unit_gradient(gradient)
+    torch.testing.assert_close(unit.flatten(1).norm(dim=1), torch.tensor([1.0, 0.0, 1.0]))
+    torch.testing.assert_close(lengths[0], gradient[0].norm())
