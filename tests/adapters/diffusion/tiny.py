@@ -36,13 +36,16 @@ def configuration(**changes: object) -> DenoiserConfiguration:
 
 
 def denoiser(*, seed: int = 0, **changes: object) -> Denoiser:
-    """In evaluation mode; random numbers in every parameter, also in those that start at zero."""
+    """In evaluation mode; random numbers in every parameter, also in those that start at zero.
+
+    Small enough that sampling does not blow up rounding, large enough that everything matters.
+    """
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         network = Denoiser(configuration(**changes))
         for name, parameter in network.named_parameters():
             mean = 1.0 if name.endswith("norm.weight") else 0.0
-            torch.nn.init.normal_(parameter, mean, 0.3 if parameter.ndim > 1 else 0.1)
+            torch.nn.init.normal_(parameter, mean, 0.15 if parameter.ndim > 1 else 0.1)
     return network.eval().requires_grad_(False)
 
 
