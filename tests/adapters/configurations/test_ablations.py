@@ -1,0 +1,139 @@
+"""Tables 3, 4 and S4 to S7: every row becomes a model that trains and generates, and knows its published numbers."""
+
+from __future__ import annotations
+
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from prbench_adapters.configurations import ablations
+from prbench_adapters.configurations.ablations import Ablation, load_ablations
+from prbench_adapters.diffusion.generation import SamplingSettings
+from prbench_adapters.diffusion.tasks import mdm, pr, read_model_table
+from prbench_adapters.pr import Generation, load
+
+from prbench.cli.main import main
+from prbench.contract import Condition
+from prbench.training import SequenceDataset, collate
+from prbench.training.configuration import load_configuration
+from prbench.training.task import TrainingData
+from prbench.training.weights import write_weights
+from tests.adapters.diffusion import tiny
+from tests.adapters.diffusion.goal_batches import conditions
+from tests.fakes import fake_dataset
+
+ROWS = load_ablations()
+BY_NAME = {row.name: row for row in ROWS}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> SequenceDataset:
+    folder = tmp_path_factory.mktemp("ablations")
+    return SequenceDataset([fake_dataset(folder / "table", n=8)], max_frames=60, cache=folder / "cache")
+
+
+def test_the_tables_have_all_their_rows_and_no_row_comes_twice():
+    counts = {table: sum(row.table == table for row in ROWS) for table in dict.fromkeys(row.table for row in ROWS)}
+    assert counts == {"3": 7, "4": 3, "S4": 2, "S5": 2, "S6": 2, "S7": 5}
+    assert len(BY_NAME) == len(ROWS)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_every_row_knows_its_published_numbers(name):
+    published = BY_NAME[name].published()
+    assert set(published) == {"hd-epic", "mogaze"}
+    for numbers in published.values():
+        assert set(numbers) == {"prime_success", "reach_success", "location_error", "mpjpe"}
+        assert all(0.0 < value <= 1.0 for value in numbers.values())
+
+
+def test_published_rates_are_shares():
+    full = next(row for row in ROWS if (row.table, row.variant) == ("3", "full"))
+    assert full.published()["mogaze"] == pytest.approx(
+        {"prime_success": 0.6237, "reach_success": 1.0, "location_error": 0.3643, "mpjpe": 0.56}
+    )
+
+
+def test_rows_that_change_nothing_are_one_training():
+    """The study prints the full model in every table; it is trained once."""
+    same = {row.commands()[1] for row in ROWS if row.model == {"goal": "location"} and row.pretraining == "nymeria"}
+    assert len(same) == 1
+    trained = {line for row in ROWS for line in row.commands() if " train " in line}
+    assert len([line for line in trained if "--method pr" in line]) == 15
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_every_row_trains_a_step_and_generates_at_its_smoke_size(name, data, tmp_path):
+    row = BY_NAME[name]
+    module = _module(row, data, tmp_path)
+    losses = module(collate([data[0], data[1]]), 0)
+    losses["loss"].backward()
+    assert torch.isfinite(losses["loss"])
+    adapter = module.adapter("cpu")
+    few = SamplingSettings(guidance=1.0, sampler="ddim", steps=5)
+    adapter.generation = Generation(few, None)
+    motions = adapter.generate(conditions(Condition.GOAL_LOCATION, 2), seed=0)
+    assert np.isfinite(motions.ragged()).all()
+
+
+def _module(row: Ablation, data: SequenceDataset, folder: Path):
+    """The row's model at smoke size, fine-tuned from a prior if it has one."""
+    smoke = load_configuration("smoke", package=ablations.__package__, task="pr", stage="finetune").model
+    given = TrainingData(train=data, mode=data.mode, max_frames=data.max_frames, fps=data.fps)
+    initial = None
+    if row.pretraining != "none":
+        prior = mdm().build(
+            {**smoke, "goal": "none", **row.pretrained_model}, data=given, initial=None, stage="pretrain"
+        )
+        initial = folder / "prior.safetensors"
+        write_weights(initial, *prior.weights(), {})
+    return pr().build({**smoke, **row.model}, data=given, initial=initial, stage="finetune")
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_every_row_changes_what_its_table_is_about(name):
+    row = BY_NAME[name]
+    paper = load_configuration("paper", package=ablations.__package__, task="pr", stage="finetune").model
+    model, objective = read_model_table({**paper, **row.model})
+    base, base_objective = read_model_table(paper)
+    differing = {field for field in base.__struct_fields__ if getattr(base, field) != getattr(model, field)}
+    differing |= {
+        field
+        for field in base_objective.__struct_fields__
+        if getattr(base_objective, field) != getattr(objective, field)
+    }
+    allowed = {
+        "3": {"dropped"},
+        "4": set(),
+        "S4": {"architecture"},
+        "S5": {"joint_loss_weight"},
+        "S6": {"injection"},
+        "S7": {"diffusion_steps"},
+    }
+    assert differing <= allowed[row.table]
+
+
+@pytest.mark.parametrize("table", ["3", "4", "S4", "S5", "S6", "S7"])
+def test_every_training_command_resolves_to_a_configuration(table, capsys):
+    lines = {line for row in ROWS if row.table == table for line in row.commands() if line.startswith("prbench train")}
+    for line in sorted(lines):
+        assert main([*shlex.split(line)[1:], "--show-config"]) == 0, line
+        resolved = tomllib.loads(capsys.readouterr().out)
+        read_model_table(resolved["model"])
+
+
+def test_every_run_command_has_options_that_the_adapter_takes(tmp_path):
+    weights = tiny.write(tmp_path / "weights.safetensors", goal="location")
+    for options in {tuple(row.options.items()) for row in ROWS}:
+        load(weights, options=dict(options), device="cpu")
+
+
+def test_commands_of_one_table_are_printed(capsys):
+    ablations.main(["S7"])
+    printed = capsys.readouterr().out
+    assert printed.count("prbench run") == 5
+    assert printed.count("prbench train") == 10
+    assert "model.diffusion_steps=1000" in printed

@@ -1,0 +1,97 @@
+"""The committed training configurations: complete, consistent, and what the study says."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import pytest
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.losses import Objective
+from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
+
+from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
+
+PACKAGE = "prbench_adapters.configurations"
+NAMES = ("paper", "small", "smoke")
+STAGES = ("pretrain", "finetune")
+
+
+def _load(task: str, name: str, stage: str) -> TrainingConfiguration:
+    return load_configuration(name, package=PACKAGE, task=task, stage=stage)
+
+
+@pytest.mark.parametrize("task", ["mdm", "pr"])
+def test_each_task_has_its_three_sizes(task):
+    assert list_configurations(PACKAGE, task) == NAMES
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("task", ["mdm", "pr"])
+def test_data_and_model_of_a_configuration_fit_together(task, name, stage):
+    configuration = _load(task, name, stage)
+    model, objective = read_model_table(configuration.model)
+    assert configuration.data.max_frames <= model.max_frames
+    assert configuration.data.mode == model.representation
+    assert (model.goal == "none") is (task == "mdm" or stage == "pretrain")
+    assert objective.text_drop == 0.2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_fine_tuning_may_start_from_the_pretrained_model_of_the_same_size(name):
+    prior, _ = read_model_table(_load("mdm", name, "pretrain").model)
+    tuned, _ = read_model_table(_load("pr", name, "finetune").model)
+    also, _ = read_model_table(_load("pr", name, "pretrain").model)
+    assert prior == also
+    for field in set(DenoiserConfiguration.__struct_fields__) - FREE_TO_CHANGE:
+        assert getattr(prior, field) == getattr(tuned, field), field
+
+
+def test_the_paper_configurations_hold_the_numbers_of_the_study():
+    """Prime and Reach, sections 4 and 5.1; methods/pr-model.md section 4."""
+    pretraining, fine_tuning = _load("pr", "paper", "pretrain"), _load("pr", "paper", "finetune")
+    assert (pretraining.training.learning_rate, pretraining.training.steps) == (1e-4, 600_000)
+    assert (fine_tuning.training.learning_rate, fine_tuning.training.steps) == (5e-5, 250_000)
+    assert (pretraining.data.crop, fine_tuning.data.crop) == ("random", "end")
+    model, objective = read_model_table(fine_tuning.model)
+    expected = DenoiserConfiguration(goal="location", max_frames=150)  # the defaults are the paper's sizes
+    assert model == expected
+    assert objective == Objective(joint_loss_weight=1.0, velocity_loss_weight=0.0, bone_loss_weight=0.0, text_drop=0.2)
+    for configuration in (pretraining, fine_tuning):
+        training = configuration.training
+        assert (training.batch_size, training.ema, training.schedule) == (64, 0.9999, "constant")
+        assert (training.weight_decay, training.betas, training.gradient_clip) == (0.0, (0.9, 0.999), None)
+        assert configuration.data.max_frames == 150
+
+
+@pytest.mark.parametrize("task", ["mdm", "pr"])
+@pytest.mark.parametrize("stage", STAGES)
+def test_mdm_and_pr_share_the_pretraining_of_the_paper(task, stage):
+    if stage == "pretrain":
+        assert _load("mdm", "paper", stage).training == _load("pr", "paper", stage).training
+
+
+@pytest.mark.parametrize("goal", ["none", "location", "pose"])
+def test_small_models_fit_the_package_as_float16(goal):
+    name = ("mdm", "pretrain") if goal == "none" else ("pr", "finetune")
+    model, _ = read_model_table({**_load(name[0], "small", name[1]).model, "goal": goal})
+    parameters = sum(parameter.numel() for parameter in Denoiser(model).parameters())
+    assert parameters > 0.9e6
+    assert 2 * parameters < 2.5e6  # bytes
+
+
+def test_the_small_configurations_need_no_download():
+    for task, stage in (("mdm", "pretrain"), ("pr", "finetune")):
+        assert read_model_table(_load(task, "small", stage).model)[0].text_encoder == "hashed-ngrams"
+
+
+@pytest.mark.parametrize("task", ["mdm", "pr"])
+def test_every_number_of_the_paper_configurations_names_its_source(task):
+    sourced = ("paper", "MDM", "choice", "DistilBERT")
+    for line in resources.files(PACKAGE).joinpath(f"{task}-paper.toml").read_text(encoding="utf-8").splitlines():
+        key, _, value = line.partition("=")
+        bookkeeping = key.strip() in {"mode", "save_every", "log_every", "sequences", "condition"}
+        if value and not line.startswith("#") and not bookkeeping:
+            assert "#" in value, line
+            assert any(word in value.split("#")[1] for word in sourced), line
