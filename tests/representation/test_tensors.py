@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from prbench.representation import decode, encode, tensors
-from prbench.representation.features import Mode
+from prbench.representation import REST_OFFSETS, Mode, decode, encode, tensors
+from prbench.skeleton import PARENTS
 from tests.fakes import STANDING
 from tests.representation.motions import walk
 
@@ -117,6 +117,14 @@ def test_degenerate_poses_have_finite_features_and_gradients():
         (gradient,) = torch.autograd.grad(features.sum(), joints)
         assert features.isfinite().all()
         assert gradient.isfinite().all()
+
+
+def test_bones_opposite_to_their_rest_directions_turn_as_in_numpy():
+    joints = np.repeat(STANDING[None], 3, axis=0)
+    for joint in range(1, 22):
+        joints[:, joint] = joints[:, PARENTS[joint]] - REST_OFFSETS[joint]
+    features = tensors.encode(torch.from_numpy(joints)[None, :2], torch.tensor([2]))
+    assert np.abs(features[0].numpy() - encode(joints, upright=False)).max() < 2e-5
 
 
 def test_gradients_reach_the_motion_through_both_directions():
