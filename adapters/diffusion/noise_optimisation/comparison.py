@@ -63,7 +63,8 @@ def curve(found: OptimisedMotions) -> list[list[float]]:
     A finished sequence counts with its final losses.
     """
     iterations = len(found.history.learning_rate)
-    each = float((found.network_passes / (found.iterations + _decoded_again(found))).max())
+    chains = found.iterations.numpy() + _decoded_again(found)
+    each = float((found.network_passes.numpy() / chains).max())
     medians = []
     for name in TERMS:
         values, final = getattr(found.history, name), getattr(found, name).cpu().numpy()

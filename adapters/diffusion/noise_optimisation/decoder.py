@@ -8,10 +8,12 @@ from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
+from prbench_adapters.diffusion.bones import with_bone_lengths
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.guidance import guided
 from prbench_adapters.diffusion.noise_optimisation.objective import Joints
+from prbench_adapters.diffusion.noise_optimisation.optimise import NoiseDecoder
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from prbench_adapters.diffusion.sampling import sample_ddim
 from prbench_adapters.diffusion.schedule import CosineSchedule
@@ -101,3 +103,28 @@ class UnrolledChain:
         if self._settings.precision == "float32":
             return nullcontext()
         return torch.autocast(device.type, dtype=torch.bfloat16)
+
+
+class OnOwnBones:
+    """A decoder whose motions keep bone lengths that are given (:mod:`prbench_adapters.diffusion.bones`).
+
+    Args:
+        decoder: Whose motions.
+        lengths: Of each sequence's bones, metres.
+    """
+
+    def __init__(self, decoder: NoiseDecoder, lengths: Float[torch.Tensor, "batch 21"]) -> None:
+        self._decoder, self._lengths = decoder, lengths
+
+    @property
+    def network_passes(self) -> int:
+        """Those of the decoder."""
+        return self._decoder.network_passes
+
+    def __call__(self, noise: Noise) -> Joints:
+        """Joints of every sequence, canonical frame, metres."""
+        return with_bone_lengths(self._decoder(noise), self._lengths)
+
+    def rows(self, index: Int[torch.Tensor, " kept"]) -> OnOwnBones:
+        """The same for some of the sequences."""
+        return OnOwnBones(self._decoder.rows(index), self._lengths[index])

@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from prbench_adapters.diffusion.batching import parts_of_similar_length
+from prbench_adapters.diffusion.bones import bone_lengths
 from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.noise_optimisation.decoder import FrozenModel, UnrolledChain
+from prbench_adapters.diffusion.noise_optimisation.decoder import FrozenModel, OnOwnBones, UnrolledChain
 from prbench_adapters.diffusion.noise_optimisation.objective import ObjectiveFromSettings, Targets, prime_and_reach
-from prbench_adapters.diffusion.noise_optimisation.optimise import optimise
+from prbench_adapters.diffusion.noise_optimisation.optimise import NoiseDecoder, optimise
 from prbench_adapters.diffusion.noise_optimisation.result import History, OptimisedMotions
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
@@ -59,11 +60,14 @@ def _part(
 ) -> OptimisedMotions:
     lengths = n_frames[torch.as_tensor(rows)]
     index = torch.as_tensor(rows, device=noise.device)
-    chain = UnrolledChain(model, condition.rows(index), lengths, settings)
+    wanted = targets.rows(index)
+    decoder: NoiseDecoder = UnrolledChain(model, condition.rows(index), lengths, settings)
+    if settings.bones == "initial":
+        decoder = OnOwnBones(decoder, bone_lengths(wanted.initial_joints))
     return optimise(
-        chain,
+        decoder,
         objective(settings),
-        targets.rows(index),
+        wanted,
         noise[index, : int(lengths.max())],
         lengths,
         [seeds[row] for row in rows],

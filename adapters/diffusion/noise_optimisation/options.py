@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import cast, get_args
 
-from prbench_adapters.diffusion.noise_optimisation.settings import Hand, Keep, OptimisationSettings, Precision
+from prbench_adapters.diffusion.noise_optimisation.settings import Bones, Hand, Keep, OptimisationSettings, Precision
 from prbench_adapters.diffusion.options import choice, number, whole_number
 
 OPTIMISATION_OPTIONS = (
@@ -18,6 +18,7 @@ OPTIMISATION_OPTIONS = (
     "initial-velocity-weight",
     "initial-frames",
     "hand",
+    "bones",
     "keep",
     "stop-below",
     "checkpointing",
@@ -53,6 +54,7 @@ def optimisation_settings(
         initial_velocity_weight=number(options, "initial-velocity-weight", preset.initial_velocity_weight),
         initial_frames=whole_number(options, "initial-frames", most=2) or preset.initial_frames,
         hand=cast(Hand, _one_of(options, "hand", preset.hand, get_args(Hand))),
+        bones=cast(Bones, _one_of(options, "bones", preset.bones, get_args(Bones))),
         keep=cast(Keep, _one_of(options, "keep", preset.keep, get_args(Keep))),
         stop_below=number(options, "stop-below", 0.0) if "stop-below" in options else preset.stop_below,
         checkpointing=preset.checkpointing if blocks is None else blocks,

@@ -11,6 +11,7 @@ from typing import Literal
 
 Hand = Literal["right", "left", "nearest"]
 Keep = Literal["last", "best"]
+Bones = Literal["predicted", "initial"]
 Precision = Literal["float32", "bfloat16"]
 
 
@@ -40,6 +41,8 @@ class OptimisationSettings:
     """First frames that the keyframe criterion of DNO asks for: 1, or 2 with the initial velocity."""
     hand: Hand = "right"
     """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
+    bones: Bones = "predicted"
+    """Lengths of the bones: as the network predicts them, or those of the initial pose (not in the study)."""
     guidance: float = 1.0
     """Scale of classifier-free guidance; anything but 1 doubles the network passes."""
     keep: Keep = "last"
