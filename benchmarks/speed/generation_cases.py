@@ -1,0 +1,149 @@
+"""What is timed when motions are generated: sizes, one prompt, and our own code on random weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.generation import SamplingSettings, generate
+from prbench_adapters.diffusion.model import MotionModel
+from prbench_adapters.diffusion.noise import start_noise
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, optimise_noise
+from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
+from prbench_adapters.diffusion.text_vectors import TextVectors
+
+from prbench.contract import Condition, ConditionBatch
+from prbench.text import EncodedText
+
+PROMPT = "The person moves across and picks an object."
+DIFFUSION_STEPS = 50
+OPTIMISATION_STEPS = 10
+"""Of the deterministic chain, in one iteration of noise optimisation."""
+GUIDANCE = 2.5
+WORD_PIECES = 11
+"""Of the prompt in DistilBERT's vocabulary, its two special ones included."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """A network, the same for everybody."""
+
+    name: str
+    width: int
+    heads: int
+    layers: int
+    feed_forward: int
+
+
+SIZES = {
+    size.name: size
+    for size in (
+        Size("paper", width=512, heads=4, layers=8, feed_forward=1024),
+        Size("small", width=128, heads=4, layers=4, feed_forward=448),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """How many motions of how many frames are made at once, by which network, where."""
+
+    size: Size
+    frames: int
+    batch: int
+    device: str = "cpu"
+
+
+class FixedText:
+    """Stands for a text encoder whose vectors are known: random ones, the same for every text and for everybody."""
+
+    def __init__(self, dimension: int, tokens: int) -> None:
+        self.name, self.dimension = "fixed", dimension
+        self.vectors = np.random.default_rng(0).normal(size=(tokens, dimension)).astype(np.float32)
+
+    def encode(self, texts: Sequence[str]) -> EncodedText:
+        """The one answer, once a text."""
+        tokens = np.tile(self.vectors, (len(texts), 1, 1))
+        return EncodedText(tokens, np.zeros(tokens.shape[:2], dtype=bool))
+
+
+def word_pieces() -> FixedText:
+    """As DistilBERT gives them: a vector a word piece."""
+    return FixedText(768, WORD_PIECES)
+
+
+def sentence() -> FixedText:
+    """As CLIP gives it: one vector a text."""
+    return FixedText(512, 1)
+
+
+def our_model(problem: Problem, architecture: str, text: FixedText) -> MotionModel:
+    """A frozen model with random weights."""
+    torch.manual_seed(0)
+    configuration = DenoiserConfiguration(
+        architecture=architecture,  # pyright: ignore[reportArgumentType]
+        width=problem.size.width,
+        heads=problem.size.heads,
+        layers=problem.size.layers,
+        feed_forward=problem.size.feed_forward,
+        text_dimension=text.dimension,
+        diffusion_steps=DIFFUSION_STEPS,
+        max_frames=problem.frames,
+    )
+    denoiser = Denoiser(configuration).to(problem.device)
+    return MotionModel(denoiser, mean=torch.zeros(263), std=torch.ones(263), scaling=None, texts=TextVectors(text))
+
+
+def n_parameters(model: torch.nn.Module) -> int:
+    """Of a network."""
+    return sum(parameter.numel() for parameter in model.parameters())
+
+
+def our_sampling(problem: Problem, **more: object) -> Callable[[], object]:
+    """Text to joints: 50 guided DDPM steps of the decoder with DistilBERT's word pieces, as ``--method mdm`` does."""
+    model = our_model(problem, "decoder", word_pieces())
+    batch, settings = _conditions(problem), SamplingSettings(guidance=GUIDANCE, **more)  # pyright: ignore[reportArgumentType]
+    return lambda: generate(model, batch, settings)
+
+
+def our_optimisation(problem: Problem, **more: object) -> Callable[[int], object]:
+    """So many guided iterations of DNO on the encoder with one sentence vector: forward, backward, Adam."""
+    model = our_model(problem, "encoder", sentence())
+    batch = _conditions(problem)
+    targets, n_frames = _targets(problem), torch.as_tensor(batch.n_frames)
+    condition = model.encode(batch)
+
+    def optimise(iterations: int) -> object:
+        settings = OptimisationSettings(
+            ddim_steps=OPTIMISATION_STEPS,
+            iterations=iterations,
+            guidance=GUIDANCE,
+            batch_size=problem.batch,
+            **more,  # pyright: ignore[reportArgumentType]
+        )
+        noise = start_noise(batch.noise_seed, batch.n_frames, problem.device)
+        return optimise_noise(
+            model, condition, targets, n_frames, noise, settings, seeds=batch.noise_seed, objective=keyframes
+        )
+
+    return optimise
+
+
+def _conditions(problem: Problem) -> ConditionBatch:
+    return ConditionBatch(
+        condition=Condition.TEXT,
+        n_frames=np.full(problem.batch, problem.frames),
+        fps=20.0,
+        opaque_id=tuple(map(str, range(problem.batch))),
+        noise_seed=tuple(range(problem.batch)),
+        text=(PROMPT,) * problem.batch,
+    )
+
+
+def _targets(problem: Problem) -> Targets:
+    poses = torch.randn((2, problem.batch, 22, 3), generator=torch.Generator().manual_seed(1)).to(problem.device)
+    return Targets(initial_joints=poses[0], previous_joints=poses[0], goal_joints=poses[1])
