@@ -30,6 +30,7 @@ FARTHEST_GOAL = 10.0
 
 _GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
 _MODES = ("fast", "paper", "off")
+_BONES = ("predicted", "initial")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Generation:
     """Without optimisation."""
     optimisation: OptimisationSettings | None
     """None for plain sampling."""
+    own_bones: bool = False
+    """Whether sampled motions keep the bone lengths of the initial pose; an optimisation has its own setting."""
 
 
 class PR:
@@ -86,7 +89,8 @@ class PR:
         if self.generation.optimisation is None:
             from prbench_adapters.diffusion.generation import generate
 
-            return generate(model, batch, self.generation.sampling)
+            motions = generate(model, batch, self.generation.sampling)
+            return on_own_bones(motions, batch) if self.generation.own_bones else motions
         from prbench_adapters.diffusion.noise_optimisation import generate_optimised
 
         return generate_optimised(model, batch, self.generation.optimisation)
@@ -123,12 +127,23 @@ def require_goals_within_reach(batch: ConditionBatch) -> None:
         )
 
 
+def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
+    """The motions with the bone lengths of the initial pose in every frame."""
+    import torch
+    from prbench_adapters.diffusion.bones import bone_lengths, with_bone_lengths
+
+    lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
+    joints = with_bone_lengths(torch.as_tensor(motions.joints, dtype=torch.float32), lengths)
+    return replace(motions, joints=joints.numpy())
+
+
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR:
     """Entry point ``pr``.
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the others of
     :mod:`prbench_adapters.diffusion.noise_optimisation.options`; ``guidance`` (1), ``steps``; without optimisation also
-    ``sampler`` (ddpm or ddim); ``text-path`` (files of the text encoder, if the weights need one that has some).
+    ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the lengths of the initial pose); ``text-path``
+    (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -179,10 +194,10 @@ def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generati
     sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in OPTIMISATION_OPTIONS if key in options]
+        idle = [key for key in OPTIMISATION_OPTIONS if key in options and key != "bones"]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
-        return Generation(sampling, None)
+        return Generation(sampling, None, own_bones=choice(options, "bones", _BONES) == "initial")
     if sampling.sampler == "ddpm" and "sampler" in options:
         raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
     if "steps" in options and "ddim-steps" in options:

@@ -12,6 +12,7 @@ from prbench_adapters.pr import PR, load
 
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError
+from prbench.skeleton import BONES
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 
@@ -177,6 +178,21 @@ def test_the_left_hand_can_be_asked_for(weights):
         for hand in ("right", "left")
     )
     assert _largest_change(right, left) > 1e-3
+
+
+@pytest.mark.parametrize("options", [SAMPLING, {"iterations": "2", "ddim-steps": "2"}])
+def test_bones_can_keep_the_lengths_of_the_initial_pose(weights, options):
+    path, batch = weights[Condition.GOAL_LOCATION], conditions(Condition.GOAL_LOCATION)
+    parents, children = np.transpose(BONES)
+
+    def lengths(joints: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(joints[..., children, :] - joints[..., parents, :], axis=-1)
+
+    predicted = _generate(load(path, options=options, device="cpu"), batch.condition)
+    kept = _generate(load(path, options={**options, "bones": "initial"}, device="cpu"), batch.condition)
+    own = np.repeat(lengths(batch.initial_joints), batch.n_frames, axis=0)
+    assert np.abs(lengths(kept.ragged()) - own).max() < 1e-5
+    assert np.abs(lengths(predicted.ragged()) - own).max() > 1e-2
 
 
 @pytest.mark.parametrize(
