@@ -8,7 +8,7 @@ from prbench_adapters.diffusion.skeletons import ModelBodies
 
 from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.errors import AdapterError
-from prbench.skeleton import Joint
+from prbench.skeleton import Joint, bone_lengths
 from tests.adapters.diffusion import tiny
 
 QUICK = {"iterations": "3", "ddim-steps": "2"}
@@ -83,6 +83,19 @@ def test_the_text_is_empty_unless_asked_for(prior):
 def test_guidance_doubles_the_passes(prior):
     adapter = dno.load(prior, options={**QUICK, "guidance": "2.5"}, device="cpu")
     assert adapter.generate(batch(), seed=0).cost.network_passes == 2 * 2 * (3 + 1) * 2
+
+
+def test_bones_stay_as_long_as_in_the_initial_pose_if_asked_for(prior):
+    given = batch(n_frames=(9,))
+    expected = bone_lengths(given.initial_joints)
+    lengths = {
+        bones: bone_lengths(
+            dno.load(prior, options={**QUICK, "bones": bones}, device="cpu").generate(given, seed=0).joints
+        )
+        for bones in ("predicted", "initial")
+    }
+    np.testing.assert_allclose(lengths["initial"], np.repeat(expected[:, None], 9, axis=1), rtol=1e-4)
+    assert not np.allclose(lengths["predicted"], expected[:, None], rtol=0.05)
 
 
 def test_the_modes_are_those_of_the_page(prior, tmp_path):
