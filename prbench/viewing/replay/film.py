@@ -62,9 +62,11 @@ def _pictures(scenes: Sequence[Scene], progress: Progress) -> Iterator[bytes]:
     plans = [shown_frames(scene) for scene in scenes]
     done, total = 0, sum(len(plan) for plan in plans)
     for scene, plan in zip(scenes, plans, strict=True):
-        stage = FilmStage(scene, SIZE)
+        stage, picture, shown = FilmStage(scene, SIZE), b"", -1
         for frame in plan:
-            yield stage.picture(int(frame))
+            if frame != shown:
+                picture, shown = stage.picture(int(frame)), frame
+            yield picture
             done += 1
             progress(done, total, scene.sequence_id)
 

@@ -10,12 +10,12 @@ from prbench.viewing.replay.captions import score_sentence
 from prbench.viewing.replay.scene import Scene
 
 _STYLE = """
-#prbench{position:fixed;left:10px;top:10px;max-width:32vw;max-height:calc(100vh - 90px);overflow:auto;z-index:2000;
+#prbench{position:fixed;left:10px;top:10px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:2000;
 background:rgba(255,255,255,.92);border:1px solid #bbb;border-radius:6px;padding:6px 10px;
-font:12px/1.45 system-ui,sans-serif;color:#222}
+font:11px/1.4 system-ui,sans-serif;color:#222}
 #prbench summary{cursor:pointer;font-weight:600}
-#prbench h2{font-size:12px;margin:8px 0 0}
-#prbench .id{color:#666;font-family:monospace;font-size:10px;overflow-wrap:anywhere}
+#prbench h2{font-size:11px;margin:8px 0 0}
+#prbench .id{color:#666;font-family:monospace;font-size:9px;overflow-wrap:anywhere}
 #prbench .swatch{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
 #prbench .notice{color:#a04000;font-weight:600}
 """

@@ -65,6 +65,8 @@ def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
     away = 0.8 * scene.picture_axis - 0.6 * across
     distance = 2.2 + 0.75 * float(np.linalg.norm((high - low)[[0, 2]]))
+    to_the_left = np.cross(away, [0.0, 1.0, 0.0]) * 0.15 * distance  # of the picture: the overlay stands there
+    look_at = look_at + to_the_left
     return look_at + away * distance + [0.0, 0.25 * distance, 0.0], look_at
 
 

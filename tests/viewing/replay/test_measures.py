@@ -1,0 +1,84 @@
+"""Curves under the figures: cases worked by hand, and agreement with the metrics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.manifests import load_protocol
+from prbench.metrics import MotionBatch
+from prbench.metrics.reach_success import reach_success
+from prbench.skeleton import Joint
+from prbench.viewing.replay import palette
+from prbench.viewing.replay.captions import phase, score_row, score_sentence
+from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
+from prbench.viewing.replay.scene import Gaze, Goal, ShownMotion
+from tests.fakes import STANDING, smooth_motion
+from tests.viewing.replay.scenes import a_scene
+
+_NO_BOX = np.zeros((8, 3))
+
+
+def _upright() -> np.ndarray:
+    """The standing body with the head exactly above the neck, so that with a tilt of 0 it faces +Z."""
+    body = STANDING.copy()
+    body[Joint.NECK], body[Joint.HEAD] = (0.0, 1.5, 0.0), (0.0, 1.6, 0.0)
+    return body
+
+
+def _goal(degrees: float, distance: float) -> Goal:
+    angle = np.deg2rad(degrees)
+    return Goal(np.array([distance * np.sin(angle), 1.6, distance * np.cos(angle)]), _NO_BOX)
+
+
+@pytest.mark.parametrize(("degrees", "distance"), [(30, 1.0), (0, 0.0), (180, 2.0), (90, 2.0)])
+def test_a_goal_two_metres_away_at_a_known_angle(degrees, distance):
+    body = ShownMotion("x", palette.RECORDED, _upright()[None])
+    values = measure(body, _goal(degrees, 2.0), head_tilt_deg=0.0)
+    assert values.head_distance[0] == pytest.approx(distance, abs=1e-9)  # 2 sin 30°; behind the head: the way to it
+    assert values.head_angle[0] == pytest.approx(degrees, abs=1e-6)
+
+
+def test_the_nearer_wrist_counts_and_the_best_frame():
+    joints = np.stack([STANDING, STANDING])
+    joints[1, Joint.LEFT_WRIST] = (0.0, 1.6, 1.93)
+    values = measure(ShownMotion("x", palette.RECORDED, joints), _goal(0, 2.0), head_tilt_deg=0.0)
+    assert values.wrist_distance[1] == pytest.approx(0.07)
+    assert values.reach_distance == pytest.approx(0.07)
+
+
+def test_reaching_by_the_curve_is_reaching_by_the_metric():
+    constants = load_protocol().metrics
+    for number in range(20):
+        joints = smooth_motion(f"view-{number}", 60).astype(np.float64)
+        goal = joints[30, Joint.RIGHT_WRIST] + [0.0, 0.1 + 0.004 * (number - 10), 0.0]
+        curve = measure(ShownMotion("x", palette.RECORDED, joints), Goal(goal, _NO_BOX), 7.4)
+        metric = reach_success(MotionBatch.from_motions([joints]), goal[None], constants)[0]
+        assert (curve.reach_distance <= constants.reach_distance) == (metric == 1.0)
+
+
+def test_invalid_gaze_leaves_a_gap():
+    gaze = Gaze(np.zeros((2, 3)), np.array([[0.0, 0, 1], [0, 0, 1]]), np.array([True, False]))
+    goal = Goal(np.array([3.0, 0.0, 4.0]), _NO_BOX)
+    assert gaze_distance(gaze, goal)[0] == pytest.approx(3.0)
+    assert gaze_angle(gaze, goal)[0] == pytest.approx(np.rad2deg(np.arctan2(3, 4)))
+    assert np.isnan(gaze_distance(gaze, goal)[1])
+    assert np.isnan(gaze_angle(gaze, goal)[1])
+
+
+def test_scores_in_words_leave_out_what_compares_a_motion_with_itself():
+    scene = a_scene("pr, goal-loc")
+    own, method = (score_row(scene, motion) for motion in scene.motions)
+    assert own[1:3] == ("no", "yes")
+    assert own[4:] == ("–", "–", "–")
+    assert method[1:3] == ("yes", "no")
+    assert method[4:] == ("yes", "12 cm", "1.50 m")
+    assert "Location Error" not in score_sentence(scene, scene.motions[0])
+    assert "Location Error yes, Goal MPJPE 12 cm" in score_sentence(scene, scene.motions[1])
+
+
+def test_prime_and_event_are_named_when_they_happen():
+    scene = a_scene()
+    assert phase(scene, scene.prime_frame).strip() == "prime"
+    assert phase(scene, scene.n_frames - 1).strip() == "pick"
+    assert phase(scene, 10) == ""

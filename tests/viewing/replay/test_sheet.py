@@ -1,0 +1,107 @@
+"""The picture: what stands in it, that nothing overlaps, and that the same scenes give the same bytes."""
+
+from __future__ import annotations
+
+import itertools
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from prbench.errors import StorageError
+from prbench.viewing.replay import palette
+from prbench.viewing.replay.layout import Block, block_height
+from prbench.viewing.replay.sheet import WIDTH, chosen_frames, draw_scene, draw_sheet
+from tests.viewing.replay.scenes import a_scene
+
+LABELS = [f"method_with_a_name_{number}, goal-loc, shuffled-goal" for number in range(6)]
+
+
+def _drawn(scene) -> Figure:
+    height = block_height(len(scene.motions))
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasAgg(figure)
+    draw_scene(Block(figure, top=height, height=height), scene)
+    return figure
+
+
+@pytest.mark.parametrize("n_methods", [0, 1, 3, 6])
+def test_no_text_meets_another_or_leaves_the_picture(n_methods, monkeypatch):
+    figure, boxes = _drawn(a_scene(*LABELS[:n_methods])), []
+    draw = Text.draw
+
+    def noting(self, renderer, *arguments, **options):
+        if self.get_visible() and self.get_text().strip():
+            boxes.append((self.get_text(), self.get_window_extent(renderer)))
+        draw(self, renderer, *arguments, **options)
+
+    monkeypatch.setattr(Text, "draw", noting)
+    figure.canvas.draw()
+    assert len(boxes) > 20
+    for (one, box), (other, behind) in itertools.combinations(boxes, 2):
+        apart = box.x1 <= behind.x0 or behind.x1 <= box.x0 or box.y1 <= behind.y0 or behind.y1 <= box.y0
+        assert apart, f"'{one}' and '{other}' overlap: {box}, {behind}"
+    for text, box in boxes:
+        assert min(box.x0, box.y0) >= 0, text
+        assert (box.max <= figure.bbox.max).all(), text
+
+
+def test_every_motion_gaze_and_goal_is_drawn_in_its_colour(tmp_path):
+    path = tmp_path / "view.png"
+    draw_sheet([a_scene("mdm, text", "pr, goal-loc")], path)
+    pixels = (matplotlib.image.imread(path)[..., :3] * 255).round().astype(int)
+    for colour in (palette.RECORDED, *palette.METHODS[:2], palette.GAZE, palette.GOAL):
+        near = np.abs(pixels - palette.rgb(colour)).max(axis=-1) < 12
+        assert near.sum() > 50, colour
+    absent = np.abs(pixels - palette.rgb(palette.METHODS[2])).max(axis=-1) < 12
+    assert not absent.any()
+
+
+def test_colours_stay_apart_for_eyes_without_red_or_green_receptors():
+    """Machado's matrices of full protanopia and deuteranopia, in linear light."""
+    matrices = (
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    )
+    colours = [palette.RECORDED, palette.GAZE, palette.GOAL, *palette.METHODS]
+    linear = (np.array([palette.rgb(colour) for colour in colours]) / 255.0) ** 2.2
+    for matrix in matrices:
+        seen = np.clip(linear @ np.transpose(matrix), 0, 1) ** (1 / 2.2) * 255
+        distance = np.linalg.norm(seen[:, None] - seen[None], axis=-1) + 1e3 * np.eye(len(colours))
+        assert distance.min() > 25, np.unravel_index(distance.argmin(), distance.shape)
+
+
+def test_the_same_scenes_give_the_same_bytes(tmp_path):
+    for name in ("one.png", "two.png"):
+        draw_sheet([a_scene("static, none")], tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_first_prime_and_last_frame_are_among_the_poses():
+    for n_frames in (42, 61, 200):
+        scene = a_scene(n_frames=n_frames)
+        frames = chosen_frames(scene)
+        assert {0, scene.prime_frame, n_frames - 1} <= set(frames.tolist())
+        assert (np.diff(frames) > 0).all()
+    assert chosen_frames(a_scene(n_frames=2)).tolist() == [0, 1]
+
+
+def test_without_goal_and_gaze_the_generated_motion_is_still_drawn(tmp_path):
+    draw_sheet([a_scene("pr, goal-pose", recorded=False, notice="must not be passed on")], tmp_path / "view.png")
+    figure = _drawn(a_scene("pr, goal-pose", recorded=False))
+    words = " ".join(text.get_text() for text in figure.findobj(Text))
+    assert "ground truth" not in words
+    assert "gaze" not in words
+    assert "goal and its box" not in words
+
+
+def test_progress_is_told_and_an_unwritable_place_named(tmp_path):
+    told = []
+    draw_sheet([a_scene(), a_scene()], tmp_path / "a.png", progress=lambda *step: told.append(step[:2]))
+    assert told == [(1, 2), (2, 2)]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match=r"file"):
+        draw_sheet([a_scene()], tmp_path / "file" / "a.png")
