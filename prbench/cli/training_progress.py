@@ -28,7 +28,7 @@ def _print_lines(progress: Progress) -> None:
         print(f"validation at {progress.step}: {in_words(progress.validation)}", file=sys.stderr, flush=True)
 
 
-def in_words(row: Mapping[str, float]) -> str:
+def in_words(row: Mapping[str, float | int]) -> str:
     """``loss 0.123, joints 0.01, …``; the step apart."""
     return ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in row.items() if name != "step")
 

@@ -234,7 +234,7 @@ class _Session:
         self.validated_at, measured = state.step, None
         if self.outputs is not None:
             state.module.eval()
-            with state.average.applied(), torch.no_grad():
+            with state.average.applied():
                 measured = {"step": state.step, **self.validate(state.module)}
             state.module.train()
             state.validations.append(measured)

@@ -59,35 +59,40 @@ def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) 
     )
 
 
-def prepare_folder(out: Path, record: TrainingRecord) -> None:
-    """Make a training folder, or check that the one that is there belongs to the same training.
+def require_same_training(out: Path, record: TrainingRecord) -> None:
+    """Refuse a folder that belongs to something else, before hours of work.
 
     Raises:
-        TrainingError: if it belongs to another one; names the first key that differs.
-        StorageError: if it holds something else, or cannot be written.
+        TrainingError: if it belongs to another training; names the first key that differs.
+        StorageError: if it holds something else.
     """
     path = out / RECORD
-    asked = msgspec.to_builtins(record)
     if not path.is_file():
         if out.is_file() or (out.is_dir() and any(out.iterdir())):
             raise StorageError(
                 f"{out}: is not empty and holds no {RECORD}, so it is no training that could go on."
                 " Choose an empty or new folder for --out."
             )
-        write_json(path, asked)
         return
     found = read_json(path)
     if not isinstance(found, Mapping):
         raise TrainingError(f"{path}: expected the record of a training. Choose another folder for --out.")
-    difference = first_difference(_flat(asked), _flat(found))
+    difference = first_difference(_flat(msgspec.to_builtins(record)), _flat(found))
     if difference is not None:
         key, now, then = difference
         raise TrainingError(
             f"{out}: holds another training: '{key}' is {then} there, but {now} was asked for."
             " Repeat the command of that training to go on with it, or choose another folder for --out."
         )
-    if asked != found:
-        write_json(path, asked)  # what may change has changed
+
+
+def write_record(out: Path, record: TrainingRecord) -> None:
+    """Mark a folder as that of a training.
+
+    Raises:
+        StorageError: if it cannot be written.
+    """
+    write_json(out / RECORD, msgspec.to_builtins(record))
 
 
 def first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:

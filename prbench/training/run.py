@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from prbench.errors import TrainingStopped, UsageError
-from prbench.storage import file_digest
 from prbench.training.card import training_card
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
 from prbench.training.dataset import SequenceDataset
@@ -19,11 +18,12 @@ from prbench.training.installed import load_task
 from prbench.training.loading import load_batches
 from prbench.training.loop import Progress, fit, silent
 from prbench.training.outputs import WEIGHTS
-from prbench.training.record import TrainingRecord, prepare_folder, table_records
+from prbench.training.record import TrainingRecord, require_same_training, table_records, write_record
 from prbench.training.sampling import LengthBatches
 from prbench.training.state import Row, TrainingState
 from prbench.training.task import TrainingData, TrainingModule, TrainingTask
 from prbench.training.validation import Validation
+from prbench.training.weights import read_weights
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -126,9 +126,11 @@ def run(
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = training_dataset(request.data, configuration)
         record = _record(request, stage, configuration, data)
-        prepare_folder(request.out, record)
+        require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
         validation = Validation.prepare(data.tables, configuration) if fabric.is_global_zero else None
+    if fabric.is_global_zero:
+        write_record(request.out, record)  # now that everything fits together
 
     def describe(state: TrainingState) -> dict[str, Any]:
         return training_card(record, state, fabric.device, request.threads)
@@ -181,7 +183,7 @@ def _record(
         stage=stage,
         configuration=configuration,
         data=table_records(data.tables, split="train"),
-        initial_weights_sha256=file_digest(request.initial) if request.initial else None,
+        initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
         devices=request.devices,
     )
 

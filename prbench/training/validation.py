@@ -91,6 +91,7 @@ class Validation:
             configuration.training.seed,
         )
 
+    @torch.no_grad()
     def measure(
         self, module: TrainingModule, device: torch.device, autocast: AbstractContextManager | None = None
     ) -> Row:

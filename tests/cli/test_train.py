@@ -1,0 +1,232 @@
+"""``prbench train`` as a user meets it, with a toy for a network."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from prbench.cli import main
+from prbench.storage import file_digest, read_json
+from prbench.training.weights import read_weights
+from tests.fakes import fake_dataset
+from tests.training.toy import SIGNAL_VARIABLE, entry_points
+
+ROOT = Path(__file__).parents[2]
+VALIDATED = ["--set", "validation.every=4", "--set", "validation.condition=goal-loc", "--set", "validation.sequences=3"]
+SCRIPT = """
+import sys
+import prbench.training.installed
+from tests.training.toy import entry_points
+prbench.training.installed.entry_points = entry_points
+from prbench.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def toy_is_installed(monkeypatch, tmp_path_factory):
+    monkeypatch.setattr("prbench.training.installed.entry_points", entry_points)
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return fake_dataset(tmp_path_factory.mktemp("table") / "data", 24).folder
+
+
+def command(data, out, *more):
+    return ["train", "--method", "toy", "--data", str(data), "--out", str(out), *more]
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A finished training, and what it printed to standard output and standard error."""
+    out = tmp_path_factory.mktemp("trained")
+    printed, said = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("prbench.training.installed.entry_points", entry_points)
+        patch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+            assert main(command(data, out, *VALIDATED)) == 0, said.getvalue()
+    return out, printed.getvalue(), said.getvalue()
+
+
+def test_a_training_prints_lines_and_where_the_weights_are(trained):
+    out, printed, said = trained
+    assert printed == f"weights: {out / 'weights.safetensors'}\n"
+    lines = said.splitlines()
+    assert [line.split(":")[0] for line in lines] == [
+        "step 2/8", "step 4/8", "validation at 4", "step 6/8", "step 8/8", "validation at 8",
+        next(line.split(":")[0] for line in lines if line.startswith("waited for data")),
+    ]  # fmt: skip
+    assert "loss " in lines[0]
+    assert "waiting " in lines[0]
+    assert "prime success " in lines[2]
+
+
+def test_a_training_leaves_a_card_curves_and_a_log(trained, data):
+    out, *_ = trained
+    card = read_json(out / "weights.json")
+    assert card["method"], card["stage"] == ("toy", "pretrain")
+    assert (card["finished"], card["steps"], card["devices"]) == (True, 8, 1)
+    assert card["configuration"]["model"] == {"width": 6}
+    assert card["weights_sha256"] == file_digest(out / "weights.safetensors")
+    assert card["parameters"] == 263 * 6 + 6 + 6 * 263 + 263
+    assert card["learned_from"] == ["nothing much"]
+    assert [row["step"] for row in card["learning_curve"]] == [2, 4, 6, 8]
+    assert 0 <= card["waiting_fraction"] <= 1
+    assert {"python", "torch", "lightning-fabric"} <= card["packages"].keys()
+    assert card["device"].startswith("cpu")
+    (table,) = card["data"]
+    assert table["dataset"] == "synthetic-adt"
+    assert table["sequences"] == 12
+    assert table["content_digest"] == read_json(data / "dataset.json")["content_digest"]
+    main_metrics = {"prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"}
+    assert main_metrics | {"loss", "root"} <= card["validation"][-1].keys()
+    assert (out / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert list((out / "tensorboard").glob("events.out.tfevents.*"))
+    assert read_weights(out / "weights.safetensors", kind="toy").metadata["configuration"] == '{"width":6}'
+
+
+def test_a_killed_training_goes_on_by_the_same_command_to_the_same_weights(trained, data, tmp_path, capsys):
+    reference, *_ = trained
+    killed = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *command(data, tmp_path / "out")],
+        cwd=ROOT,
+        env={**os.environ, SIGNAL_VARIABLE: "9:SIGKILL"},
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert sorted(path.name for path in (tmp_path / "out" / "checkpoints").iterdir())[-1] == "step-000000003"
+    assert main(command(data, tmp_path / "out")) == 0
+    assert "step 4/8" in capsys.readouterr().err, "lines go on after the last checkpoint"
+    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == (reference / "weights.safetensors").read_bytes()
+
+
+def test_sigterm_saves_says_so_and_the_same_command_goes_on(trained, data, tmp_path, capsys, monkeypatch):
+    reference, *_ = trained
+    monkeypatch.setenv(SIGNAL_VARIABLE, "9:SIGTERM")
+    assert main(command(data, tmp_path / "out")) == 143
+    error = capsys.readouterr().err
+    assert "stopped after step 5 of 8; everything is saved. The same command goes on from there." in error
+    assert "Traceback" not in error
+    assert not read_json(tmp_path / "out" / "weights.json")["finished"]
+    monkeypatch.delenv(SIGNAL_VARIABLE)
+    assert main(command(data, tmp_path / "out")) == 0
+    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == (reference / "weights.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("more", "key"),
+    [
+        (["--set", "model.width=9"], "'configuration.model.width' is 6 there, but 9"),
+        (["--set", "training.seed=1"], "'configuration.training.seed' is 0 there, but 1"),
+        (["--stage", "finetune"], """'stage' is "pretrain" there, but "finetune\""""),
+    ],
+)
+def test_another_training_in_the_same_folder_is_refused(more, key, trained, data, capsys):
+    out, *_ = trained
+    before = (out / "training.json").read_bytes()
+    assert main(command(data, out, *VALIDATED, *more)) == 11
+    assert key in capsys.readouterr().err
+    assert (out / "training.json").read_bytes() == before
+
+
+def test_other_data_in_the_same_folder_are_refused(trained, tmp_path, capsys):
+    out, *_ = trained
+    other = fake_dataset(tmp_path / "other", 28).folder
+    assert main(command(other, out, *VALIDATED)) == 11
+    assert "'data.0.identity_digest' is" in capsys.readouterr().err
+
+
+def test_how_often_is_logged_and_saved_may_change(data, tmp_path):
+    assert main(command(data, tmp_path / "out")) == 0
+    assert main(command(data, tmp_path / "out", "--set", "training.save_every=2", "--set", "training.log_every=1")) == 0
+
+
+def test_a_training_starts_from_given_weights(trained, data, tmp_path):
+    out, *_ = trained
+    more = ["--stage", "finetune", "--set", "model.width=6", "--init", str(out / "weights.safetensors")]
+    assert main(command(data, tmp_path / "out", *more)) == 0
+    card = read_json(tmp_path / "out" / "weights.json")
+    assert card["initial_weights_sha256"] == file_digest(out / "weights.safetensors")
+    assert card["stage"] == "finetune"
+
+
+def test_the_configuration_can_be_printed_and_used_as_a_file(tmp_path, capsys):
+    assert (
+        main(["train", "--method", "toy", "--stage", "finetune", "--show-config", "--set", "data.max_frames=30"]) == 0
+    )
+    printed = capsys.readouterr().out
+    assert "max_frames = 30" in printed
+    file = tmp_path / "own.toml"
+    file.write_text(printed)
+    assert main(["train", "--method", "toy", "--config", str(file), "--show-config", "--stage", "finetune"]) == 0
+    assert capsys.readouterr().out == printed.replace("width = 6", "width = 7")
+
+
+def _foreign(tmp_path):
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "thesis.tex").write_text("x")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--method", "toi"], 5, "nothing to train is called 'toi'. Did you mean 'toy'? There are: toy."),
+        (["--config", "smal"], 2, "'toy' has no configuration 'smal'. Did you mean 'small'? There are: small;"),
+        (["--stage", "warmup"], 2, "'toy' has no stage 'warmup'; its stages are: pretrain, finetune."),
+        (["--set", "training.step=3"], 3, "unknown field `step`"),
+        (["--device", "cuda"], 2, "--device cuda: torch"),
+        (["--device", "cuda:1", "--devices", "2"], 2, "names one device"),
+        (["--device", "tpu"], 2, "expected cpu, cuda, cuda:1 … or mps, found 'tpu'"),
+        (["--data", "{tmp}/nowhere"], 4, "found no such folder"),
+        (["--out", "{tmp}/foreign"], 8, "holds no training.json"),
+        (["--init", "{tmp}/nothing.safetensors"], 3, "no such file"),
+        (["--init", "{tmp}/foreign/thesis.tex"], 3, "expected a safetensors file"),
+        (["--set", "data.max_frames=1"], 2, "max_frames"),
+    ],
+)
+def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message, data, tmp_path, capsys):
+    import torch
+
+    if "cuda" in message and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    _foreign(tmp_path)
+    filled = [part.format(tmp=tmp_path) for part in arguments]
+    assert main([*command(data, tmp_path / "out"), *filled]) == code
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert "Traceback" not in errors
+    assert len(errors.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists(), "the corrected command must not find another training there"
+
+
+def test_data_and_out_are_asked_for(capsys):
+    assert main(["train", "--method", "toy"]) == 2
+    assert "--data DIR is needed." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("package", ["lightning_fabric", "tensorboard"])
+def test_without_the_extra_its_install_line_is_named(package, data, tmp_path, capsys, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == package or name == "torch.utils.tensorboard"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert main(command(data, tmp_path / "out")) == 9
+    assert "pip install 'prbench[train]'" in capsys.readouterr().err
+
+
+def test_help_imports_neither_torch_nor_numpy():
+    code = "import sys\nfrom prbench.cli import main\ntry: main(['train', '--help'])\nexcept SystemExit: pass\n"
+    done = subprocess.run(
+        [sys.executable, "-c", code + "print('MODULES', *sys.modules)"], capture_output=True, text=True, cwd=ROOT
+    )
+    text, _, modules = done.stdout.partition("MODULES")
+    assert "example:\n  prbench train " in text
+    assert not {"torch", "numpy", "lightning_fabric", "prbench_adapters"} & set(modules.split())
