@@ -54,15 +54,15 @@ class SequenceDataset(Dataset[MotionItem]):
     it before, or in which process. ``dataset[index]`` draws as in epoch 0, ``dataset[index, epoch]`` as in any other.
 
     Example:
-        A model of one's own, trained on two tables (``docs/training-data.md`` has it in full)::
+        Batches of similar length for a model of one's own (``docs/training-data.md`` trains one)::
 
             from torch.utils.data import DataLoader
             from prbench.training import LengthBatches, SequenceDataset, collate
 
             data = SequenceDataset(["tables/hot3d", "tables/adt"], max_frames=150)
-            batches = LengthBatches(data, 64, seed=0)
-            for step, batch in enumerate(DataLoader(data, batch_sampler=batches, collate_fn=collate)):
-                batch.features, batch.padding, batch.initial_joints, batch.goal_location, batch.text
+            order = LengthBatches(data, batch_size=64, seed=0)
+            for step, batch in enumerate(DataLoader(data, batch_sampler=order, collate_fn=collate)):
+                ...  # batch.features (64, N, 263), batch.padding, batch.initial_joints, batch.goal_location, batch.text
 
     Args:
         tables: Folders of built datasets or corpora, or opened tables; one or several, of one frame rate.
