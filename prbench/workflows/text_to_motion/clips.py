@@ -103,11 +103,16 @@ class EvaluatedClips:
         return tuple(sorted({caption for clip in self.clips for caption in clip.captions}))
 
 
+def longest(clip: Clip, configuration: EvaluatorConfiguration) -> int:
+    """The most frames that are evaluated of a clip, a multiple of 4."""
+    return min(clip.motion.n_frames, configuration.max_frames) // SNIPPET * SNIPPET
+
+
 def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw:
     """Choose a caption and a crop: a multiple of 4 frames, one time in three 4 fewer (``methods/mdm.md``)."""
     generator = taken.generator(clip.sequence_id)
     caption = clip.captions[int(generator.integers(len(clip.captions)))]
-    n_frames = min(clip.motion.n_frames, configuration.max_frames) // SNIPPET * SNIPPET
+    n_frames = longest(clip, configuration)
     if generator.random() < _SHORTER and n_frames > SNIPPET:
         n_frames -= SNIPPET
     start = int(generator.integers(clip.motion.n_frames - n_frames + 1))

@@ -20,7 +20,7 @@ from prbench.evaluation.text_to_motion.configuration import EvaluatorConfigurati
 from prbench.randomness import noise_seed
 from prbench.representation import encode
 from prbench.storage import text_digest
-from prbench.workflows.text_to_motion.clips import Clip, Draw
+from prbench.workflows.text_to_motion.clips import Clip, Draw, longest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ class Generator:
         declared = Declared.by(self.adapter, origin=f"adapter '{self.request.name}'")
         if declared.max_frames is None:
             return True
-        asked = np.array([min(clip.motion.n_frames, configuration.max_frames)])
+        asked = np.array([longest(clip, configuration)])
         native = native_frames(asked, fps=self.fps, native_fps=declared.native_fps or self.fps)
         return int(native[0]) <= declared.max_frames
 
