@@ -220,10 +220,17 @@ def test_the_vector_is_asked_for_where_it_is_needed_and_refused_where_it_is_not(
         without(noisy, step, condition, n_frames)
 
 
-def test_a_row_without_any_word_still_gives_numbers(network):
+def test_a_row_without_any_word_is_one_with_its_first_vector_alone(network):
     noisy, step, condition = _inputs(network)
-    silent = dataclasses.replace(condition, padding=torch.ones_like(condition.padding))
-    assert network(noisy, step, silent, torch.tensor([7, 4, 2])).isfinite().all()
+    none, first = torch.ones_like(condition.padding), torch.ones_like(condition.padding)
+    first[:, 0] = False
+    zeros = condition.without_text()  # what an encoder of words gives for no words
+    outputs = [
+        network(noisy, step, dataclasses.replace(zeros, padding=padding), torch.tensor([7, 4, 2]))
+        for padding in (none, first)
+    ]
+    assert outputs[0].isfinite().all()
+    torch.testing.assert_close(outputs[0], outputs[1], rtol=0, atol=1e-12)
 
 
 def test_bfloat16_passes_stay_near_the_float32_ones(network):
