@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import weakref
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -65,7 +67,8 @@ class UnrolledChain:
         self._model, self._condition, self._n_frames = model, condition, n_frames
         self._settings, self._counter = settings, counter or _Counter()
         self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
-        self._guided = guided(model.denoiser, condition, n_frames, settings.guidance, reuse=True)
+        denoiser = compiled(model.denoiser) if settings.compiled else model.denoiser
+        self._guided = guided(denoiser, condition, n_frames, settings.guidance, reuse=True)
 
     @property
     def network_passes(self) -> int:
@@ -128,3 +131,18 @@ class OnOwnBones:
     def rows(self, index: Int[torch.Tensor, " kept"]) -> OnOwnBones:
         """The same for some of the sequences."""
         return OnOwnBones(self._decoder.rows(index), self._lengths[index])
+
+
+def compiled(denoiser: Denoiser) -> Denoiser:
+    """The same network whose passes go through ``torch.compile``, for any batch and length; compiled at most once.
+
+    Weights are shared. The first pass takes a minute or more, and on a processor needs a C++ compiler.
+    """
+    if denoiser not in _COMPILED:
+        twin = copy.copy(denoiser)  # shares parameters and buffers
+        object.__setattr__(twin, "denoise", torch.compile(denoiser.denoise, dynamic=True))
+        _COMPILED[denoiser] = twin
+    return _COMPILED[denoiser]
+
+
+_COMPILED: weakref.WeakKeyDictionary[Denoiser, Denoiser] = weakref.WeakKeyDictionary()
