@@ -94,6 +94,14 @@ def contrastive_losses(
     }
 
 
+def positive_losses(
+    text: Float[torch.Tensor, "batch dimension"], motion: Float[torch.Tensor, "batch dimension"]
+) -> dict[str, torch.Tensor]:
+    """:func:`contrastive_losses` where there is no wrong pair."""
+    positive = pairwise_distance(text, motion).square().mean()
+    return {"loss": positive, "positive": positive, "negative": torch.zeros_like(positive)}
+
+
 def different_texts(texts: Sequence[str], shift: int) -> Bool[torch.Tensor, " batch"]:
     """Whether each row's text differs from that of the motion ``shift`` rows before."""
     return torch.tensor([text != texts[row - shift] for row, text in enumerate(texts)])

@@ -1,13 +1,21 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import repeat
 
 import pytest
 import torch
 
 from prbench.errors import InputFileError, TableError, UsageError
-from prbench.training.configuration import list_configurations, load_configuration
+from prbench.training import collate
+from prbench.training.configuration import (
+    OptimisationConfiguration,
+    TrainingConfiguration,
+    list_configurations,
+    load_configuration,
+)
 from prbench.training.installed import list_tasks, load_task
+from prbench.training.loop import fit
 from prbench.training.task import TrainingTask
 from prbench.training.weights import read_weights
 from prbench.workflows.text_to_motion.task import read_model_table, t2m_evaluator
@@ -156,6 +164,15 @@ def test_a_motion_that_is_too_short_is_named(build, batch):
             build()(short, step)
 
 
+def test_a_single_motion_is_left_over_in_validation_only(build, data):
+    module, single = build(), collate([data.train[0]])
+    with pytest.raises(TableError, match="two motions or more"):
+        module(single, 2)
+    losses = module(single, -1)
+    assert losses["loss"] == losses["positive"] > 0
+    assert losses["negative"] == 0
+
+
 def test_the_task_is_installed_and_its_configurations_describe_evaluators(data):
     assert "t2m-evaluator" in list_tasks()
     task = load_task("t2m-evaluator")
@@ -170,3 +187,16 @@ def test_the_task_is_installed_and_its_configurations_describe_evaluators(data):
             assert configuration.max_frames >= found.data.max_frames
             assert found.training.ema == 0.0  # an average would go on moving a frozen encoder
             assert stage != "full" or objective.autoencoder_batches < found.training.steps
+
+
+def test_a_training_that_was_stopped_between_its_phases_ends_with_the_same_weights(build, batch, tmp_path):
+    def run(out, steps):
+        settings = OptimisationConfiguration(steps=steps, ema=0.0, gradient_clip=0.5, save_every=1)
+        configuration = TrainingConfiguration(model={}, training=settings)
+        return fit(build(), lambda start: repeat(batch), configuration, tmp_path / out).module
+
+    straight = run("straight", 4)
+    for steps in (1, 3, 4):
+        resumed = run("resumed", steps)
+    for name, tensor in straight.weights()[0].items():
+        assert torch.equal(resumed.weights()[0][name], tensor), name
