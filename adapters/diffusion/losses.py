@@ -19,7 +19,7 @@ _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The losses and how often the text is hidden."""
+    """The losses, which diffusion steps are trained, and how often the text is hidden."""
 
     joint_loss_weight: float = 1.0
     """Of L_joint in square metres; 0 trains on features alone (table S5)."""
@@ -28,6 +28,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     bone_loss_weight: float = 0.0
     """Of the squared error of the 21 bone vectors, square metres; not in the study. It teaches small models to keep
     lengths, and where the head points."""
+    noisiest_share: float = 0.0
+    """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
+    the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
     loss_average: Literal["frames", "sequences"] = "frames"

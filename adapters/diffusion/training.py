@@ -33,7 +33,7 @@ class Draw:
     """What is random in one training step."""
 
     step: Int[torch.Tensor, " batch"]
-    """Index t of the diffusion step of each sequence, uniform."""
+    """Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise."""
     without_text: Bool[torch.Tensor, " batch"]
     """Whose text is hidden, so that guidance has an unconditional model; the condition vector never is."""
     noise: Float[torch.Tensor, "batch frames 263"]
@@ -102,6 +102,9 @@ class DiffusionTraining(TrainingModule):
         t = torch.randint(len(self.signal), (n,), generator=generator)
         without_text = torch.rand(n, generator=generator) < self.objective.text_drop
         noise = torch.randn(batch.features.shape, generator=generator)
+        if self.objective.noisiest_share:
+            noisiest = len(self.signal) - 1 - torch.randint(-(-len(self.signal) // 6), (n,), generator=generator)
+            t = torch.where(torch.rand(n, generator=generator) < self.objective.noisiest_share, noisiest, t)
         return Draw(*(values.to(device, non_blocking=True) for values in (t, without_text, noise)))
 
     def condition(self, batch: MotionBatch, without_text: Bool[torch.Tensor, " batch"]) -> EncodedCondition:
