@@ -82,7 +82,7 @@ class DiffusionTraining(TrainingModule):
         """The loss of one batch with noise of a random strength, and its parts.
 
         Returns:
-            ``loss``, ``features``, ``joints``, ``velocities``, ``bones`` (:func:`prbench_adapters.diffusion.losses.losses`).
+            ``loss`` and its parts (:func:`prbench_adapters.diffusion.losses.losses`).
         """
         draw = self.draw(batch, step)
         padding = batch.padding
