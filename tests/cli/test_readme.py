@@ -38,7 +38,7 @@ def _shown_commands() -> list[str]:
     return sorted({command for command in commands if command.startswith("prbench ")})
 
 
-NAMED_ONLY = (["synthesize", "--gallery"], ["explain", "--draw"], ["export-release"])
+NAMED_ONLY = (["view"], ["synthesize", "--gallery"], ["explain", "--draw"], ["export-release"])
 """Named in running text, without what they need."""
 
 
