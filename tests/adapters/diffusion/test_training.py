@@ -139,6 +139,16 @@ def test_text_is_hidden_as_often_as_asked_and_the_vector_never(data, batch):
     assert torch.equal(hidden.vector, shown.vector)
 
 
+def test_the_noisiest_steps_get_the_share_that_is_asked_for(data, batch):
+    """T = 10: the noisiest sixth, rounded up, are two steps, of which a uniform draw takes a fifth."""
+    module, more = _build(mdm(), data), _build(mdm(), data, noisiest_share=0.5)
+    shares = [
+        float(torch.cat([trained.draw(batch, step).step for step in range(300)]).ge(8).float().mean())
+        for trained in (module, more)
+    ]
+    assert shares == pytest.approx([0.2, 0.5 + 0.5 * 0.2], abs=0.04)
+
+
 def test_conditions_know_nothing_of_the_frames_in_between(data, batch):
     """The firewall of training: what the network is told may not change with the motion that it shall find."""
     module = _build(pr(), data, goal="location")
