@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ from prbench.storage import atomic_path
 from prbench.training.state import Row, TrainingState
 
 CURVES = "curves.png"
+_SECONDS_BETWEEN_PICTURES = 120.0  # drawing takes a second
 _NOT_DRAWN = ("step", "seconds")
+_LINEAR = ("learning_rate", "waiting")
 
 
 class TrainingLog:
@@ -27,6 +30,7 @@ class TrainingLog:
     def __init__(self, out: Path, *, resumed_at: int) -> None:
         self.out = out
         self._writer = _summary_writer(out / "tensorboard", resumed_at)
+        self._drawn_at = time.monotonic()
 
     def add(self, row: Row, *, group: str) -> None:
         """Log one row; ``group`` comes before the names, as in ``train/loss``."""
@@ -36,14 +40,21 @@ class TrainingLog:
                 self._writer.add_scalar(f"{group}/{name}", value, step)
 
     def draw(self, state: TrainingState) -> None:
-        """Write the curves so far as ``curves.png``, and flush."""
-        self._writer.flush()
+        """Write the curves so far as ``curves.png``."""
+        self._drawn_at = time.monotonic()
         if state.rows:
             draw_curves(self.out / CURVES, state.rows, state.validations)
 
-    def close(self) -> None:
-        """Finish the files."""
+    def draw_now_and_then(self, state: TrainingState) -> None:
+        """Flush the log; draw the curves if that was long ago."""
+        self._writer.flush()
+        if time.monotonic() - self._drawn_at > _SECONDS_BETWEEN_PICTURES:
+            self.draw(state)
+
+    def close(self, state: TrainingState) -> None:
+        """Draw the curves a last time and finish the files."""
         self._writer.close()
+        self.draw(state)
 
 
 def draw_curves(path: Path, rows: list[Row], validations: list[Row]) -> None:
@@ -54,21 +65,25 @@ def draw_curves(path: Path, rows: list[Row], validations: list[Row]) -> None:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter
+    from matplotlib.ticker import LogLocator, NullLocator
 
     plots = _plots(rows, validations)
+    losses = set(rows[0]).difference(_NOT_DRAWN, _LINEAR) if rows else set()
     columns = min(3, len(plots))
     lines = -(-len(plots) // columns)
-    figure = Figure(figsize=(4.2 * columns, 2.8 * lines), layout="constrained")
+    figure = Figure(figsize=(4.2 * columns, 2.8 * lines))
+    edge = 0.55 / (2.8 * lines)  # fixed margins: computed ones take most of the drawing
+    figure.subplots_adjust(left=0.16 / columns, right=0.985, bottom=edge, top=1 - edge / 2, wspace=0.25, hspace=0.45)
     FigureCanvasAgg(figure)
     for place, (name, curves) in enumerate(plots.items()):
         axes = figure.add_subplot(lines, columns, place + 1)
         for label, (steps, values) in curves.items():
             axes.plot(steps, values, label=label, linewidth=1, marker="." if len(steps) < 30 else None)
-        if name != "waiting" and all(value > 0 for _, values in curves.values() for value in values):
+        if name in losses and all(value > 0 for _, values in curves.values() for value in values):
             axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_formatter(NullFormatter())
+            axes.yaxis.set_minor_locator(NullLocator())
         axes.set_title(name, fontsize=9)
         axes.set_xlabel("step", fontsize=8)
         axes.tick_params(labelsize=7)
@@ -92,7 +107,7 @@ def _plots(rows: list[Row], validations: list[Row]) -> dict[str, dict[str, _Curv
                     steps, values = plots.setdefault(name, {}).setdefault(label, ([], []))
                     steps.append(row["step"])
                     values.append(row[name])
-    return plots
+    return dict(sorted(plots.items(), key=lambda plot: plot[0] != "loss"))  # the loss first, the others as they came
 
 
 def _summary_writer(folder: Path, resumed_at: int) -> Any:

@@ -107,7 +107,7 @@ def fit(
                 outputs.write_results(state)  # the last session may have been killed before it could
     finally:
         if outputs is not None:
-            outputs.close()
+            outputs.close(state)
     return state
 
 

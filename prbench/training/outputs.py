@@ -55,7 +55,7 @@ class Outputs:
         self.write_results(state)
 
     def write_results(self, state: TrainingState) -> None:
-        """Write the averaged weights, their card and the curves.
+        """Write the averaged weights and their card, and now and then the curves.
 
         Raises:
             StorageError: if a file cannot be written.
@@ -63,11 +63,11 @@ class Outputs:
         with state.average.applied():
             tensors, metadata = state.module.weights()
             write_weights(self.out / WEIGHTS, tensors, metadata, self.describe(state), dtype=self.dtype)
-        self.log.draw(state)
+        self.log.draw_now_and_then(state)
 
-    def close(self) -> None:
-        """Finish the log."""
-        self.log.close()
+    def close(self, state: TrainingState) -> None:
+        """Draw the curves and finish the log."""
+        self.log.close(state)
 
     def add(self, row: Row, *, group: str) -> None:
         """Log what was measured."""

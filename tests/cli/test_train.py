@@ -34,6 +34,7 @@ sys.exit(main(sys.argv[1:]))
 def toy_is_installed(monkeypatch, tmp_path_factory):
     monkeypatch.setattr("prbench.training.installed.entry_points", entry_points)
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
+    monkeypatch.setattr("prbench.training.log.draw_curves", lambda *arguments: None)  # once is enough, in `trained`
 
 
 @pytest.fixture(scope="module")
