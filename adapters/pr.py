@@ -189,12 +189,12 @@ def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Conditi
 def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
     """What the options ask for, checked before anything is generated."""
     from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS, fast, optimisation_settings, paper
-    from prbench_adapters.diffusion.options import choice, sampling_settings
+    from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, choice, sampling_settings
 
     sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in OPTIMISATION_OPTIONS if key in options and key != "bones"]
+        idle = [key for key in OPTIMISATION_OPTIONS if key in options and key not in ("bones", *SAMPLING_OPTIONS)]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         return Generation(sampling, None, own_bones=choice(options, "bones", _BONES) == "initial")

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
+from typing import Literal
+
 import torch
 from jaxtyping import Float, Int
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, PreparedCondition, frame_mask
 from torch import Tensor
+
+Precision = Literal["float32", "bfloat16"]
+"""The first also stands for float64, if that is what the network is made of."""
 
 
 class Guided:
@@ -20,8 +26,9 @@ class Guided:
         scale: float,
         *,
         reuse: bool,
+        precision: Precision,
     ) -> None:
-        self.denoiser, self.scale = denoiser, scale
+        self.denoiser, self.scale, self.precision = denoiser, scale, precision
         self.doubled = scale != 1.0
         self.condition = condition.then(condition.without_text()) if self.doubled else condition
         host = n_frames.cpu()
@@ -35,7 +42,9 @@ class Guided:
         """The guided estimate of the clean features at ``step`` of the training schedule."""
         doubled = torch.cat([noisy, noisy]) if self.doubled else noisy
         self.passes += len(doubled)
-        clean = self.denoiser.denoise(doubled, self.prepared(step), self._visible(doubled))
+        with self._computing(noisy.device):
+            clean = self.denoiser.denoise(doubled, self.prepared(step), self._visible(doubled))
+        clean = clean.to(noisy.dtype)
         if not self.doubled:
             return clean
         conditional, unconditional = clean.chunk(2)
@@ -53,6 +62,11 @@ class Guided:
         where = self.condition.text.device
         return self.denoiser.prepare(self.condition, torch.full((1,), step, dtype=torch.long, device=where))
 
+    def _computing(self, device: torch.device) -> AbstractContextManager[object]:
+        if self.precision == "float32":
+            return nullcontext()
+        return torch.autocast(device.type, dtype=torch.bfloat16)
+
     def _visible(self, noisy: Tensor) -> Tensor | None:
         frames = noisy.shape[1]
         if frames not in self._masks:
@@ -67,6 +81,7 @@ def guided(
     scale: float,
     *,
     reuse: bool = False,
+    precision: Precision = "float32",
 ) -> Guided:
     """The denoiser under ``condition`` as the samplers take it.
 
@@ -80,5 +95,6 @@ def guided(
         scale: Guidance weight s.
         reuse: Keep what is computed from condition and step for the next chain: for noise optimisation, which walks
             the same steps hundreds of times with frozen weights. The results are the same.
+        precision: Of the matrix products inside the network; what goes in and comes out stays as it is.
     """
-    return Guided(denoiser, condition, n_frames, scale, reuse=reuse)
+    return Guided(denoiser, condition, n_frames, scale, reuse=reuse, precision=precision)

@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 
 from prbench_adapters.diffusion.generation import SamplingSettings
 
-SAMPLING_OPTIONS = ("guidance", "sampler", "steps")
+SAMPLING_OPTIONS = ("guidance", "sampler", "steps", "precision")
 _SAMPLERS = ("ddpm", "ddim")
+_PRECISIONS = ("float32", "bfloat16")
 
 
 def require_known(options: Mapping[str, str], known: Iterable[str]) -> None:
@@ -18,7 +19,7 @@ def require_known(options: Mapping[str, str], known: Iterable[str]) -> None:
     Raises:
         ValueError: naming the nearest one, and all.
     """
-    names = list(known)
+    names = list(dict.fromkeys(known))
     for key in options:
         if key not in names:
             near = difflib.get_close_matches(key, names, n=1)
@@ -71,7 +72,7 @@ def choice(options: Mapping[str, str], key: str, values: tuple[str, ...]) -> str
 
 
 def sampling_settings(options: Mapping[str, str], *, guidance: float, diffusion_steps: int) -> SamplingSettings:
-    """The options ``guidance``, ``sampler`` and ``steps``.
+    """The options ``guidance``, ``sampler``, ``steps`` and ``precision``.
 
     Args:
         options: As given.
@@ -85,4 +86,5 @@ def sampling_settings(options: Mapping[str, str], *, guidance: float, diffusion_
         guidance=number(options, "guidance", guidance),
         sampler="ddim" if choice(options, "sampler", _SAMPLERS) == "ddim" else "ddpm",
         steps=whole_number(options, "steps", most=diffusion_steps),
+        precision="bfloat16" if choice(options, "precision", _PRECISIONS) == "bfloat16" else "float32",
     )

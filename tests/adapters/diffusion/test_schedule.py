@@ -56,7 +56,7 @@ def test_any_number_of_steps_can_be_kept():
         kept = schedule.kept_steps(n)
         assert len(kept) == n
         assert kept[0] == 0
-        assert kept[-1] < 50
+        assert 50 - math.ceil(50 / n) <= kept[-1] < 50  # the last one is a stride from the end at most
         assert (np.diff(kept) > 0).all()
 
 
