@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,6 +19,8 @@ from prbench_adapters.diffusion.text_vectors import TextVectors
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import EncodedText
+
+Precision = Literal["float32", "bfloat16"]
 
 PROMPT = "The person moves across and picks an object."
 DIFFUSION_STEPS = 50
@@ -81,15 +84,18 @@ def sentence() -> FixedText:
     return FixedText(512, 1)
 
 
-def our_model(problem: Problem, architecture: str, text: FixedText) -> MotionModel:
+def our_model(
+    problem: Problem, architecture: Literal["decoder", "encoder"], text: FixedText, *, frames_per_token: int = 1
+) -> MotionModel:
     """A frozen model with random weights."""
     torch.manual_seed(0)
     configuration = DenoiserConfiguration(
-        architecture=architecture,  # pyright: ignore[reportArgumentType]
+        architecture=architecture,
         width=problem.size.width,
         heads=problem.size.heads,
         layers=problem.size.layers,
         feed_forward=problem.size.feed_forward,
+        frames_per_token=frames_per_token,
         text_dimension=text.dimension,
         diffusion_steps=DIFFUSION_STEPS,
         max_frames=problem.frames,
@@ -103,14 +109,16 @@ def n_parameters(model: torch.nn.Module) -> int:
     return sum(parameter.numel() for parameter in model.parameters())
 
 
-def our_sampling(problem: Problem, **more: object) -> Callable[[], object]:
+def our_sampling(
+    problem: Problem, *, precision: Precision = "float32", frames_per_token: int = 1
+) -> Callable[[], object]:
     """Text to joints: 50 guided DDPM steps of the decoder with DistilBERT's word pieces, as ``--method mdm`` does."""
-    model = our_model(problem, "decoder", word_pieces())
-    batch, settings = _conditions(problem), SamplingSettings(guidance=GUIDANCE, **more)  # pyright: ignore[reportArgumentType]
+    model = our_model(problem, "decoder", word_pieces(), frames_per_token=frames_per_token)
+    batch, settings = _conditions(problem), SamplingSettings(guidance=GUIDANCE, precision=precision)
     return lambda: generate(model, batch, settings)
 
 
-def our_optimisation(problem: Problem, **more: object) -> Callable[[int], object]:
+def our_optimisation(problem: Problem, *, precision: Precision = "float32") -> Callable[[int], object]:
     """So many guided iterations of DNO on the encoder with one sentence vector: forward, backward, Adam."""
     model = our_model(problem, "encoder", sentence())
     batch = _conditions(problem)
@@ -123,7 +131,7 @@ def our_optimisation(problem: Problem, **more: object) -> Callable[[int], object
             iterations=iterations,
             guidance=GUIDANCE,
             batch_size=problem.batch,
-            **more,  # pyright: ignore[reportArgumentType]
+            precision=precision,
         )
         noise = start_noise(batch.noise_seed, batch.n_frames, problem.device)
         return optimise_noise(

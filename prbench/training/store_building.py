@@ -71,13 +71,15 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
         StorageError: if the store cannot be written.
     """
     path = cache / f"{_key(table, encoding)}.arrow"
-    report = path.with_suffix(".json")
-    if not (path.is_file() and report.is_file()):
-        _make(table, encoding, path, report)
-    notes = msgspec.convert(read_json(report), _Notes)
+    found = _opened(path)
+    if found is None:
+        _make(table, encoding, path)
+        found = _opened(path)
+        assert found is not None, "what was just made can be opened"
+    notes, store = found
     if notes.files != _files(table):
-        assert table.content  # raises unless another copy of the same table, whose rows are the same
-    return TableStore(table, FeatureStore(path), notes.left_out)
+        _require_unchanged(table)  # another copy of the same table is welcome
+    return TableStore(table, store, notes.left_out)
 
 
 class _Notes(msgspec.Struct, frozen=True):
@@ -86,6 +88,15 @@ class _Notes(msgspec.Struct, frozen=True):
     files: list[tuple[int, int]]
     """Size and time of change of the table's files when the store was made."""
     left_out: tuple[LeftOut, ...]
+
+
+def _opened(path: Path) -> tuple[_Notes, FeatureStore] | None:
+    """A store and its notes; None if there is none, or it is damaged and has to be made again."""
+    try:
+        notes = msgspec.convert(read_json(path.with_suffix(".json")), _Notes)
+        return notes, FeatureStore(path)
+    except (InputFileError, msgspec.ValidationError, FileNotFoundError, pa.ArrowInvalid):
+        return None
 
 
 def _files(table: Table) -> list[tuple[int, int]]:
@@ -108,10 +119,19 @@ def _representation_digest() -> str:
     return digest.hexdigest()
 
 
-def _make(table: Table, encoding: Encoding, path: Path, report: Path) -> None:
-    assert table.content  # raises if the rows were changed after the build
+def _require_unchanged(table: Table) -> None:
+    """Refuse a table whose rows are not those of its own description.
+
+    Raises:
+        TableError: naming it.
+    """
+    _ = table.content
+
+
+def _make(table: Table, encoding: Encoding, path: Path) -> None:
     files = _files(table)
-    _remove_abandoned(path)
+    _require_unchanged(table)
+    _remove_abandoned(path.parent)
     left_out: list[LeftOut] = []
     kept = 0
     with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), STORE) as writer:
@@ -126,7 +146,7 @@ def _make(table: Table, encoding: Encoding, path: Path, report: Path) -> None:
                 f"{table.folder}: expected rows of split '{encoding.split}' to train on,"
                 f" found {len(left_out)} that cannot be used.{example}"
             )
-        write_json(report, msgspec.to_builtins(_Notes(files, tuple(left_out))))
+        write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(files, tuple(left_out))))
 
 
 def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) -> pa.RecordBatch:
@@ -177,8 +197,8 @@ def _features(row: Row, encoding: Encoding) -> np.ndarray:
     return np.empty((0, N_FEATURES), dtype=np.float32)
 
 
-def _remove_abandoned(path: Path) -> None:
-    """Delete what a killed process left half-written of this store; another process may be writing it right now."""
-    for left in path.parent.glob(f".{path.stem}-*.partial.arrow") if path.parent.is_dir() else ():
+def _remove_abandoned(cache: Path) -> None:
+    """Delete what killed processes left half-written; other processes may be writing theirs right now."""
+    for left in cache.glob(".*.partial.arrow") if cache.is_dir() else ():
         if time.time() - left.stat().st_mtime > _ABANDONED_S:
             left.unlink(missing_ok=True)

@@ -121,3 +121,14 @@ def test_other_code_of_the_representation_makes_its_own_store(tmp_path, monkeypa
     monkeypatch.setattr(store_building, "_representation_digest", lambda: "other")
     SequenceDataset(table, cache=cache)
     assert len(stores(cache)) == 4
+
+
+@pytest.mark.parametrize("suffix", [".arrow", ".json"])
+def test_a_damaged_store_is_made_again(tmp_path, suffix):
+    table, cache = sequence_table(tmp_path / "t"), tmp_path / "cache"
+    whole = SequenceDataset(table, cache=cache)[1].features.tobytes()
+    (path,) = cache.glob(f"*{suffix}")
+    content = path.read_bytes()
+    path.unlink()  # the dataset above still has it mapped
+    path.write_bytes(content[: len(content) // 2])
+    assert SequenceDataset(table, cache=cache)[1].features.tobytes() == whole
