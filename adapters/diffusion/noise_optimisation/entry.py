@@ -69,7 +69,7 @@ def _part(
         objective(settings),
         wanted,
         noise[index, : int(lengths.max())],
-        lengths,
+        lengths.to(noise.device),
         [seeds[row] for row in rows],
         settings,
     )

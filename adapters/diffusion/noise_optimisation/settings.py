@@ -12,6 +12,9 @@ from typing import Literal
 Hand = Literal["right", "left", "nearest"]
 Keep = Literal["last", "best"]
 Bones = Literal["predicted", "initial"]
+Mode = Literal["fast", "paper"]
+
+_FAST_PASSES, _FAST_STEPS = 400, 4
 Precision = Literal["float32", "bfloat16"]
 
 
@@ -70,9 +73,6 @@ class OptimisationSettings:
         return asdict(self)
 
 
-Mode = Literal["fast", "paper"]
-
-
 def paper(diffusion_steps: int) -> OptimisationSettings:
     """All T steps of the training schedule, M = 400, learning rate 0.05, alpha 0.5 (*Prime and Reach*, section 5.1).
 
@@ -87,9 +87,24 @@ def dno_paper(diffusion_steps: int) -> OptimisationSettings:
 
 
 def fast(diffusion_steps: int) -> OptimisationSettings:
-    """At most 400 network passes a sequence: 79 iterations of 5 steps, and the last decoding."""
+    """At most 400 network passes a sequence, the last decoding included.
+
+    Found on small models of synthetic data: with a fixed number of passes, fewer steps and more iterations lower all
+    losses; so do twice the learning rate, a decorrelation term that does not outweigh the others, and a power norm of
+    all jerks with a smaller weight instead of the largest jerk, which pulls at one place of the motion at a time.
+    """
+    steps = min(_FAST_STEPS, diffusion_steps)
+    iterations = _FAST_PASSES // steps - 1
     return OptimisationSettings(
-        ddim_steps=min(5, diffusion_steps), iterations=79, learning_rate=0.2, warmup=10, keep="best"
+        ddim_steps=steps,
+        iterations=iterations,
+        learning_rate=0.1,
+        warmup=iterations // 8,
+        jerk_weight=0.1,
+        jerk_power=8.0,
+        decorrelation_weight=10.0,
+        keep="best",
+        stop_below=1e-6,
     )
 
 

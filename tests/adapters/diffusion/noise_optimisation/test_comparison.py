@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, prime_and_reach
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, fast, prime_and_reach
 from prbench_adapters.diffusion.noise_optimisation.compare import main
 from prbench_adapters.diffusion.noise_optimisation.comparison import (
     SEQUENCE_COLUMNS,
@@ -98,7 +98,7 @@ def test_the_program_runs_both_modes_once_and_writes_its_verdict(tmp_path, capsy
     printed = capsys.readouterr().out
     assert (printed.count("fast: 2 sequences"), printed.count("paper: 2 sequences")) == (1, 1)
     found = read_json(tmp_path / "out" / "verdict.json")
-    assert found["network_passes"] == {"fast": 5 * 3, "paper": 3 * (2 * 3 + 1)}
+    assert found["network_passes"] == {"fast": fast(8).ddim_steps * 3, "paper": 3 * (2 * 3 + 1)}
     assert (tmp_path / "out" / "curves.png").stat().st_size > 1000
     assert read_json(tmp_path / "out" / "paper.json")["made_of"]["settings"]["ddim_steps"] == 3
 
