@@ -36,6 +36,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         help="native layout to write (any dataset of `prbench datasets`); for --gallery alone any preset",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the recordings")
+    parser.add_argument(
+        "--table",
+        action="store_true",
+        help="write the finished table of sequences instead of native files (the only way for size large)",
+    )
     parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")
     parser.add_argument("--seed", type=int, default=0, help="of everything (default 0)")
     parser.add_argument("--size", choices=["tiny", "default", "large"], default="tiny", help="how much (default tiny)")
@@ -72,7 +77,10 @@ def _synthesize(arguments: argparse.Namespace) -> int:
     if not draws and arguments.layout is None:
         raise UsageError("name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE.")
     if arguments.layout is not None and (arguments.out is not None or not draws):
-        _write_tree(arguments)
+        if arguments.table:
+            _write_table(arguments)
+        else:
+            _write_tree(arguments)
     if arguments.gallery is not None:
         _draw_gallery(arguments)
     if arguments.histograms is not None:
@@ -115,6 +123,34 @@ def _write_tree(arguments: argparse.Namespace) -> None:
     if not arguments.no_verify and not arguments.defect:
         _verify(arguments, len(tree.recordings), engine_for(arguments.workers))
     print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
+
+
+def _write_table(arguments: argparse.Namespace) -> None:
+    """Recordings that are acted out, sensed and curated in memory: training data without native files."""
+    from prbench.engine import engine_for
+    from prbench.errors import UsageError
+    from prbench.synthetic.write_tree import planned_recordings
+    from prbench.workflows.synthetic_table import LARGE_RECORDINGS, build_synthetic_table
+
+    if arguments.out is None:
+        raise UsageError("--out DIR is needed: the folder of the table.")
+    if arguments.defect or arguments.egoallo or arguments.bystander_objects is not None:
+        raise UsageError("--table writes no native files; leave --defect, --egoallo and --bystander-objects out.")
+    large = arguments.size == "large"
+    recordings = arguments.recordings or (LARGE_RECORDINGS if large else planned_recordings(arguments.size, None))
+    given = {} if arguments.events is None else {"n_events": arguments.events}
+    with progress(f"acting out {arguments.layout}") as show:
+        report = build_synthetic_table(
+            arguments.layout,
+            recordings,
+            arguments.seed,
+            arguments.out,
+            engine=engine_for(arguments.workers),
+            world="large" if large else "default",
+            progress=show,
+            **given,
+        )
+    print(f"table: {arguments.out} ({report.info.counts.sequences} sequences of {recordings} recordings)")
 
 
 def _write_corpus_tree(arguments: argparse.Namespace) -> None:

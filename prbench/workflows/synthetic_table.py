@@ -24,6 +24,8 @@ from prbench.synthetic.recordings import synthetic_recording
 Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""
 World = Literal["default", "large"]
+LARGE_RECORDINGS = 480
+"""Recordings a preset of size ``large`` (``methods/synthetic-recordings.md`` section 14)."""
 _IN_PROCESS = InProcess()
 
 
