@@ -38,15 +38,14 @@ def place(tmp_path_factory) -> Path:
     return place
 
 
-def _terms(place: Path, tmp_path: Path, redistribution: str) -> Path:
-    """The table under other terms; no digest depends on them."""
+def _changed(place: Path, tmp_path: Path, **changes: object) -> Path:
+    """The table with other words in dataset.json; no digest depends on them."""
     folder = tmp_path / "table"
     folder.mkdir()
     for path in (place / "table").iterdir():
         if path.is_file():
             (folder / path.name).write_bytes(path.read_bytes())
-    info = msgspec.structs.replace(DatasetInfo.read(folder), redistribution=redistribution)
-    info.write(folder)
+    msgspec.structs.replace(DatasetInfo.read(folder), **changes).write(folder)
     return folder
 
 
@@ -171,7 +170,7 @@ def test_a_folder_that_is_no_run_is_told(place):
 
 
 def test_recorded_motion_gaze_and_goal_of_none_are_left_out(place, tmp_path):
-    data = (_terms(place, tmp_path, "none"),)
+    data = (_changed(place, tmp_path, redistribution="none"),)
     with pytest.raises(RedistributionError, match="--permission synthetic-adt"):
         scenes_of(_request(place, data=data))
     with pytest.raises(RedistributionError, match="scripted"):  # moved from the recorded first pose
@@ -201,10 +200,18 @@ def _as_method(run: Path, folder: Path) -> Path:
 
 
 def test_the_notice_of_non_commercial_data_goes_into_the_view(place, tmp_path):
-    data = (_terms(place, tmp_path, "non-commercial"),)
+    data = (_changed(place, tmp_path, redistribution="non-commercial"),)
     report = view(_request(place, "scripted", data=data, out=tmp_path / "view.html", limit=1))
     assert report.notices == ("Made up: for non-commercial purposes only, under the dataset's own licence.",)
     assert "for non-commercial purposes only" in report.out.read_text(encoding="utf-8")
+
+
+def test_goals_in_an_unknown_frame_are_not_drawn_and_nothing_is_measured_against_them(place, tmp_path):
+    data = (_changed(place, tmp_path, options={"goal_frame": "unknown"}),)
+    report = view(ViewRequest(out=tmp_path / "a.png", data=data, limit=1))
+    (scene,) = report.scenes
+    assert scene.goal is None
+    assert not scene.motions[0].scores
 
 
 @pytest.mark.parametrize("name", ["view.gif", "view", "view.png.txt"])

@@ -78,6 +78,7 @@ def scene_of(
     """
     constants = load_protocol().metrics
     shown = may_pass_on(info, permitted)
+    gaze = _gaze(chunk)
     placed = info.why_not_scored is None  # else nobody knows where the goal is, so that no distance means anything
     scores = _own_scores(chunk, constants) if placed else {}
     recorded = ShownMotion(RECORDED, palette.RECORDED, chunk.joints.astype(np.float64), scores)
@@ -93,7 +94,7 @@ def scene_of(
         motions=(recorded, *motions) if shown else tuple(motions),
         thresholds=Thresholds(constants.prime_distance, constants.prime_window, constants.reach_distance),
         goal=_goal(chunk) if shown and placed else None,
-        gaze=_gaze(chunk) if shown else None,
+        gaze=gaze if shown and gaze.valid.any() else None,
         notice=notice(info, permitted),
     )
 

@@ -84,9 +84,9 @@ class Scene:
     """The recorded motion first, unless it is withheld."""
     thresholds: Thresholds
     goal: Goal | None = None
-    """None where the licence keeps it."""
+    """None where the licence keeps it, or nobody knows where it is."""
     gaze: Gaze | None = None
-    """None where the licence keeps it."""
+    """None where the licence keeps it, or there is none."""
     notice: str = ""
     """What the dataset's terms ask a view of it to say."""
 
