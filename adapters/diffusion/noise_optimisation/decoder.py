@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import weakref
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -68,7 +67,9 @@ class UnrolledChain:
         self._settings, self._counter = settings, counter or _Counter()
         self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
         denoiser = compiled(model.denoiser) if settings.compiled else model.denoiser
-        self._guided = guided(denoiser, condition, n_frames, settings.guidance, reuse=True)
+        self._guided = guided(
+            denoiser, condition, n_frames, settings.guidance, reuse=True, precision=settings.precision
+        )
 
     @property
     def network_passes(self) -> int:
@@ -99,13 +100,7 @@ class UnrolledChain:
 
     def _denoise(self, noisy: Noise, step: int) -> Noise:
         self._counter.passes += 2 if self._guided.doubled else 1
-        with self._precision(noisy.device):
-            return self._guided(noisy, step).to(noisy.dtype)
-
-    def _precision(self, device: torch.device) -> AbstractContextManager[object]:
-        if self._settings.precision == "float32":
-            return nullcontext()
-        return torch.autocast(device.type, dtype=torch.bfloat16)
+        return self._guided(noisy, step)
 
 
 class OnOwnBones:
