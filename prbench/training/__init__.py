@@ -7,17 +7,33 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from prbench.training.batch import MotionBatch, collate
     from prbench.training.dataset import MotionItem, SequenceDataset
+    from prbench.training.loop import fit
     from prbench.training.sampling import LengthBatches
+    from prbench.training.task import TrainingData, TrainingModule, TrainingTask
 
 _HOMES = {
     "LengthBatches": "prbench.training.sampling",
     "MotionBatch": "prbench.training.batch",
     "MotionItem": "prbench.training.dataset",
     "SequenceDataset": "prbench.training.dataset",
+    "TrainingData": "prbench.training.task",
+    "TrainingModule": "prbench.training.task",
+    "TrainingTask": "prbench.training.task",
     "collate": "prbench.training.batch",
+    "fit": "prbench.training.loop",
 }
 
-__all__ = ["LengthBatches", "MotionBatch", "MotionItem", "SequenceDataset", "collate"]
+__all__ = [
+    "LengthBatches",
+    "MotionBatch",
+    "MotionItem",
+    "SequenceDataset",
+    "TrainingData",
+    "TrainingModule",
+    "TrainingTask",
+    "collate",
+    "fit",
+]
 
 
 def __getattr__(name: str) -> Any:

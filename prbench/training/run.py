@@ -129,6 +129,7 @@ def run(
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
         validation = Validation.prepare(data.tables, configuration) if fabric.is_global_zero else None
+    fabric.barrier()  # nobody may find the folder half made
     if fabric.is_global_zero:
         write_record(request.out, record)  # now that everything fits together
 
@@ -154,8 +155,8 @@ def run(
         )
     except TrainingStopped as stopped:
         if fabric.is_global_zero:
-            raise
-        raise SystemExit(stopped.exit_code) from stopped  # one process speaks for all
+            raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
+        raise SystemExit(0) from stopped
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
