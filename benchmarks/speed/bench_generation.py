@@ -37,26 +37,28 @@ from benchmarks.speed.timing import Row, print_rows
 from benchmarks.speed.training_data import time_training_data
 
 Work = Callable[[], object]
+Clock = Callable[[], float]
 
 
 def main() -> None:
     """One table a size and job, then the training data."""
     options = _options()
     torch.set_num_threads(options.threads)
+    clock: Clock = time.process_time if options.processor_time else time.perf_counter
     checkouts = {checkout.name: checkout for checkout in map(Checkout, options.reference)}
     print(f"{options.threads} threads, {options.device}, torch {torch.__version__}, guidance {GUIDANCE}")
     for size in options.sizes:
         for batch in options.batch:
             problem = Problem(SIZES[size], options.frames, batch, options.device)
             if "sampling" in options.jobs:
-                time_sampling(problem, checkouts.get("MDM"), options.repeats)
+                time_sampling(problem, checkouts.get("MDM"), options.repeats, clock)
             if "optimisation" in options.jobs:
-                time_optimisation(problem, checkouts.get("DNO"), options.repeats, options.iterations)
+                time_optimisation(problem, checkouts.get("DNO"), options.repeats, options.iterations, clock)
     if "data" in options.jobs:
         time_training_data(options.data, batch_size=64)
 
 
-def time_sampling(problem: Problem, reference: Checkout | None, repeats: int) -> None:
+def time_sampling(problem: Problem, reference: Checkout | None, repeats: int, clock: Clock) -> None:
     """50 guided DDPM steps of the decoder with DistilBERT's word pieces, text vectors to joints."""
     ours = n_parameters(our_model(problem, "decoder", word_pieces()).denoiser)
     jobs: dict[str, Work] = {
@@ -69,11 +71,13 @@ def time_sampling(problem: Problem, reference: Checkout | None, repeats: int) ->
         _require_equal_size(ours, theirs)
         jobs["MDM's public code"] = sample
     title = f"one sequence of {problem.frames} frames by {DIFFUSION_STEPS} guided steps"
-    rows = [Row(name, seconds / problem.batch) for name, seconds in shortest(jobs, repeats).items()]
+    rows = [Row(name, seconds / problem.batch) for name, seconds in shortest(jobs, repeats, clock).items()]
     _print(title, problem, ours, rows)
 
 
-def time_optimisation(problem: Problem, reference: Checkout | None, repeats: int, iterations: int) -> None:
+def time_optimisation(
+    problem: Problem, reference: Checkout | None, repeats: int, iterations: int, clock: Clock
+) -> None:
     """One guided iteration of noise optimisation over 10 steps of the encoder with one sentence vector."""
     ours = n_parameters(our_model(problem, "encoder", sentence()).denoiser)
     searches = {
@@ -85,28 +89,28 @@ def time_optimisation(problem: Problem, reference: Checkout | None, repeats: int
         _require_equal_size(ours, theirs)
     first = {name: lambda search=search: search(1) for name, search in searches.items()}
     more = {f"{name}, more": lambda search=search: search(1 + iterations) for name, search in searches.items()}
-    seconds = shortest(first | more, repeats)
+    seconds = shortest(first | more, repeats, clock)
     rows = [Row(name, (seconds[f"{name}, more"] - seconds[name]) / (iterations * problem.batch)) for name in searches]
     title = f"one guided iteration over {OPTIMISATION_STEPS} steps, {problem.frames} frames"
     _print(title, problem, ours, rows)
 
 
-def shortest(jobs: dict[str, Work], repeats: int) -> dict[str, float]:
+def shortest(jobs: dict[str, Work], repeats: int, clock: Clock) -> dict[str, float]:
     """The shortest time of each job; they take turns, so that a busy moment meets all of them alike."""
     best = dict.fromkeys(jobs, float("inf"))
     for turn in range(repeats + 1):  # the first turn warms up
         for name, work in jobs.items():
-            seconds = _seconds(work)
+            seconds = _seconds(work, clock)
             best[name] = min(best[name], seconds) if turn else best[name]
     return best
 
 
-def _seconds(work: Work) -> float:
-    start = time.perf_counter()
+def _seconds(work: Work, clock: Clock) -> float:
+    start = clock()
     work()
     if torch.cuda.is_available():
         torch.cuda.synchronize()
-    return time.perf_counter() - start
+    return clock() - start
 
 
 def _require_equal_size(ours: int, theirs: torch.nn.Module) -> None:
@@ -123,6 +127,9 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reference", type=Path, action="append", default=[], metavar="DIR")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument(
+        "--processor-time", action="store_true", help="of all threads; for one thread on a busy machine"
+    )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     parser.add_argument("--jobs", nargs="+", default=["sampling", "optimisation", "data"])
