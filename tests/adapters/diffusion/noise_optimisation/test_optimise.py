@@ -73,6 +73,18 @@ def test_when_all_are_finished_nothing_more_is_computed():
     assert (found.goal < 1e-6).all()
 
 
+@pytest.mark.parametrize("met", ["initial", "goal"])
+def test_one_of_the_two_losses_is_not_enough_to_finish(met):
+    start = noise(1, 12)
+    if met == "initial":
+        start[:, 0, :66] = 0.0
+    else:
+        start[:, -1, 63:66] = torch.tensor([4.0, 10.0, 6.0])
+    found = _solve(start, replace(SETTINGS, stop_below=1e-6, iterations=3))
+    assert found.history.goal[0, 0] < 1e-6 if met == "goal" else found.history.initial[0, 0] < 1e-6
+    assert found.iterations.tolist() == [3]
+
+
 def test_every_iteration_and_the_last_decoding_are_counted():
     assert _solve(noise(2, 8), replace(SETTINGS, iterations=7)).network_passes.tolist() == [8, 8]
 
