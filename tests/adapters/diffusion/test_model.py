@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from prbench_adapters.diffusion.condition_vector import ConditionScaling
 from prbench_adapters.diffusion.model import MotionModel, torch_device
 
 from prbench.contract import Condition, ConditionBatch
@@ -57,12 +58,15 @@ def test_joints_are_those_of_the_restored_features():
 @pytest.mark.parametrize(("goal", "condition"), [("location", Condition.GOAL_LOCATION), ("pose", Condition.GOAL_POSE)])
 def test_the_condition_vector_is_pose_velocity_and_goal(goal, condition):
     batch = _goal_batch(condition)
-    encoded = tiny.model(goal=goal).encode(batch)
+    model = tiny.model(goal=goal)
+    size = model.configuration.condition_size
+    model.scaling = ConditionScaling.of(model.configuration, torch.full((size,), 0.5), torch.full((size,), 2.0))
+    encoded = model.encode(batch)
     flat = batch.initial_joints.reshape(2, 66)
     target = batch.goal_joints.reshape(2, 66) if goal == "pose" else batch.goal_location
     assert encoded.vector is not None
     expected = np.concatenate([flat, np.full((2, 66), 0.2), target], axis=1)
-    np.testing.assert_allclose(encoded.vector.numpy(), expected, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(encoded.vector.numpy(), (expected - 0.5) / 2.0, rtol=0, atol=1e-4)
     assert encoded.text.shape == (2, encoded.padding.shape[1], 64)
 
 
