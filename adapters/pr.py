@@ -130,6 +130,7 @@ def require_goals_within_reach(batch: ConditionBatch) -> None:
 def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
     """The motions with the bone lengths of the initial pose in every frame."""
     import torch
+
     from prbench_adapters.diffusion.bones import bone_lengths, with_bone_lengths
 
     lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))

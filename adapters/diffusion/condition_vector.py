@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 from prbench.contract import ConditionBatch
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 
 def raw_condition(

@@ -7,13 +7,13 @@ from typing import cast
 
 import torch
 from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.injection import Addition, CrossAttentionInjection
 from prbench_adapters.diffusion.layers import CrossAttention, KeysValues, TransformerLayer, sinusoid_table
-from torch import Tensor, nn
-
-from prbench.representation.features import N_FEATURES
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,10 @@ from typing import Literal
 
 import numpy as np
 import torch
+
+from prbench.contract import ConditionBatch, Cost, Motions
+from prbench.errors import AdapterError
+from prbench.skeleton import N_JOINTS
 from prbench_adapters.diffusion.batching import parts_of_similar_length
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.guidance import Precision, guided
@@ -14,10 +18,6 @@ from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.diffusion.noise import SequenceNoise
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 from prbench_adapters.diffusion.skeletons import ModelBodies
-
-from prbench.contract import ConditionBatch, Cost, Motions
-from prbench.errors import AdapterError
-from prbench.skeleton import N_JOINTS
 
 _LARGEST_PART = {"cpu": 16}  # sequences in one pass; more do not run faster on a processor, but need more memory
 _LARGEST_PART_ELSEWHERE = 256

@@ -7,9 +7,10 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
+from torch import Tensor
+
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, PreparedCondition, frame_mask
-from torch import Tensor
 
 Precision = Literal["float32", "bfloat16"]
 """The first also stands for float64, if that is what the network is made of."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 from jaxtyping import Float
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from torch import Tensor, nn, softmax, stack
+
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 
 class Addition(nn.Module):

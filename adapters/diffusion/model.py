@@ -6,12 +6,6 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition_of
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.schedule import CosineSchedule
-from prbench_adapters.diffusion.text_vectors import TextVectors
 
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, InputFileError
@@ -19,6 +13,12 @@ from prbench.representation.features import N_FEATURES
 from prbench.representation.tensors import decode
 from prbench.text import text_encoder
 from prbench.training.weights import Weights, read_weights
+from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition_of
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.text_vectors import TextVectors
 
 KIND = "denoiser"
 REPRESENTATION = "humanml3d-263"

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 
 import torch
 from jaxtyping import Float
-from prbench_adapters.diffusion.schedule import CosineSchedule
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
+
+from prbench_adapters.diffusion.schedule import CosineSchedule
 
 Denoise = Callable[[Tensor, int], Tensor]
 """Noisy features (batch, frames, features) and their index in the training schedule, to clean features."""

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 from prbench.contract import ConditionBatch
 from prbench.representation import UniformSkeleton
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 
 @dataclass(frozen=True)

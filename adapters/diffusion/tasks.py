@@ -9,6 +9,12 @@ from typing import Any
 
 import msgspec
 import torch
+
+from prbench.errors import InputFileError, UsageError
+from prbench.representation.features import N_FEATURES
+from prbench.text import text_encoder
+from prbench.training.task import TrainingData
+from prbench.training.weights import Weights, read_weights
 from prbench_adapters.diffusion.condition_vector import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
@@ -16,12 +22,6 @@ from prbench_adapters.diffusion.losses import Objective
 from prbench_adapters.diffusion.model import KIND
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.diffusion.training import DiffusionTraining
-
-from prbench.errors import InputFileError, UsageError
-from prbench.representation.features import N_FEATURES
-from prbench.text import text_encoder
-from prbench.training.task import TrainingData
-from prbench.training.weights import Weights, read_weights
 
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}

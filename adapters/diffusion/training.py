@@ -9,6 +9,11 @@ from pathlib import Path
 import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
+
+from prbench.contract import Adapter
+from prbench.representation.tensors import decode
+from prbench.training import MotionBatch
+from prbench.training.task import TrainingModule
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser
@@ -19,11 +24,6 @@ from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.mdm import MDM
 from prbench_adapters.pr import GOALS, PR, Generation, TrainedFor
-
-from prbench.contract import Adapter
-from prbench.representation.tensors import decode
-from prbench.training import MotionBatch
-from prbench.training.task import TrainingModule
 
 _TEXT_GUIDANCE = 2.5  # methods/pr-model.md, section 5
 

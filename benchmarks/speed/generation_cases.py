@@ -8,6 +8,9 @@ from typing import Literal
 
 import numpy as np
 import torch
+
+from prbench.contract import Condition, ConditionBatch
+from prbench.text import EncodedText
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.generation import SamplingSettings, generate
@@ -16,9 +19,6 @@ from prbench_adapters.diffusion.noise import start_noise
 from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, optimise_noise
 from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
 from prbench_adapters.diffusion.text_vectors import TextVectors
-
-from prbench.contract import Condition, ConditionBatch
-from prbench.text import EncodedText
 
 Precision = Literal["float32", "bfloat16"]
 

@@ -9,14 +9,14 @@ from itertools import islice
 from pathlib import Path
 
 import torch
-from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.denoiser import Denoiser
 
 from benchmarks.speed.timing import Row, print_rows
 from prbench.training import LengthBatches, MotionBatch, SequenceDataset
 from prbench.training.loading import WaitingClock, load_batches
 from prbench.workflows.synthetic_table import build_synthetic_table
+from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser
 
 BATCHES = 100
 STEPS = 4

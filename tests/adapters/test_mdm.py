@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from prbench_adapters import mdm
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError
@@ -16,6 +15,7 @@ from prbench.evaluation.run import run_method
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import RunRecord
 from prbench.storage import file_digest
+from prbench_adapters import mdm
 from tests.adapters.diffusion import tiny
 from tests.fakes import fake_dataset
 

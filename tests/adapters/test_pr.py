@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from prbench_adapters.diffusion import bundled
-from prbench_adapters.pr import PR, load
 
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError
 from prbench.skeleton import BONES
+from prbench_adapters.diffusion import bundled
+from prbench_adapters.pr import PR, load
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 

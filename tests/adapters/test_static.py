@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from prbench_adapters.static import load
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable, TrainingRun
 from prbench.errors import AdapterError
 from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint
+from prbench_adapters.static import load
 from tests.fakes import fake_dataset, fake_sequence
 
 

@@ -17,6 +17,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
+
+from prbench.contract import Condition, ConditionBatch
+from prbench.errors import PrbenchError, UsageError
+from prbench.evaluation.conditions import ConditionSource, run_salt
+from prbench.evaluation.planning import Selection, select
+from prbench.evaluation.preparation import supported
+from prbench.manifests import load_protocol
+from prbench.metrics import UNKNOWN_HAND, MotionBatch, ScoringTargets, score
+from prbench.sequences import SequenceTable
+from prbench.storage import read_json, write_json
 from prbench_adapters.diffusion.bundled import resolve
 from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.diffusion.noise_optimisation.comparison import (
@@ -34,16 +44,6 @@ from prbench_adapters.diffusion.noise_optimisation.objective import keyframes, p
 from prbench_adapters.diffusion.noise_optimisation.options import optimisation_settings
 from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings, fast, paper
-
-from prbench.contract import Condition, ConditionBatch
-from prbench.errors import PrbenchError, UsageError
-from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import Selection, select
-from prbench.evaluation.preparation import supported
-from prbench.manifests import load_protocol
-from prbench.metrics import UNKNOWN_HAND, MotionBatch, ScoringTargets, score
-from prbench.sequences import SequenceTable
-from prbench.storage import read_json, write_json
 
 MODES = {"fast": fast, "paper": paper}
 _SIDES = {"left": 0, "right": 1}

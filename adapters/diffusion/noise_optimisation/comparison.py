@@ -11,10 +11,10 @@ from statistics import NormalDist
 
 import numpy as np
 from jaxtyping import Float
-from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
 
 from prbench.evaluation.intervals import mean_interval
 from prbench.storage import atomic_path
+from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
 
 TERMS = ("initial", "goal", "jerk")
 MARGIN = 0.10

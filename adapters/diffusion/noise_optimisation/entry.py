@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+
 from prbench_adapters.diffusion.batching import parts_of_similar_length
 from prbench_adapters.diffusion.bones import bone_lengths
 from prbench_adapters.diffusion.condition import EncodedCondition

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+
+from prbench.contract import ConditionBatch, Cost, Motions
 from prbench_adapters.diffusion.generation import require_lengths
 from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.diffusion.noise import start_noise
@@ -12,8 +14,6 @@ from prbench_adapters.diffusion.noise_optimisation.objective import ObjectiveFro
 from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from prbench_adapters.diffusion.skeletons import ModelBodies
-
-from prbench.contract import ConditionBatch, Cost, Motions
 
 
 def generate_optimised(

@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
+
 from prbench_adapters.diffusion.noise_optimisation.adam import AdamState, unit_gradient
 from prbench_adapters.diffusion.noise_optimisation.decorrelation import DecorrelationPadding
 from prbench_adapters.diffusion.noise_optimisation.learning_rate import learning_rate_factor

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
 _TERMS = ("minimised", "initial", "goal", "jerk", "decorrelation", "gradient_norm")

@@ -9,11 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from prbench_adapters.configurations import ablations
-from prbench_adapters.configurations.ablations import Ablation, load_ablations
-from prbench_adapters.diffusion.generation import SamplingSettings
-from prbench_adapters.diffusion.tasks import mdm, pr, read_model_table
-from prbench_adapters.pr import Generation, load
 
 from prbench.cli.main import main
 from prbench.contract import Condition
@@ -21,6 +16,11 @@ from prbench.training import SequenceDataset, collate
 from prbench.training.configuration import load_configuration
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
+from prbench_adapters.configurations import ablations
+from prbench_adapters.configurations.ablations import Ablation, load_ablations
+from prbench_adapters.diffusion.generation import SamplingSettings
+from prbench_adapters.diffusion.tasks import mdm, pr, read_model_table
+from prbench_adapters.pr import Generation, load
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import fake_dataset

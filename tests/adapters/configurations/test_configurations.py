@@ -5,12 +5,12 @@ from __future__ import annotations
 from importlib import resources
 
 import pytest
+
+from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.losses import Objective
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
-
-from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 
 PACKAGE = "prbench_adapters.configurations"
 NAMES = ("paper", "small", "smoke")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from prbench_adapters.diffusion.batching import parts_of_similar_length
 
 

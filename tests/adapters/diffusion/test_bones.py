@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from prbench_adapters.diffusion.bones import bone_lengths, with_bone_lengths
 
 from prbench.skeleton import BONES, Joint
+from prbench_adapters.diffusion.bones import bone_lengths, with_bone_lengths
 from tests.fakes import STANDING, smooth_motion
 
 WOBBLING = torch.as_tensor(np.stack([smooth_motion(name, 20) for name in "ab"]))

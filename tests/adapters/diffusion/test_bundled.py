@@ -3,9 +3,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from prbench_adapters.diffusion import bundled
 
 from prbench.errors import AdapterError
+from prbench_adapters.diffusion import bundled
 
 
 @pytest.fixture

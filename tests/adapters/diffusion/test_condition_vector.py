@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition, raw_condition_of
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 from prbench.contract import Condition, ConditionBatch
+from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition, raw_condition_of
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from tests.fakes import STANDING
 
 LOCATION = DenoiserConfiguration(goal="location")

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from prbench_adapters.diffusion import generation
-from prbench_adapters.diffusion.generation import SamplingSettings, generate
 
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
+from prbench_adapters.diffusion import generation
+from prbench_adapters.diffusion.generation import SamplingSettings, generate
 from tests.adapters.diffusion import tiny
 
 LENGTHS = [21, 10, 20, 33, 9, 5, 20, 40]  # neither sorted, nor inside the parts that are computed together

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from prbench_adapters.diffusion.guidance import guided
 from prbench_adapters.diffusion.sampling import sample_ddim
 from prbench_adapters.diffusion.schedule import CosineSchedule
-
 from tests.adapters.diffusion import golden
 
 NAMES = ["mdm_encoder", "mdm_decoder_one_token", "mdm_decoder_word_tokens"]

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 import torch
+
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.guidance import guided
-
 from tests.adapters.diffusion import tiny
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from prbench_adapters.diffusion.losses import Objective, losses
 
 from prbench.skeleton import Joint
+from prbench_adapters.diffusion.losses import Objective, losses
 
 
 def _zeros(frames: int = 4, batch: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -5,13 +5,13 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from prbench_adapters.diffusion.condition_vector import ConditionScaling
-from prbench_adapters.diffusion.model import MotionModel, torch_device
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, InputFileError, UsageError
 from prbench.representation import decode
 from prbench.training.weights import read_weights, write_weights
+from prbench_adapters.diffusion.condition_vector import ConditionScaling
+from prbench_adapters.diffusion.model import MotionModel, torch_device
 from tests.adapters.diffusion import tiny
 from tests.fakes import STANDING
 

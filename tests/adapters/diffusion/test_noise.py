@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from prbench_adapters.diffusion.noise import SequenceNoise, start_noise
 
 from prbench.randomness import sequence_generator
+from prbench_adapters.diffusion.noise import SequenceNoise, start_noise
 
 
 def test_the_noise_of_a_sequence_depends_on_its_seed_alone():

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from prbench_adapters.diffusion.guidance import guided
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 from prbench_adapters.diffusion.schedule import CosineSchedule
-
 from tests.adapters.diffusion import tiny
 
 SHAPE = (2, 4, 3)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from prbench_adapters.diffusion.schedule import CosineSchedule
 
+from prbench_adapters.diffusion.schedule import CosineSchedule
 from tests.adapters.diffusion import golden
 
 OURS = {

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from prbench_adapters.diffusion.skeletons import ModelBodies
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.representation import REST_OFFSETS
 from prbench.skeleton import bone_lengths
+from prbench_adapters.diffusion.skeletons import ModelBodies
 from tests.adapters.diffusion import tiny
 from tests.fakes import STANDING
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from prbench_adapters.diffusion.tasks import DiffusionTask, mdm, pr
-from prbench_adapters.diffusion.training import DiffusionTraining
 
 from prbench.contract import Condition
 from prbench.errors import InputFileError, TableError, UsageError
@@ -19,6 +17,8 @@ from prbench.training import SequenceDataset, collate
 from prbench.training.batch import MotionBatch
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
+from prbench_adapters.diffusion.tasks import DiffusionTask, mdm, pr
+from prbench_adapters.diffusion.training import DiffusionTraining
 from tests.fakes import fake_dataset
 
 TINY = {

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+
 from prbench_adapters.diffusion.guidance import guided
 from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
 from prbench_adapters.diffusion.noise_optimisation.decoder import UnrolledChain
 from prbench_adapters.diffusion.sampling import sample_ddim
-
 from tests.adapters.diffusion import tiny
 
 SETTINGS = OptimisationSettings(ddim_steps=4)

@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+
+from prbench.storage import read_json
 from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, fast, prime_and_reach
 from prbench_adapters.diffusion.noise_optimisation.compare import main
 from prbench_adapters.diffusion.noise_optimisation.comparison import (
@@ -16,8 +18,6 @@ from prbench_adapters.diffusion.noise_optimisation.comparison import (
     write_csv,
 )
 from prbench_adapters.diffusion.noise_optimisation.optimise import optimise
-
-from prbench.storage import read_json
 from tests import fakes
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.noise_optimisation.linear import LinearDecoder

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from prbench_adapters.diffusion.noise_optimisation.decorrelation import (
     DecorrelationPadding,
     decorrelation,
     power_of_two_above,
 )
 from prbench_adapters.diffusion.noise_optimisation.learning_rate import learning_rate_factor
-
 from tests.adapters.diffusion.noise_optimisation.linear import noise
 
 

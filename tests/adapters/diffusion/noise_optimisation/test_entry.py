@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+
 from prbench_adapters.diffusion.noise import start_noise
 from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, optimise_noise
-
 from tests.adapters.diffusion import tiny
 
 SETTINGS = OptimisationSettings(ddim_steps=2, iterations=4, warmup=1, decorrelation_weight=100.0, batch_size=2)

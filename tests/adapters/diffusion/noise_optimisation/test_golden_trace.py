@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+
+from prbench.representation import tensors
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, keyframes, optimise_noise
 from prbench_adapters.diffusion.noise_optimisation.decorrelation import decorrelation
 from prbench_adapters.diffusion.noise_optimisation.learning_rate import learning_rate_factor
-
-from prbench.representation import tensors
 from tests.adapters.diffusion import golden
 
 PUBLISHED = OptimisationSettings(

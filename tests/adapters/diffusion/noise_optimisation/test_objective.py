@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 import torch
-from prbench_adapters.diffusion.noise_optimisation import Keyframes, PrimeAndReach, Targets
-from prbench_adapters.diffusion.noise_optimisation.objective import jerk_norm, largest_jerk
 
 from prbench.skeleton import Joint
+from prbench_adapters.diffusion.noise_optimisation import Keyframes, PrimeAndReach, Targets
+from prbench_adapters.diffusion.noise_optimisation.objective import jerk_norm, largest_jerk
 
 LENGTH = torch.tensor([5])
 

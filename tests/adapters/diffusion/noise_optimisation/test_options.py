@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+
 from prbench_adapters.diffusion.noise_optimisation import (
     OPTIMISATION_OPTIONS,
     OptimisationSettings,
