@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.schedule import CosineSchedule, Spacing
 
 Denoise = Callable[[Tensor, int], Tensor]
 """Noisy features (batch, frames, features) and their index in the training schedule, to clean features."""
@@ -57,6 +57,7 @@ def sample_ddim(
     start: Float[Tensor, "batch frames features"],
     *,
     steps: int | None = None,
+    spacing: Spacing = "leading",
     checkpointing: int = 0,
 ) -> Float[Tensor, "batch frames features"]:
     """Deterministic sampling (η = 0): a fixed, differentiable map from noise to clean features.
@@ -66,13 +67,14 @@ def sample_ddim(
         schedule: The training schedule.
         start: Standard normal noise, taken as the noisiest kept state.
         steps: How many to keep; all of them unless given.
+        spacing: Which ones (:meth:`CosineSchedule.kept_steps`).
         checkpointing: If positive, only the states between blocks of so many steps are kept for the backward pass, and
             each block is computed once more there. The gradients stay the same; memory falls, time grows by a third.
 
     Returns:
         The clean estimate of the last step.
     """
-    moves = list(_ddim_moves(schedule, len(schedule) if steps is None else steps))
+    moves = list(_ddim_moves(schedule, len(schedule) if steps is None else steps, spacing))
     state = start
     if checkpointing < 1 or not torch.is_grad_enabled():
         return _walk(denoise, state, moves)
@@ -86,9 +88,9 @@ _Move = tuple[int, float, float]
 """Index in the training schedule; factors of the clean estimate and of the state in the next state."""
 
 
-def _ddim_moves(schedule: CosineSchedule, steps: int) -> Iterator[_Move]:
+def _ddim_moves(schedule: CosineSchedule, steps: int, spacing: Spacing) -> Iterator[_Move]:
     """√ᾱ' x0 + √(1 - ᾱ') ε with ε = (x - √ᾱ x0) / √(1 - ᾱ), collected by x0 and x; noisiest first."""
-    chain = schedule.chain(steps)
+    chain = schedule.chain(steps, spacing)
     for i in range(len(chain) - 1, -1, -1):
         here, cleaner = chain.alphas_cumprod[i], chain.alphas_cumprod_previous[i]
         of_state = math.sqrt((1.0 - cleaner) / (1.0 - here))

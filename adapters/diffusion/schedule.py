@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
+
+Spacing = Literal["leading", "trailing"]
+"""Whether the kept steps are counted from the cleanest or from the noisiest."""
 
 _OFFSET = 0.008
 _LARGEST_BETA = 0.999
@@ -69,10 +73,12 @@ class CosineSchedule(Chain):
         """As defined above, not re-derived from ᾱ."""
         return self._betas
 
-    def kept_steps(self, n: int) -> Int[np.ndarray, " n"]:
+    def kept_steps(self, n: int, spacing: Spacing = "leading") -> Int[np.ndarray, " n"]:
         """The indices of a chain of ``n`` steps: equal integer stride from 0 (10 of 50 are 0, 5, …, 45).
 
-        Where no stride gives exactly ``n`` indices, they are spread as evenly as integers can be, from 0.
+        Where no stride gives exactly ``n`` indices, they are spread as evenly as integers can be, from 0. ``trailing``
+        counts from the noisiest step instead (5 of 50 are 9, 19, 29, 39, 49), so that even a short chain starts where
+        the noise says nothing and the condition decides.
 
         Raises:
             ValueError: unless 1 ≤ n ≤ T.
@@ -80,10 +86,12 @@ class CosineSchedule(Chain):
         total = len(self)
         if not 1 <= n <= total:
             raise ValueError(f"a schedule of {total} steps can keep 1 to {total} of them, not {n}")
+        if spacing == "trailing":
+            return np.arange(1, n + 1) * total // n - 1
         strided = np.arange(0, total, max(1, math.ceil(total / n)))
         return strided if len(strided) == n else np.arange(n) * total // n
 
-    def chain(self, n: int) -> Chain:
+    def chain(self, n: int, spacing: Spacing = "leading") -> Chain:
         """The chain of :meth:`kept_steps`; the schedule itself if all are kept."""
-        kept = self.kept_steps(n)
+        kept = self.kept_steps(n, spacing)
         return self if n == len(self) else Chain(kept, self.alphas_cumprod[kept])

@@ -85,6 +85,7 @@ class UnrolledChain:
             self._schedule,
             noise,
             steps=settings.ddim_steps,
+            spacing=settings.spacing,
             checkpointing=settings.checkpointing,
         )
         return self._model.joints(clean)

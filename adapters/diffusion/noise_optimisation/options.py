@@ -8,9 +8,11 @@ from typing import cast, get_args
 
 from prbench_adapters.diffusion.noise_optimisation.settings import Bones, Hand, Keep, OptimisationSettings, Precision
 from prbench_adapters.diffusion.options import choice, number, whole_number
+from prbench_adapters.diffusion.schedule import Spacing
 
 OPTIMISATION_OPTIONS = (
     "ddim-steps",
+    "spacing",
     "iterations",
     "learning-rate",
     "alpha",
@@ -46,6 +48,7 @@ def optimisation_settings(
     return replace(
         preset,
         ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps) or preset.ddim_steps,
+        spacing=cast(Spacing, _one_of(options, "spacing", preset.spacing, get_args(Spacing))),
         iterations=iterations,
         warmup=round(preset.warmup * iterations / preset.iterations),
         learning_rate=number(options, "learning-rate", preset.learning_rate),

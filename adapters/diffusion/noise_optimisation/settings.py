@@ -9,13 +9,14 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
+from prbench_adapters.diffusion.schedule import Spacing
+
 Hand = Literal["right", "left", "nearest"]
 Keep = Literal["last", "best"]
 Bones = Literal["predicted", "initial"]
-Mode = Literal["fast", "paper"]
+Precision = Literal["float32", "bfloat16"]
 
 _FAST_PASSES, _FAST_STEPS = 400, 4
-Precision = Literal["float32", "bfloat16"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +28,8 @@ class OptimisationSettings:
 
     ddim_steps: int = 50
     """Steps of the deterministic chain from noise to motion, of equal stride, in every iteration and at the end."""
+    spacing: Spacing = "leading"
+    """Whether they are counted from the cleanest step, as DNO does, or back from the noisiest."""
     iterations: int = 400
     learning_rate: float = 0.05
     warmup: int = 50
@@ -91,12 +94,14 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
 
     Found on small models of synthetic data: with a fixed number of passes, fewer steps and more iterations lower all
     losses; so do twice the learning rate, a decorrelation term that does not outweigh the others, and a power norm of
-    all jerks with a smaller weight instead of the largest jerk, which pulls at one place of the motion at a time.
+    all jerks with a smaller weight instead of the largest jerk, which pulls at one place of the motion at a time. The
+    chain starts at the noisiest step: started later, it takes the noise for a motion and hardly asks the condition.
     """
     steps = min(_FAST_STEPS, diffusion_steps)
     iterations = _FAST_PASSES // steps - 1
     return OptimisationSettings(
         ddim_steps=steps,
+        spacing="trailing",
         iterations=iterations,
         learning_rate=0.1,
         warmup=iterations // 8,
@@ -106,7 +111,3 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
         keep="best",
         stop_below=1e-6,
     )
-
-
-PAPER, FAST = paper(50), fast(50)
-"""The two modes for models of 50 steps."""

@@ -83,3 +83,14 @@ def test_one_step_of_a_schedule_by_hand():
         return math.cos((s + 0.008) / 1.008 * math.pi / 2) ** 2
 
     assert CosineSchedule(2).betas == pytest.approx([1 - level(0.5) / level(0.0), 0.999])
+
+
+@pytest.mark.parametrize(
+    ("n", "indices"), [(1, [49]), (4, [11, 24, 36, 49]), (5, [9, 19, 29, 39, 49]), (50, list(range(50)))]
+)
+def test_trailing_steps_end_at_the_noisiest(n, indices):
+    schedule = CosineSchedule(50)
+    assert schedule.kept_steps(n, "trailing").tolist() == indices
+    chain = schedule.chain(n, "trailing")
+    assert chain.alphas_cumprod[-1] == schedule.alphas_cumprod[-1]
+    assert chain.alphas_cumprod_previous[0] == 1.0
