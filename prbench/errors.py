@@ -6,6 +6,8 @@ and exits with its ``exit_code``, without a traceback. Anything else that escape
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -130,3 +132,13 @@ class MissingExtraError(PrbenchError):
     def __reduce__(self) -> tuple[object, ...]:
         """Keep the three parts when the error crosses a process border."""
         return type(self), (self.package, self.extra, self.purpose)
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A question to put behind the sentence that refuses a name, its leading space included; empty if none is near.
+
+    >>> did_you_mean("sttic", ["pr", "static"])
+    " Did you mean 'static'?"
+    """
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" Did you mean '{near[0]}'?" if near else ""

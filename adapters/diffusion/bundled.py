@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from importlib.resources import files
 from pathlib import Path
 
-from prbench.errors import AdapterError
+from prbench.errors import AdapterError, did_you_mean
 
 _SUFFIX = ".safetensors"
 
@@ -26,8 +25,7 @@ def bundled_weights(name: str) -> Path:
     if path.is_file():
         return path
     names = bundled_names()
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f" Did you mean '{near[0]}'?" if near else ""
+    hint = did_you_mean(name, names)
     known = ", ".join(names) or "none in this installation"
     raise AdapterError(
         f"weights '{name}': expected a file, a folder, or bundled weights ({known}); found none of these.{hint}"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 
+from prbench.errors import did_you_mean
 from prbench_adapters.diffusion.generation import SamplingSettings
 
 SAMPLING_OPTIONS = ("guidance", "sampler", "steps", "precision")
@@ -22,8 +22,7 @@ def require_known(options: Mapping[str, str], known: Iterable[str]) -> None:
     names = list(dict.fromkeys(known))
     for key in options:
         if key not in names:
-            near = difflib.get_close_matches(key, names, n=1)
-            hint = f" Did you mean '{near[0]}'?" if near else ""
+            hint = did_you_mean(key, names)
             raise ValueError(f"unknown option '{key}'.{hint} Known options: {', '.join(names)}.")
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
-from prbench.errors import AdapterError, PrbenchError
+from prbench.errors import AdapterError, PrbenchError, did_you_mean
 from prbench.evaluation.declared import Declared
 
 
@@ -47,8 +46,7 @@ def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapt
     if found:
         return found[0]
     known = [adapter.name for adapter in installed] + list(also_known)
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f" Did you mean '{near[0]}'?" if near else ""
+    hint = did_you_mean(name, known)
     raise AdapterError(f"adapter '{name}' is not installed.{hint} `prbench adapters list` shows all of them.")
 
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from prbench.errors import UsageError
+from prbench.errors import UsageError, did_you_mean
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.options import ReaderOptions, described_options, parse_options
 from prbench.readers.synthetic_tree import (
@@ -93,8 +92,7 @@ def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader
     """
     name = dataset.removeprefix(SYNTHETIC_PREFIX)
     if name not in READER_MODULES:
-        near = get_close_matches(name, READER_MODULES, n=1)
-        hint = f" Did you mean '{near[0]}'?" if near else ""
+        hint = did_you_mean(name, READER_MODULES)
         raise UsageError(f"no reader for '{dataset}'.{hint} There are readers for: {', '.join(READER_MODULES)}.")
     reader: Reader = importlib.import_module(READER_MODULES[name]).READER
     if not options:

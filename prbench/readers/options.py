@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from prbench.errors import UsageError
+from prbench.errors import UsageError, did_you_mean
 from prbench.storage import file_digest
 
 
@@ -38,8 +37,7 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
     """
     for name in given:
         if name not in form.names():
-            near = get_close_matches(name, form.names(), n=1)
-            hint = f" Did you mean '{near[0]}'?" if near else ""
+            hint = did_you_mean(name, form.names())
             known = ", ".join(form.names()) or "none"
             raise UsageError(f"the reader of {dataset} has no option '{name}'.{hint} Its options are: {known}.")
     try:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
-from prbench.errors import UsageError
+from prbench.errors import UsageError, did_you_mean
 from prbench.text import built_in, distilbert
 from prbench.text.encoder import TextEncoder
 
@@ -29,6 +28,5 @@ def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
         return built_in.HashedNgrams()
     if name == distilbert.NAME:
         return distilbert.DistilBert(path)
-    near = difflib.get_close_matches(name, NAMES, n=1)
-    hint = f" Did you mean '{near[0]}'?" if near else ""
+    hint = did_you_mean(name, NAMES)
     raise UsageError(f"there is no text encoder '{name}'.{hint} Known: {', '.join(NAMES)}.")

@@ -6,7 +6,6 @@ A file has the tables ``[model]`` (read by the task), ``[data]``, ``[training]``
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -15,7 +14,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import InputFileError, UsageError, did_you_mean
 
 DEFAULT_STAGES = ("pretrain", "finetune")
 
@@ -193,8 +192,7 @@ def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
     known = list_configurations(package, task)
     short = name.removeprefix(f"{task}-")
     if short not in known:
-        near = difflib.get_close_matches(short, known, n=1)
-        hint = f" Did you mean '{near[0]}'?" if near else ""
+        hint = did_you_mean(short, known)
         raise UsageError(
             f"--config: '{task}' has no configuration '{name}'.{hint} There are: {', '.join(known) or 'none'};"
             " or give the path of a .toml file."

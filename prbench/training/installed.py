@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
-from prbench.errors import AdapterError, PrbenchError
+from prbench.errors import AdapterError, PrbenchError, did_you_mean
 
 if TYPE_CHECKING:
     from prbench.training.task import TrainingTask
@@ -48,7 +47,6 @@ def _find(name: str) -> EntryPoint:
         raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
     if not found:
         known = list_tasks()
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f" Did you mean '{near[0]}'?" if near else ""
+        hint = did_you_mean(name, known)
         raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
     return found[0]

@@ -6,11 +6,10 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
 import prbench
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
 from prbench.readers import READER_MODULES, reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover
@@ -51,8 +50,7 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         InputFileError: if ``root`` does not exist or holds no dataset.
     """
     if name is not None and name not in dataset_names():
-        near = get_close_matches(name, dataset_names(), n=1)
-        hint = f" Did you mean '{near[0]}'?" if near else ""
+        hint = did_you_mean(name, dataset_names())
         raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(dataset_names())}.")
     discovery, corpora = (None, ()) if root is None else _look(root)
     entries = []

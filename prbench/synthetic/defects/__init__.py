@@ -8,11 +8,10 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
-from prbench.errors import UsageError
+from prbench.errors import UsageError, did_you_mean
 
 DEFECT_MODULES: dict[str, str] = {
     "adt": "prbench.synthetic.defects.adt",
@@ -57,7 +56,6 @@ def defect(preset: str, name: str) -> Defect:
     """
     known = {each.name: each for each in defects_of(preset)}
     if name not in known:
-        near = get_close_matches(name, known, n=1)
-        hint = f" Did you mean '{near[0]}'?" if near else ""
+        hint = did_you_mean(name, known)
         raise UsageError(f"{preset} has no defect '{name}'.{hint} It has: {', '.join(known) or 'none'}.")
     return known[name]
