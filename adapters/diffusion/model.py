@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 
 from prbench.contract import ConditionBatch
-from prbench.errors import AdapterError, InputFileError
+from prbench.errors import AdapterError
 from prbench.representation.features import N_FEATURES
 from prbench.representation.tensors import decode
 from prbench.text import text_encoder
@@ -21,7 +21,6 @@ from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
 
 KIND = "denoiser"
-REPRESENTATION = "humanml3d-263"
 
 
 class MotionModel:
@@ -74,7 +73,7 @@ class MotionModel:
         where = torch_device(device)
         weights = read_weights(path, kind=KIND)
         configuration = weights.configuration(DenoiserConfiguration)
-        _require_representation(weights, configuration)
+        weights.require_representation(configuration.representation)
         denoiser = Denoiser(configuration)
         weights.load_into(denoiser, "denoiser")
         return cls(
@@ -138,19 +137,6 @@ def torch_device(name: str) -> torch.device:
         reason = str(error).splitlines()[0]
         raise AdapterError(f"--device {name}: cannot be used: {reason}. Use cpu, cuda, cuda:1 …") from error
     return device
-
-
-def _require_representation(weights: Weights, configuration: DenoiserConfiguration) -> None:
-    expected = f"{REPRESENTATION}/{configuration.representation}"
-    found = weights.metadata.get("representation", "nothing")
-    if found != expected:
-        raise InputFileError(
-            weights.path,
-            "header entry 'representation'",
-            expected=f"'{expected}'",
-            found=f"'{found}'",
-            remedy="Choose weights that were trained with this representation.",
-        )
 
 
 def _scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:

@@ -57,7 +57,13 @@ class DiffusionTask:
             InputFileError: if the initial weights do not fit it.
         """
         configuration, objective = read_model_table(model)
-        self._require_fit(configuration, data, stage)
+        self._require_goal(configuration, stage)
+        data.require_fit(
+            "the model",
+            representation=configuration.representation,
+            fps=configuration.fps,
+            max_frames=configuration.max_frames,
+        )
         texts = _text_vectors(configuration)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         denoiser = Denoiser(configuration)
@@ -72,23 +78,12 @@ class DiffusionTask:
             origin=_origin(configuration, start),
         )
 
-    def _require_fit(self, configuration: DenoiserConfiguration, data: TrainingData, stage: str) -> None:
+    def _require_goal(self, configuration: DenoiserConfiguration, stage: str) -> None:
         allowed = ("none", *self.goals) if stage == "pretrain" or not self.goals else self.goals
         if configuration.goal not in allowed:
             raise UsageError(
                 f"--method {self.name} --stage {stage}: expected model.goal to be {' or '.join(allowed)},"
                 f" found '{configuration.goal}'."
-            )
-        for key, wanted, found in (
-            ("data.mode", configuration.representation, data.mode),
-            ("frames per second of the tables", configuration.fps, data.fps),
-        ):
-            if wanted != found:
-                raise UsageError(f"{key}: the model expects {wanted}, found {found}. Change one of the two.")
-        if data.max_frames > configuration.max_frames:
-            raise UsageError(
-                f"data.max_frames: expected at most the model's {configuration.max_frames}, found {data.max_frames}."
-                " Lower it, or raise model.max_frames."
             )
 
 

@@ -14,12 +14,13 @@ from prbench.contract import Adapter
 from prbench.representation.tensors import decode
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
+from prbench.training.weights import representation_entry
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.losses import Objective, losses
-from prbench_adapters.diffusion.model import KIND, REPRESENTATION, MotionModel
+from prbench_adapters.diffusion.model import KIND, MotionModel
 from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.mdm import MDM
@@ -130,7 +131,7 @@ class DiffusionTraining(TrainingModule):
         metadata = {
             "kind": KIND,
             "configuration": msgspec.json.encode(configuration).decode(),
-            "representation": f"{REPRESENTATION}/{configuration.representation}",
+            "representation": representation_entry(configuration.representation),
         }
         return tensors, metadata
 

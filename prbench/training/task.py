@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import torch
 from torch import nn
 
+from prbench.errors import UsageError
 from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
@@ -38,6 +39,30 @@ class TrainingData:
     max_frames: int
     """The longest item that will be fed; crops are never longer."""
     fps: float = 20.0
+
+    def require_fit(self, model: str, *, representation: str, fps: float, max_frames: int) -> None:
+        """Refuse data that a model cannot learn from.
+
+        Args:
+            model: What a message calls it, such as ``the model``.
+            representation: Its features: ``continuous`` or ``reference``.
+            fps: Its frame rate.
+            max_frames: The longest motion that it takes.
+
+        Raises:
+            UsageError: naming the setting, and what was expected and found.
+        """
+        for key, wanted, found in (
+            ("data.mode", representation, self.mode),
+            ("frames per second of the tables", fps, self.fps),
+        ):
+            if wanted != found:
+                raise UsageError(f"{key}: {model} expects {wanted}, found {found}. Change one of the two.")
+        if self.max_frames > max_frames:
+            raise UsageError(
+                f"data.max_frames: expected at most {model}'s {max_frames}, found {self.max_frames}."
+                " Lower it, or raise model.max_frames."
+            )
 
 
 class TrainingModule(nn.Module):

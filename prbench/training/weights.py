@@ -24,6 +24,7 @@ from prbench.storage import atomic_path, bytes_digest, write_json
 
 FORMAT = "prbench-weights"
 FORMAT_VERSION = "1"
+_REPRESENTATION = "humanml3d-263"
 _HALF_LIMIT = torch.finfo(torch.float16).max
 _LARGEST_HEADER = 100_000_000
 
@@ -62,6 +63,17 @@ class Weights:
                 found=str(error),
                 remedy="The weights were made by another version of prbench or by another program; train them again.",
             ) from error
+
+    def require_representation(self, mode: str) -> None:
+        """Refuse weights of other features than the configuration in the same header says.
+
+        Args:
+            mode: Of the representation: ``continuous`` or ``reference``.
+
+        Raises:
+            InputFileError: naming both.
+        """
+        _require_entry(self.path, self.metadata, "representation", representation_entry(mode))
 
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
         """Tensors whose names begin with ``prefix`` and a dot, without both."""
@@ -155,17 +167,21 @@ def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
     return tensor.to(torch.float16).clone()
 
 
-def read_weights(path: Path, *, kind: str | None = None, representation: str | None = None) -> Weights:
+def representation_entry(mode: str) -> str:
+    """The header entry ``representation`` of a network of motion features, such as ``humanml3d-263/continuous``."""
+    return f"{_REPRESENTATION}/{mode}"
+
+
+def read_weights(path: Path, *, kind: str | None = None) -> Weights:
     """Read a weights file.
 
     Args:
         path: ``<name>.safetensors``; its card is not needed.
         kind: What it must be of, if that matters.
-        representation: What its features must be, if that matters.
 
     Raises:
         InputFileError: if there is no such file, it is a pickle or another format, it is damaged, or it holds weights
-            of another kind or representation.
+            of another kind.
     """
     content = _content(path)
     metadata = _metadata(path, content)
@@ -173,8 +189,6 @@ def read_weights(path: Path, *, kind: str | None = None, representation: str | N
     _require_entry(path, metadata, "format_version", FORMAT_VERSION)
     if kind is not None:
         _require_entry(path, metadata, "kind", kind)
-    if representation is not None:
-        _require_entry(path, metadata, "representation", representation)
     try:
         tensors = safetensors.torch.load(content)
     except SafetensorError as error:

@@ -40,7 +40,8 @@ def path(tensors, tmp_path):
 
 
 def test_what_is_read_is_what_was_written(path, tensors):
-    weights = read_weights(path, kind="denoiser", representation="humanml3d-263/continuous")
+    weights = read_weights(path, kind="denoiser")
+    weights.require_representation("continuous")
     assert weights.tensors.keys() == tensors.keys()
     assert all(torch.equal(weights.tensors[name], tensor) for name, tensor in tensors.items())
     assert weights.kind == "denoiser"
@@ -137,7 +138,7 @@ def test_weights_of_another_kind_or_representation_are_refused(path):
     with pytest.raises(InputFileError, match="'kind': expected 't2m-evaluator', found 'denoiser'"):
         read_weights(path, kind="t2m-evaluator")
     with pytest.raises(InputFileError, match="expected 'humanml3d-263/reference', found 'humanml3d-263/continuous'"):
-        read_weights(path, representation="humanml3d-263/reference")
+        read_weights(path).require_representation("reference")
 
 
 def test_a_configuration_of_another_network_is_refused(tensors, tmp_path):

@@ -10,7 +10,7 @@ from prbench.errors import InputFileError
 from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.extractor import Extractor
 from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementEncoder, TextEncoder
-from prbench.representation import Statistics
+from prbench.representation import N_FEATURES, Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.training.weights import Weights, read_weights
 from prbench.workflows.text_to_motion.tokens import token_vectors
@@ -57,13 +57,14 @@ def load_evaluator(
     """
     weights = read_weights(path, kind=EVALUATOR_KIND)
     configuration = weights.configuration(EvaluatorConfiguration)
+    weights.require_representation(configuration.representation)
     tokens, words_digest = token_vectors(configuration.text, tables, words=str(words or ""), path=text_path or "")
     _require_words(weights, words_digest)
     movement, motion = MovementEncoder(configuration.movement_width), MotionEncoder(configuration)
     text = TextEncoder(configuration, tokens.dimension)
     for name, network in (("movement", movement), ("motion", motion), ("text", text)):
         weights.load_into(network, name)
-    mean, std = (weights.require(f"statistics.{name}", (263,)).numpy() for name in ("mean", "std"))
+    mean, std = (weights.require(f"statistics.{name}", (N_FEATURES,)).numpy() for name in ("mean", "std"))
     extractor = Extractor(
         configuration,
         movement,

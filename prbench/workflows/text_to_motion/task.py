@@ -12,7 +12,7 @@ import torch
 
 from prbench.errors import InputFileError, UsageError
 from prbench.evaluation.text_to_motion.configuration import GLOVE, EvaluatorConfiguration
-from prbench.representation import Statistics
+from prbench.representation import N_FEATURES, Statistics
 from prbench.training.task import TrainingData
 from prbench.training.weights import Weights, read_weights
 from prbench.workflows.text_to_motion.losses import EvaluatorObjective
@@ -44,7 +44,12 @@ class EvaluatorTask:
             InputFileError: if the initial weights or the word vectors do not fit it.
         """
         configuration, objective = read_model_table(model)
-        _require_fit(configuration, data)
+        data.require_fit(
+            "the evaluator",
+            representation=configuration.representation,
+            fps=configuration.fps,
+            max_frames=configuration.max_frames,
+        )
         _require_stage(stage, initial, objective)
         start = read_weights(initial, kind=MOVEMENT_KIND) if initial is not None else None
         tokens, words_digest = token_vectors(
@@ -78,20 +83,6 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[EvaluatorConfiguration, 
         raise UsageError(f"[model]: {error}.") from error
 
 
-def _require_fit(configuration: EvaluatorConfiguration, data: TrainingData) -> None:
-    for key, wanted, found in (
-        ("data.mode", configuration.representation, data.mode),
-        ("frames per second of the tables", configuration.fps, data.fps),
-    ):
-        if wanted != found:
-            raise UsageError(f"{key}: the evaluator expects {wanted}, found {found}. Change one of the two.")
-    if data.max_frames > configuration.max_frames:
-        raise UsageError(
-            f"data.max_frames: expected at most the evaluator's {configuration.max_frames}, found {data.max_frames}."
-            " Lower it, or raise model.max_frames."
-        )
-
-
 def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjective) -> None:
     if stage == "contrastive" and initial is None:
         raise UsageError("--stage contrastive needs --init FILE: the weights that --stage autoencoder has left.")
@@ -109,7 +100,7 @@ def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjecti
 def _statistics(start: Weights | None, data: TrainingData) -> Statistics:
     if start is None:
         return data.train.statistics().for_evaluator()
-    mean, std = (start.require(f"statistics.{name}", (263,)).numpy() for name in ("mean", "std"))
+    mean, std = (start.require(f"statistics.{name}", (N_FEATURES,)).numpy() for name in ("mean", "std"))
     return Statistics(mean, std)
 
 

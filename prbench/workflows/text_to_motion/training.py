@@ -17,6 +17,7 @@ from prbench.representation import Statistics
 from prbench.text import TextEncoder as TokenVectors
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
+from prbench.training.weights import representation_entry
 from prbench.workflows.text_to_motion.losses import (
     EvaluatorObjective,
     contrastive_losses,
@@ -149,7 +150,7 @@ class EvaluatorTraining(TrainingModule):
         metadata = {
             "kind": MOVEMENT_KIND if half else EVALUATOR_KIND,
             "configuration": msgspec.json.encode(self.configuration).decode(),
-            "representation": f"humanml3d-263/{self.configuration.representation}",
+            "representation": representation_entry(self.configuration.representation),
             "words": self.words_digest,
         }
         return tensors, metadata
