@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
+from prbench_adapters.pr import require_goals_within_reach
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
@@ -39,9 +40,14 @@ class DNO:
         return self.weights
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
-        """Optimise one motion for each row."""
+        """Optimise one motion for each row.
+
+        Raises:
+            AdapterError: for a goal that no body can reach, or a sequence that is longer than the prior knows.
+        """
         from prbench_adapters.diffusion.noise_optimisation import generate_optimised, keyframes
 
+        require_goals_within_reach(batch, adapter=self.name)
         return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
 
     def _texts(self, batch: ConditionBatch) -> tuple[str, ...] | None:

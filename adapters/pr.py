@@ -85,7 +85,7 @@ class PR:
             AdapterError: for a goal that no body can reach, or weights of the other kind of goal.
         """
         model = self._trained_for(batch.condition).model
-        require_goals_within_reach(batch)
+        require_goals_within_reach(batch, adapter=self.name)
         if self.generation.optimisation is None:
             from prbench_adapters.diffusion.generation import generate
 
@@ -105,8 +105,12 @@ class PR:
         )
 
 
-def require_goals_within_reach(batch: ConditionBatch) -> None:
+def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
     """Refuse goals that are not finite or too far away to belong to this motion.
+
+    Args:
+        batch: With initial poses and goals.
+        adapter: Who refuses, for the message.
 
     Raises:
         AdapterError: naming the row, its goal and the distance.
@@ -121,8 +125,8 @@ def require_goals_within_reach(batch: ConditionBatch) -> None:
         row = int(bad[0])
         where = ", ".join(f"{value:.2f}" for value in goal[row])
         raise AdapterError(
-            f"adapter 'pr', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal within"
-            f" {FARTHEST_GOAL:g} m of the first pose, found ({where}), {distance[row]:.2f} m away. Goals are metres in"
+            f"adapter '{adapter}', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal"
+            f" within {FARTHEST_GOAL:g} m of the first pose, found ({where}), {distance[row]:.2f} m away. Goals are metres in"
             " the canonical frame of the first pose; `prbench validate` checks a table."
         )
 

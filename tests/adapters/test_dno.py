@@ -52,6 +52,15 @@ def test_it_generates_as_many_frames_as_asked_and_declares_its_passes(prior, con
     assert motions.cost.network_passes == 2 * (3 + 1) * 2
 
 
+@pytest.mark.parametrize("value", [np.nan, 40.0])
+def test_a_goal_out_of_any_reach_is_refused_with_its_row(prior, value):
+    adapter = dno.load(prior, options=QUICK, device="cpu")
+    goals = batch().goal_location.copy()
+    goals[1, 2] = value
+    with pytest.raises(AdapterError, match=r"adapter 'dno', row 1 .*: expected a goal within 10 m of the first pose"):
+        adapter.generate(batch(goal_location=goals), seed=0)
+
+
 def test_another_goal_gives_another_motion_and_the_wrist_comes_nearer(prior):
     options = {"iterations": "40", "ddim-steps": "2", "decorrelation": "0", "learning-rate": "0.3"}
     adapter = dno.load(prior, options=options, device="cpu")

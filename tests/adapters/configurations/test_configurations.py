@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 
 import pytest
@@ -36,6 +37,16 @@ def test_data_and_model_of_a_configuration_fit_together(task, name, stage):
     assert configuration.data.mode == model.representation
     assert (model.goal == "none") is (task == "mdm" or stage == "pretrain")
     assert objective.text_drop == 0.2
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("task", ["mdm", "pr"])
+def test_shown_commands_name_the_stage_without_which_a_goal_is_never_learnt(task, name):
+    text = resources.files(PACKAGE).joinpath(f"{task}-{name}.toml").read_text(encoding="utf-8")
+    for command in re.findall(r"prbench train .*", text):
+        stage = re.search(r"--stage (\w+)", command)
+        assert stage is not None, command
+        assert (stage[1] == "finetune") is ("--init" in command), command
 
 
 @pytest.mark.parametrize("name", NAMES)
