@@ -29,6 +29,7 @@ def trained(module, batch, steps, start=0):
     module.train()
     found = []
     for step in range(start, start + steps):
+        torch.manual_seed(step)  # dropout draws from the global generator
         losses = module(batch, step)
         losses["loss"].backward()
         for group in module.gradient_groups():
@@ -70,7 +71,7 @@ def test_the_losses_fall(build, batch):
     losses = trained(module, batch, 60)
     assert losses[14]["loss"] < losses[0]["loss"]
     assert losses[-1]["positive"] + losses[-1]["negative"] < 0.8 * losses[15]["loss"]
-    assert losses[-1]["ranked"] > 0.6
+    assert torch.stack([step["ranked"] for step in losses[-10:]]).mean() > 0.6
 
 
 def test_the_wrong_motion_is_never_a_texts_own(build, batch, monkeypatch):
