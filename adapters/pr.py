@@ -126,8 +126,8 @@ def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
         where = ", ".join(f"{value:.2f}" for value in goal[row])
         raise AdapterError(
             f"adapter '{adapter}', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal"
-            f" within {FARTHEST_GOAL:g} m of the first pose, found ({where}), {distance[row]:.2f} m away. Goals are metres in"
-            " the canonical frame of the first pose; `prbench validate` checks a table."
+            f" within {FARTHEST_GOAL:g} m of the first pose, found ({where}), {distance[row]:.2f} m away. Goals are"
+            " metres in the canonical frame of the first pose; `prbench validate` checks a table."
         )
 
 
