@@ -27,7 +27,8 @@ class WeightAverage:
     def update(self, steps_done: int) -> None:
         """Take in the weights as they are after ``steps_done`` steps (1 after the first)."""
         decay = min(self.decay, (1 + steps_done) / (10 + steps_done)) if self.warmup else self.decay
-        averages, parameters = list(self.averages.values()), list(self.parameters.values())
+        averages = list(self.averages.values())
+        parameters: list[torch.Tensor] = list(self.parameters.values())
         torch._foreach_lerp_(averages, parameters, 1 - decay)  # pyright: ignore[reportPrivateImportUsage]
 
     @contextlib.contextmanager
