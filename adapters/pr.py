@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
 """Kind of goal of a model, by the condition of the protocol."""
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
-FARTHEST_GOAL = 10.0
-"""Metres from the first pelvis: in the protocol's twelve seconds nobody in these data comes farther."""
+FARTHEST_GOAL, HIGHEST_GOAL = 10.0, 3.0
+"""Metres from the first pelvis, and from the floor: in twelve seconds nobody in these data comes farther, or reaches."""
 
 _GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
 _MODES = ("fast", "paper", "off")
@@ -120,13 +120,14 @@ def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
     assert goal is not None
     distance = np.linalg.norm(goal - batch.initial_joints[:, Joint.PELVIS], axis=1)
     finite = np.isfinite(goal if batch.goal_joints is None else batch.goal_joints.reshape(len(batch), -1)).all(axis=1)
-    bad = np.flatnonzero(~finite | ~(distance <= FARTHEST_GOAL))
+    bad = np.flatnonzero(~finite | ~(distance <= FARTHEST_GOAL) | (np.abs(goal[:, 1]) > HIGHEST_GOAL))
     if bad.size:
         row = int(bad[0])
         where = ", ".join(f"{value:.2f}" for value in goal[row])
         raise AdapterError(
             f"adapter '{adapter}', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal"
-            f" within {FARTHEST_GOAL:g} m of the first pose, found ({where}), {distance[row]:.2f} m away. Goals are"
+            f" within {FARTHEST_GOAL:g} m of the first pose and {HIGHEST_GOAL:g} m of the floor, found ({where}),"
+            f" {distance[row]:.2f} m away. Goals are"
             " metres in the canonical frame of the first pose; `prbench validate` checks a table."
         )
 

@@ -135,6 +135,14 @@ def test_a_goal_out_of_any_reach_is_refused_with_its_row(weights, value):
         _generate(adapter, Condition.GOAL_LOCATION, goal_location=goals)
 
 
+def test_a_goal_above_any_hand_is_refused(weights):
+    adapter = load(weights[Condition.GOAL_LOCATION], options=SAMPLING, device="cpu")
+    goals = conditions(Condition.GOAL_LOCATION).goal_location.copy()
+    goals[1, 1] = 4.0
+    with pytest.raises(AdapterError, match=r"row 1 of the batch .* and 3 m of the floor"):
+        _generate(adapter, Condition.GOAL_LOCATION, goal_location=goals)
+
+
 def test_a_goal_pose_with_one_lost_joint_is_refused(weights):
     adapter = load(weights[Condition.GOAL_POSE], options=SAMPLING, device="cpu")
     goals = conditions(Condition.GOAL_POSE).goal_joints.copy()
