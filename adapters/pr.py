@@ -26,7 +26,7 @@ GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
 """Kind of goal of a model, by the condition of the protocol."""
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
 FARTHEST_GOAL, HIGHEST_GOAL = 10.0, 3.0
-"""Metres from the first pelvis, and from the floor: in twelve seconds nobody in these data comes farther, or reaches."""
+"""Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher."""
 
 _GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
 _MODES = ("fast", "paper", "off")
