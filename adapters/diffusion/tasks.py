@@ -64,6 +64,7 @@ class DiffusionTask:
             fps=configuration.fps,
             max_frames=configuration.max_frames,
         )
+        _require_one_skeleton(configuration, data)
         texts = _text_vectors(configuration)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         denoiser = Denoiser(configuration)
@@ -127,6 +128,18 @@ def continue_from(denoiser: Denoiser, start: Weights) -> None:
     trained = Denoiser(old)
     start.load_into(trained, "denoiser")
     denoiser.load_state_dict(trained.state_dict(), strict=False)
+
+
+def _require_one_skeleton(configuration: DenoiserConfiguration, data: TrainingData) -> None:
+    """Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals."""
+    if not configuration.uniform_skeleton or configuration.goal == "none":
+        return
+    for table in data.train.tables:
+        if not table.info.dataset.endswith("humanml3d"):
+            raise UsageError(
+                f"model.uniform_skeleton: expected bodies on HumanML3D's skeleton, found {table.info.dataset}, whose"
+                " people have bones of their own. Leave the key out, or train on a HumanML3D corpus alone."
+            )
 
 
 def _text_vectors(configuration: DenoiserConfiguration) -> TextVectors:

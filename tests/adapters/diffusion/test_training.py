@@ -116,6 +116,11 @@ def test_further_fine_tuning_keeps_condition_statistics_too(data, tmp_path):
     assert torch.equal(second.scaling.mean, first.scaling.mean)
 
 
+def test_people_with_bones_of_their_own_are_no_uniform_skeleton(data):
+    with pytest.raises(UsageError, match=r"model.uniform_skeleton: .* HumanML3D"):
+        _build(pr(), data, goal="location", uniform_skeleton=True)
+
+
 def test_draws_depend_on_seed_step_and_rank_alone(data, batch):
     module, other = _build(mdm(), data), _build(mdm(), data, seed=5)
     for name in ("step", "without_text", "noise"):
