@@ -144,7 +144,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"size": "large"}, "in memory"),
+        ({"size": "large"}, "--table"),
         ({"preset": "unheard-of"}, "no native files"),
         ({"recordings": 0}, "at least one"),
     ],
