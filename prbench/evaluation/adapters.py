@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
-from prbench.errors import AdapterError, PrbenchError, did_you_mean
+from prbench.errors import AdapterError, PrbenchError
 from prbench.evaluation.declared import Declared
-
-
-@dataclass(frozen=True, order=True)
-class InstalledAdapter:
-    """What package metadata say about a method; nothing of it was imported."""
-
-    name: str
-    package: str
-    version: str
-    target: str
-    """``module:callable``."""
-
-
-def list_adapters() -> list[InstalledAdapter]:
-    """All installed methods by name, without importing any of them."""
-    return sorted({_described(point) for point in entry_points(group=ENTRY_POINT_GROUP)})
+from prbench.evaluation.installed import InstalledAdapter, list_adapters, no_such_method
 
 
 def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapter:
@@ -36,18 +20,18 @@ def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapt
         also_known: Further names that may be meant, such as those of controls.
 
     Raises:
-        AdapterError: if there is none (with the nearest name), or two packages offer it.
+        AdapterError: if there is none (with the nearest name), two packages offer it, or its metadata are damaged.
     """
     installed = list_adapters()
     found = [adapter for adapter in installed if adapter.name == name]
     if len(found) > 1:
         offers = ", ".join(f"{adapter.target} of {adapter.package} {adapter.version}" for adapter in found)
         raise AdapterError(f"adapter '{name}' is offered more than once: {offers}. Uninstall all but one.")
+    if found and found[0].problem:
+        raise AdapterError(f"adapter '{name}' (package {found[0].package}): {found[0].problem}. Reinstall the package.")
     if found:
         return found[0]
-    known = [adapter.name for adapter in installed] + list(also_known)
-    hint = did_you_mean(name, known)
-    raise AdapterError(f"adapter '{name}' is not installed.{hint} `prbench adapters list` shows all of them.")
+    raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
 
 
 def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], device: str) -> Adapter:
@@ -64,7 +48,7 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
             names the package and the cause.
     """
     installed = find_adapter(name)
-    point = next(point for point in entry_points(group=ENTRY_POINT_GROUP) if _described(point) == installed)
+    point = EntryPoint(installed.name, installed.target, ENTRY_POINT_GROUP)
     origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
     try:
         load = point.load()
@@ -98,11 +82,6 @@ def require_condition(name: str, adapter: Adapter, condition: Condition) -> None
     if condition not in conditions:
         taken = ", ".join(sorted(item.value for item in conditions))
         raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
-
-
-def _described(point: EntryPoint) -> InstalledAdapter:
-    package, version = (point.dist.name, point.dist.version) if point.dist else ("unknown", "unknown")
-    return InstalledAdapter(point.name, package, version, point.value)
 
 
 def _cause(error: BaseException) -> str:
