@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from prbench.contract import Adapter, Condition, Trainable, TrainingRun
 from prbench.errors import AdapterError, UsageError
-from prbench.evaluation.adapters import InstalledAdapter, load_adapter
+from prbench.evaluation.adapters import InstalledAdapter, find_adapter, load_adapter
 from prbench.evaluation.cache import cache_folder
+from prbench.evaluation.controls import METHOD_CONTROLS
 from prbench.evaluation.training_split import TrainingSplit
 from prbench.sequences import SequenceTable
 from prbench.storage import file_digest, text_digest
@@ -62,6 +64,38 @@ class MethodSpec:
             table.content,
         )
         return replace(self, fit_folder=cache_folder() / "fits" / f"{self.name}-{key[:16]}", table_folder=table.folder)
+
+
+def method_spec(
+    method: str,
+    *,
+    weights: Path | None = None,
+    options: Mapping[str, str] | None = None,
+    device: str = "cpu",
+    threads: int = 1,
+    isolate: bool = False,
+    timeout: float | None = None,
+    hidden: tuple[Path, ...] = (),
+) -> MethodSpec:
+    """How to make a method, whatever it is written in.
+
+    Args:
+        method: Name of an installed adapter, ``cmd:`` and a command, or path of a TOML file that describes a program.
+        weights: File or folder, or the name of weights that the method knows; None for its default.
+        options: ``--option key=value``, handed on as they are.
+        device: ``cpu``, ``cuda`` …
+        threads: Of the method.
+        isolate: Run an installed method in a process of its own that is given neither paths, objects nor environment.
+        timeout: Seconds until a batch is answered by another process.
+        hidden: Folders that an isolated method must not see, where the file system can be withheld.
+
+    Raises:
+        AdapterError: if there is no such method, with the nearest one.
+        InputFileError: if the TOML file does not say what it must.
+        UsageError: if the settings do not fit together.
+    """
+    find_adapter(method, also_known=METHOD_CONTROLS)
+    return MethodSpec(method, weights, tuple(sorted((options or {}).items())), device, threads)
 
 
 @lru_cache(maxsize=1)
