@@ -1,0 +1,75 @@
+"""``prbench export-conditions``: what a method may see, as a file for a program that runs elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from prbench.cli.arguments import add_data, add_permission, command, positive
+
+_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+
+
+def add_parser(commands: argparse._SubParsersAction) -> None:
+    """Register the command."""
+    parser = command(
+        commands,
+        "export-conditions",
+        summary="write exactly what a method may see, for one that runs elsewhere; `prbench score` takes what it makes",
+        example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
+        execute=_export,
+    )
+    add_data(parser, required=True)
+    parser.add_argument("--condition", choices=_CONDITIONS, required=True, help="what the method is given")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".parquet, or .npz for NumPy alone")
+    parser.add_argument("--seed", type=int, default=0, help="behind opaque ids and noise seeds (default 0)")
+    parser.add_argument("--samples", type=positive, default=1, metavar="K", help="motions a sequence (default 1)")
+    parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
+    parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+    parser.add_argument(
+        "--max-frames",
+        type=positive,
+        metavar="N",
+        help="leave out longer sequences; scoring counts them as unsupported",
+    )
+    parser.add_argument(
+        "--native-fps",
+        type=float,
+        metavar="F",
+        help="ask for motions at F frames per second; scoring resamples them to the table's rate",
+    )
+    parser.add_argument(
+        "--control", choices=["shuffled-goal"], help="give every sequence another one's goal; the file does not tell"
+    )
+    add_permission(parser)
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from prbench.contract import Condition
+    from prbench.evaluation.offline import ExportRequest, export_conditions
+
+    report = export_conditions(
+        ExportRequest(
+            data=tuple(arguments.data),
+            condition=Condition(arguments.condition),
+            out=arguments.out,
+            seed=arguments.seed,
+            samples=arguments.samples,
+            split=arguments.split,
+            limit=arguments.limit,
+            max_frames=arguments.max_frames,
+            native_fps=arguments.native_fps,
+            control=arguments.control,
+            permitted=tuple(arguments.permission),
+        )
+    )
+    for dataset, sequences in report.sequences.items():
+        left_out = report.left_out.get(dataset, 0)
+        more = f" ({left_out} longer ones left out)" if left_out else ""
+        print(f"{dataset}: {sequences} sequences{more}")
+    for line in report.notices:
+        print(f"notice: {line}")
+    print(f"{report.rows} motions to generate: {report.out}")
+    print(f"then: prbench score PREDICTIONS --conditions {report.out} --data …", file=sys.stderr)
+    return 0

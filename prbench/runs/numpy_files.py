@@ -1,0 +1,206 @@
+"""NumPy's own files, read without trust: headers first, no pickles, nothing larger than what was announced.
+
+``.npz`` is a ZIP archive of ``.npy`` members. A member that is stored as it is (``np.savez``) is mapped into memory, so
+that single motions can be read from a file of any size; a compressed one (``np.savez_compressed``) has to be unpacked
+as a whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from prbench.errors import InputFileError
+
+_LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
+_NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """What a ``.npy`` says about its array."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    fortran_order: bool
+    offset: int
+    """Bytes before the values."""
+
+    @property
+    def nbytes(self) -> int:
+        """Of the values."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def shaped(self, values: np.ndarray) -> np.ndarray:
+        """Flat values as the array that was saved."""
+        return values.reshape(self.shape, order="F" if self.fortran_order else "C")
+
+
+def read_header(stream: IO[bytes], path: Path, where: str) -> ArrayHeader:
+    """Read the header of a ``.npy``, up to its first value.
+
+    Args:
+        stream: At its beginning.
+        path: The file, for messages.
+        where: The array in it, for messages.
+
+    Raises:
+        InputFileError: if it is no ``.npy``, or holds Python objects, which are never unpickled.
+    """
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran_order, dtype = read(stream)
+    except (ValueError, SyntaxError, TypeError, EOFError, UnicodeError) as error:
+        first = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise InputFileError(path, where, expected="an array as np.save writes it", found=first) from error
+    if dtype.hasobject:
+        raise InputFileError(path, where, expected="numbers or text", found="Python objects", remedy=_NO_OBJECTS)
+    if any(size < 0 for size in shape):
+        raise InputFileError(path, where, expected="an array as np.save writes it", found=f"the shape {shape}")
+    return ArrayHeader(shape, dtype, fortran_order, stream.tell())
+
+
+def map_array(path: Path, header: ArrayHeader, *, start: int = 0) -> np.ndarray:
+    """The array as a read-only view of its file.
+
+    Args:
+        path: The file.
+        header: Of the array.
+        start: Where the ``.npy`` begins in the file.
+
+    Raises:
+        InputFileError: if the file ends too early.
+    """
+    if not header.nbytes:
+        return np.empty(header.shape, header.dtype)
+    end = start + header.offset + header.nbytes
+    if path.stat().st_size < end:
+        raise InputFileError(
+            path, "", expected=f"{end} bytes", found=f"{path.stat().st_size}", remedy="It is cut off; write it again."
+        )
+    order = "F" if header.fortran_order else "C"
+    return np.memmap(path, header.dtype, mode="r", offset=start + header.offset, shape=header.shape, order=order)
+
+
+@dataclass(frozen=True)
+class Archive:
+    """An ``.npz``; arrays are read when they are asked for."""
+
+    path: Path
+
+    @cached_property
+    def members(self) -> dict[str, zipfile.ZipInfo]:
+        """By the name of the array.
+
+        Raises:
+            InputFileError: if the file is missing or no ZIP archive.
+        """
+        with self._opened() as archive:
+            return {info.filename.removesuffix(".npy"): info for info in archive.infolist() if not info.is_dir()}
+
+    def header(self, name: str) -> ArrayHeader:
+        """Shape and kind of an array; its values are not read.
+
+        Raises:
+            InputFileError: see :func:`read_header`; also if the member is not as long as its header says.
+        """
+        with self._opened() as archive, archive.open(self.members[name]) as stream:
+            return self._header(name, stream)
+
+    def read(self, name: str, *, largest: int) -> np.ndarray:
+        """A whole array.
+
+        Args:
+            name: Of the array.
+            largest: Bytes beyond which it is refused unread.
+
+        Raises:
+            InputFileError: if it is larger, damaged, or holds Python objects.
+        """
+        with self._opened() as archive, archive.open(self.members[name]) as stream:
+            header = self._header(name, stream)
+            if header.nbytes > largest:
+                raise InputFileError(
+                    self.path,
+                    f"'{name}'",
+                    expected=f"at most {largest:,} bytes",
+                    found=f"{header.nbytes:,} (shape {header.shape} of {header.dtype})",
+                )
+            content = stream.read(header.nbytes)
+        return header.shaped(np.frombuffer(content, header.dtype))
+
+    def stored_as_is(self, name: str) -> bool:
+        """Whether :meth:`mapped` can give single rows without unpacking the whole."""
+        return self.members[name].compress_type == zipfile.ZIP_STORED
+
+    def mapped(self, name: str) -> np.ndarray:
+        """A read-only view of an array that is stored without compression.
+
+        Raises:
+            InputFileError: if the archive is damaged.
+        """
+        info, header = self.members[name], self.header(name)
+        with open(self.path, "rb") as file:
+            file.seek(info.header_offset)
+            local = file.read(_LOCAL_HEADER_BYTES)
+        name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
+        return map_array(self.path, header, start=info.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
+
+    def unpack(self, name: str, target: Path) -> np.ndarray:
+        """A read-only view of a compressed array, by way of an unpacked copy.
+
+        Args:
+            name: Of the array.
+            target: Where the copy is written; it has to stay as long as the view.
+
+        Raises:
+            InputFileError: if the archive is damaged.
+        """
+        with self._opened() as archive, archive.open(self.members[name]) as stream, open(target, "wb") as file:
+            header = self._header(name, stream)
+            left = header.nbytes
+            while left and (part := stream.read(min(left, io.DEFAULT_BUFFER_SIZE * 128))):
+                file.write(part)
+                left -= len(part)
+        return map_array(target, ArrayHeader(header.shape, header.dtype, header.fortran_order, 0))
+
+    def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
+        header, info = read_header(stream, self.path, f"'{name}'"), self.members[name]
+        if header.offset + header.nbytes != info.file_size:
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"{header.offset + header.nbytes:,} bytes (shape {header.shape} of {header.dtype})",
+                found=f"{info.file_size:,}",
+                remedy="The file is damaged; write it again.",
+            )
+        return header
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[zipfile.ZipFile]:
+        """The archive; what is wrong with its bytes becomes an error that names it."""
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                yield archive
+        except FileNotFoundError as error:
+            raise InputFileError(self.path, "", expected="an .npz file", found="no file") from error
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+            raise InputFileError(
+                self.path,
+                "",
+                expected="a readable .npz file",
+                found=f"another form or a damaged one ({str(error) or type(error).__name__})",
+                remedy="Write it with np.savez or np.savez_compressed.",
+            ) from error
