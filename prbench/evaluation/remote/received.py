@@ -1,0 +1,158 @@
+"""Motions as a program sent them: whatever form its Arrow library gave them, and whatever is wrong with them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Int, Shaped
+
+from prbench.contract import Motions
+from prbench.skeleton import N_JOINTS
+
+_NUMBERS = N_JOINTS * 3  # a frame
+_SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: numbers, or frames in either nesting
+
+
+@dataclass(frozen=True)
+class ReceivedMotions:
+    """Rows in the order of the program."""
+
+    ids: tuple[str, ...]
+    joints: Shaped[np.ndarray, "total 22 3"]
+    offsets: Int[np.ndarray, " rows+1"]
+    """Row i is ``joints[offsets[i]:offsets[i + 1]]``."""
+
+    @classmethod
+    def read(cls, payload: bytes) -> ReceivedMotions:
+        """Read the payload of a ``motions`` message.
+
+        Raises:
+            ValueError: if it is no Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``.
+        """
+        rows = _record_batch(payload)
+        ids = tuple(_texts(_column(rows, "opaque_id")))
+        return cls(ids, *_frames(_column(rows, "joints"), ids))
+
+    def in_order_of(self, asked: Sequence[str]) -> Motions:
+        """The motions padded, row by row as asked for.
+
+        Raises:
+            ValueError: if an id is missing, repeated or unknown.
+        """
+        _require_same_ids(asked, self.ids)
+        rows = {name: row for row, name in enumerate(self.ids)}
+        places = np.array([rows[name] for name in asked])
+        n_frames = np.diff(self.offsets)[places]
+        joints = np.zeros((len(asked), int(n_frames.max(initial=0)), N_JOINTS, 3), dtype=self.joints.dtype)
+        for row, (place, length) in enumerate(zip(places, n_frames, strict=True)):
+            joints[row, :length] = self.joints[self.offsets[place] : self.offsets[place + 1]]
+        return Motions(joints, n_frames)
+
+
+def _record_batch(payload: bytes) -> pa.RecordBatch:
+    try:
+        with pa.ipc.open_stream(payload) as reader:
+            batches = list(reader)
+        for batch in batches:
+            batch.validate(full=True)  # offsets that point outside would be read as they are
+    except (pa.ArrowException, OSError, EOFError) as error:
+        cause = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise ValueError(f"expected an Arrow IPC stream as payload, found none that can be read: {cause}") from error
+    if len(batches) != 1:
+        raise ValueError(f"expected one record batch, found {len(batches)}")
+    return batches[0]
+
+
+def _column(rows: pa.RecordBatch, name: str) -> pa.Array:
+    found = rows.schema.get_all_field_indices(name)
+    if len(found) != 1:
+        columns = ", ".join(f"{field.name}: {field.type}" for field in rows.schema)
+        raise ValueError(f"expected the columns opaque_id and joints, once each, found {columns or 'none'}"[:400])
+    column = rows.column(found[0])
+    if column.null_count:
+        row = int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])
+        raise ValueError(f"expected '{name}' without nulls, found one in row {row}")
+    return column
+
+
+def _texts(column: pa.Array) -> list[str]:
+    if pa.types.is_dictionary(column.type):  # what some libraries make of a few strings
+        column = column.dictionary_decode()
+    if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
+        raise ValueError(f"expected 'opaque_id' as utf8, found {column.type}")
+    return column.to_pylist()
+
+
+def _frames(column: pa.Array, ids: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """All frames (total, 22, 3) and the offsets of the rows."""
+    if not _is_list(column.type):
+        raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
+    offsets, values = _unwrapped(column)
+    shape: tuple[int, ...] = ()
+    while _is_list(values.type):
+        inner, within = _unwrapped(values)
+        lengths = np.unique(np.diff(inner))
+        if len(lengths) > 1 or values.null_count:
+            raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {_some(lengths)}")
+        shape += (int(lengths[0]) if len(lengths) else _wanted(shape),)
+        values = within
+    if values.type not in (pa.float32(), pa.float64()):
+        raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
+    if values.null_count:
+        raise ValueError("expected 'joints' without nulls, found some among its numbers")
+    if shape not in _SHAPES:
+        raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
+    if not shape:
+        offsets = _whole_frames(offsets, ids)
+    return values.to_numpy().reshape(-1, N_JOINTS, 3), offsets
+
+
+def _is_list(type_: pa.DataType) -> bool:
+    return pa.types.is_list(type_) or pa.types.is_large_list(type_) or pa.types.is_fixed_size_list(type_)
+
+
+def _unwrapped(column: pa.Array) -> tuple[np.ndarray, pa.Array]:
+    """Offsets from 0 and the values between the first and the last, whatever slice of its buffers a column is."""
+    if pa.types.is_fixed_size_list(column.type):
+        return np.arange(len(column) + 1) * column.type.list_size, column.flatten()
+    offsets = column.offsets.to_numpy().astype(np.int64)
+    return offsets - offsets[0], column.values.slice(int(offsets[0]), int(offsets[-1] - offsets[0]))
+
+
+def _wanted(shape: tuple[int, ...]) -> int:
+    """The size of a level that no frame shows, since there are none."""
+    return 3 if shape else _NUMBERS
+
+
+def _whole_frames(offsets: np.ndarray, ids: Sequence[str]) -> np.ndarray:
+    lengths = np.diff(offsets)
+    broken = np.flatnonzero(lengths % _NUMBERS)
+    if broken.size:
+        row = int(broken[0])
+        raise ValueError(
+            f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
+        )
+    return offsets // _NUMBERS
+
+
+def _require_same_ids(asked: Sequence[str], found: Sequence[str]) -> None:
+    repeated = [name for name, times in Counter(found).items() if times > 1]
+    present = set(found)
+    unknown, missing = sorted(present - set(asked)), [name for name in asked if name not in present]
+    if repeated or unknown or missing:
+        raise ValueError(
+            f"expected each of the {len(asked)} ids of the batch once, found {len(found)} rows: missing"
+            f" {_some(missing)}, repeated {_some(repeated)}, unknown {_some(unknown)}."
+            " Copy opaque_id from the conditions to the motions, one row a sequence"
+        )
+
+
+def _some(values: Sequence[object] | np.ndarray) -> str:
+    """A count with the first of them, or the few numbers themselves."""
+    if isinstance(values, np.ndarray):
+        return " and ".join(str(value) for value in values[:2])
+    return f"{len(values)} ({str(values[0])[:64]})" if values else "0"
