@@ -33,16 +33,30 @@ class Declared:
         Raises:
             AdapterError: naming the attribute that is not what the contract asks for.
         """
-        return cls(
-            _conditions(adapter.conditions, origin),
-            _max_frames(getattr(adapter, "max_frames", None), origin),
-            _native_fps(getattr(adapter, "native_fps", None), origin),
+        return cls.checked(
+            adapter.conditions,
+            getattr(adapter, "max_frames", None),
+            getattr(adapter, "native_fps", None),
             bool(getattr(adapter, "motionless", False)),
+            origin=origin,
+        )
+
+    @classmethod
+    def checked(
+        cls, conditions: object, max_frames: object, native_fps: object, motionless: bool, *, origin: str
+    ) -> Declared:
+        """The same from values of unknown types.
+
+        Raises:
+            AdapterError: see :meth:`by`.
+        """
+        return cls(
+            _conditions(conditions, origin), _max_frames(max_frames, origin), _native_fps(native_fps, origin), motionless
         )
 
 
 def _conditions(value: object, origin: str) -> frozenset[Condition]:
-    known = {condition.value for condition in Condition}
+    known = [condition.value for condition in Condition]
     if isinstance(value, Iterable) and not isinstance(value, str):
         found = list(value)
         if found and all(item in known for item in found):

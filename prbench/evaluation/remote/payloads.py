@@ -99,8 +99,9 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
 
 
 def motions_of(payload: bytes, batch: ConditionBatch) -> Motions:
-    """The motions of a payload in the order of the batch, with the lengths found; whether these fit, and whether the
-    positions are finite, is for the caller to check.
+    """The motions of a payload, in the order of the batch and with the lengths found.
+
+    Whether these are the lengths asked for, and whether the positions are finite, is for the caller to check.
 
     Raises:
         ValueError: expected, found and what to do, if they are not one motion for each sequence of the batch.
