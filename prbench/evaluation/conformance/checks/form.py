@@ -1,0 +1,118 @@
+"""Is what it gives back made of one finite motion of the asked length for each sequence?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from prbench.contract import Condition, Motions
+from prbench.evaluation.conformance.answer import Answer
+from prbench.evaluation.conformance.check import check
+from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.evaluation.conformance.subject import Subject
+
+_GENERATE = (
+    "Run generate() on this batch and repair what it raises; a method may only refuse options, weights and goals that"
+    " nobody could reach."
+)
+_SHAPES = (
+    "Return prbench.contract.Motions(joints, batch.n_frames): joints is a NumPy array (sequences, frames, 22, 3) with"
+    " at least batch.n_frames.max() frames; behind a shorter motion stands padding."
+)
+_DTYPE = "Return decimals: joints.astype(np.float32), in metres."
+_FINITE = (
+    "Look for a division by zero or by a length that can be zero (an empty step, a single frame) and for weights that"
+    " hold NaN. Frames behind n_frames[i] may hold anything."
+)
+
+
+@check("generates", "it generates under every condition that it declares", needs=("load",))
+def generates(subject: Subject) -> Iterator[Observation]:
+    """No condition that it declares makes it raise."""
+    if not len(subject.source.n_frames):
+        yield failed(
+            f"max_frames is {subject.declared.max_frames}, and the shortest of the sequences has"
+            f" {int(subject.cases.source.n_frames.min())} frames at {subject.cases.source.fps:g} a second.",
+            "Raise max_frames (the protocol's sequences have 41 to 241 frames at 20 a second), or set it to None.",
+        )
+        return
+    answers = {condition: subject.standard(condition) for condition in subject.conditions}
+    yield from _by_condition(answers, lambda answer: answer.raised, _GENERATE, said="one motion for each sequence")
+    if any(answer.halvings for answer in answers.values()):
+        yield warning(
+            f"a batch of {len(subject.rows)} sequences did not fit in memory and was halved.",
+            "Nothing is wrong with the motions; --batch-size makes a run's batches smaller.",
+        )
+
+
+@check("shapes", "motions have the asked shape and lengths", needs=("load",))
+def shapes(subject: Subject) -> Iterator[Observation]:
+    """Motions of shape (batch, frames, 22, 3), with the lengths that were asked for."""
+    answers = _answered(subject)
+    yield from _by_condition(answers, _misshapen, _SHAPES, said="(sequences, frames, 22, 3) with the asked lengths")
+
+
+@check("dtype", "positions are decimals of enough digits", needs=("load",))
+def dtype(subject: Subject) -> Iterator[Observation]:
+    """Floating point, and not half precision."""
+    answers = {name: answer for name, answer in _answered(subject).items() if not _misshapen(answer)}
+    yield from _by_condition(answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point")
+    coarse = [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]
+    if coarse:
+        yield warning(
+            f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin.",
+            "Compute the last steps (the sum of velocities above all) in float32 and return float32.",
+        )
+
+
+@check("finite", "no position is NaN or infinite", needs=("load",))
+def finite(subject: Subject) -> Iterator[Observation]:
+    """Every valid frame holds numbers."""
+    answers = {
+        name: answer for name, answer in _answered(subject).items() if not _misshapen(answer) and _is_floating(answer)
+    }
+    yield from _by_condition(answers, lambda answer: answer.motions is None, _FINITE, said="all positions are numbers")
+
+
+def _answered(subject: Subject) -> dict[Condition, Answer]:
+    if not len(subject.source.n_frames):
+        return {}
+    answers = {condition: subject.standard(condition) for condition in subject.conditions}
+    return {condition: answer for condition, answer in answers.items() if not answer.raised}
+
+
+def _by_condition(
+    answers: dict[Condition, Answer], is_wrong: Callable[[Answer], bool], remedy: str, *, said: str
+) -> Iterator[Observation]:
+    wrong = {condition: answer for condition, answer in answers.items() if is_wrong(answer)}
+    for condition, answer in wrong.items():
+        yield failed(f"under {condition.value}: {answer.error}", remedy)
+    if not answers:
+        yield skipped("there are no motions to look at.")
+    elif not wrong:
+        yield passed(f"{said}, under {', '.join(condition.value for condition in answers)}.")
+
+
+def _misshapen(answer: Answer) -> bool:
+    if answer.motions is not None:
+        return False
+    returned = answer.returned
+    if not isinstance(returned, Motions) or not isinstance(returned.joints, np.ndarray):
+        return True
+    if np.issubdtype(returned.joints.dtype, np.floating):
+        return "expected finite positions" not in answer.error
+    return "with decimals" not in answer.error or returned.joints.ndim != 4 or returned.joints.shape[2:] != (22, 3)
+
+
+def _dtype_of(answer: Answer) -> np.dtype | None:
+    joints = getattr(answer.returned, "joints", None)
+    return joints.dtype if isinstance(joints, np.ndarray) else None
+
+
+def _is_floating(answer: Answer) -> bool:
+    found = _dtype_of(answer)
+    return found is None or np.issubdtype(found, np.floating)
+
+
+CHECKS = (generates, shapes, dtype, finite)

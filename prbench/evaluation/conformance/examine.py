@@ -1,0 +1,48 @@
+"""Run checks over a method, one after the other; what one of them meets never ends the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from prbench.evaluation.conformance.check import Check
+from prbench.evaluation.conformance.finding import Finding, Observation, Outcome, failed, skipped
+from prbench.evaluation.conformance.subject import Subject
+
+
+def examine(
+    subject: Subject,
+    checks: Iterable[Check],
+    *,
+    known: Mapping[str, Outcome] | None = None,
+    announce: Callable[[Check], None] | None = None,
+) -> Iterator[Finding]:
+    """Findings as they come.
+
+    Args:
+        subject: The method.
+        checks: What to look at, in this order.
+        known: How earlier checks ended, by name.
+        announce: Called before each check.
+    """
+    worst = dict(known or {})
+    for one in checks:
+        if announce is not None:
+            announce(one)
+        findings = [observation.of(one.name) for observation in _observed(one, subject, worst)]
+        worst[one.name] = Outcome.FAILED if any(f.outcome is Outcome.FAILED for f in findings) else Outcome.PASSED
+        yield from findings
+
+
+def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> list[Observation]:
+    missing = [name for name in one.needs if worst.get(name) is Outcome.FAILED]
+    if missing:
+        return [skipped(f"not looked at before '{missing[0]}' passes.")]
+    try:
+        return list(one.examine(subject))
+    except Exception as error:  # a method may answer in ways that no check expects
+        return [
+            failed(
+                f"the check could not make sense of the method's answers: {type(error).__name__}: {error}",
+                "Look at the failures above first; if there are none, this is a defect of prbench: please report it.",
+            )
+        ]

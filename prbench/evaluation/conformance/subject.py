@@ -1,0 +1,140 @@
+"""The method under examination: loaded, fitted if it learns, and asked for the same thing only once."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
+from prbench.evaluation.conditions import ConditionSource, run_salt
+from prbench.evaluation.conformance.answer import STATE_SEED, Answer, ask
+from prbench.evaluation.conformance.cases import Cases, rows_of, write_training_table
+from prbench.evaluation.declared import Declared
+from prbench.evaluation.methods import MethodSpec, forget_loaded_methods
+from prbench.evaluation.native_rate import native_frames
+from prbench.manifests import load_protocol
+
+RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
+"""The condition that most checks use is the first of these that works."""
+_SALT = run_salt(0, "conformance")
+_FEW, _PATIENCE = 3, 12.0  # sequences that even a slow method is asked about; seconds that a batch should take
+
+
+class Subject:
+    """A method, and the sequences that it is asked about.
+
+    Args:
+        spec: How to make the method.
+        cases: What it is asked about.
+        folder: Where a method that learns may leave what it learnt.
+    """
+
+    def __init__(self, spec: MethodSpec, cases: Cases, folder: Path) -> None:
+        self.spec, self.cases, self.folder = spec, cases, folder
+        self._answers: dict[Condition, Answer] = {}
+
+    @cached_property
+    def adapter(self) -> Adapter:
+        """The method, ready to generate.
+
+        Raises:
+            PrbenchError: if it cannot be loaded or fitted.
+        """
+        forget_loaded_methods()
+        adapter = self.spec.load().adapter
+        if self.spec.weights is None and self.spec.fit_folder is None and isinstance(adapter, Trainable):
+            table = self.cases.train_folder or write_training_table(self.folder / "table")
+            self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table)
+            adapter = self.spec.load().adapter
+        return adapter
+
+    @cached_property
+    def declared(self) -> Declared:
+        """What it declares about itself."""
+        return Declared.by(self.adapter, origin=self.origin)
+
+    @property
+    def origin(self) -> str:
+        """What to call it in messages."""
+        return f"adapter '{self.spec.name}'"
+
+    @property
+    def is_program(self) -> bool:
+        """It runs in a process of its own: neither its objects nor its generators can be seen from here."""
+        return hasattr(self.adapter, "close")
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Those that it declares, the richest first."""
+        return tuple(condition for condition in RICHEST_FIRST if condition in self.declared.conditions)
+
+    @property
+    def working(self) -> tuple[Condition, ...]:
+        """Those under which it generated motions that the harness accepts."""
+        return tuple(condition for condition in self.conditions if self.standard(condition).motions is not None)
+
+    @property
+    def main(self) -> Condition:
+        """The richest of them."""
+        return self.working[0]
+
+    @cached_property
+    def source(self) -> ConditionSource:
+        """Of the sequences that it can generate in full."""
+        source = self.cases.source
+        return rows_of(source, [row for row in range(len(source.n_frames)) if self.takes(int(source.n_frames[row]))])
+
+    @cached_property
+    def longest(self) -> int:
+        """Frames, at the table's rate, of the longest sequence that the protocol can ask for and the method takes."""
+        constants = load_protocol()
+        n_frames = int((constants.curation.priming_window + constants.curation.lead) * constants.fps + 1e-6) + 1
+        while n_frames > 1 and not self.takes(n_frames):
+            n_frames -= 1
+        return n_frames
+
+    def takes(self, n_frames: int) -> bool:
+        """Whether a sequence of this length at the table's rate stays below ``max_frames``."""
+        limit, rate = self.declared.max_frames, self.declared.native_fps
+        if rate is not None:
+            n_frames = int(native_frames(np.array([n_frames]), fps=self.cases.source.fps, native_fps=rate)[0])
+        return limit is None or n_frames <= limit
+
+    @cached_property
+    def warm_up(self) -> tuple[Answer, Answer]:
+        """The first call of all, which pays for what loads on first use, and the same once more."""
+        batch = self.batch(range(min(2, len(self.source.n_frames))), self.conditions[0])
+        return self.ask(batch), self.ask(batch)
+
+    @cached_property
+    def rows(self) -> tuple[int, ...]:
+        """The sequences of a usual batch: all, or some of each length if the method is slow."""
+        total = len(self.source.n_frames)
+        second = self.warm_up[1]
+        a_motion = second.seconds / len(second.batch)
+        number = int(np.clip(_PATIENCE / max(a_motion, 1e-9), min(_FEW, total), total))
+        return tuple(int(row) for row in np.unique(np.linspace(0, total - 1, number).round().astype(int)))
+
+    def standard(self, condition: Condition) -> Answer:
+        """The answer to the usual batch of a condition."""
+        if condition not in self._answers:
+            self._answers[condition] = self.ask(self.batch(self.rows, condition))
+        return self._answers[condition]
+
+    def batch(self, rows: Sequence[int], condition: Condition, *, sample: int = 0) -> ConditionBatch:
+        """What the method may know about some sequences."""
+        return self.source.batch(np.array(rows, dtype=np.int64), condition, seed=0, salt=_SALT, sample=sample)
+
+    def ask(self, batch: ConditionBatch, *, seed: int = 0, state_seed: int = STATE_SEED) -> Answer:
+        """One call; whatever goes wrong is part of the answer."""
+        return ask(self.adapter, batch, seed=seed, state_seed=state_seed, threads=self.spec.threads)
+
+
+def working_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder for what a method learns, gone with the check."""
+    return tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True)
