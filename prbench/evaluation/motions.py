@@ -49,6 +49,8 @@ def _generate(
 ) -> tuple[Motions, int]:
     try:
         motions = adapter.generate(_own_copy(batch), seed=seed)
+    except AdapterError as error:
+        raise AdapterError(_with_names(str(error), batch, ids)) from error
     except PrbenchError:
         raise
     except (Exception, SystemExit) as error:
@@ -118,6 +120,13 @@ def _own_copy(batch: ConditionBatch) -> ConditionBatch:
     return dataclasses.replace(
         batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
     )
+
+
+def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
+    """A message of a method that knows opaque ids alone, with the names that a user knows."""
+    for opaque_id, name in zip(batch.opaque_id, ids, strict=True):
+        message = message.replace(opaque_id, name)
+    return message
 
 
 def _told(error: BaseException) -> str:
