@@ -11,6 +11,7 @@ FOLDERS = {
     "prbench_benchmarks": "benchmarks",
     "prbench_data_manifests": "data_manifests",
 }
+DATA = ["*.toml", "*.csv", "*.json", "*.safetensors", "*.template", "py.typed"]
 NOT_SHIPPED = ["speed", "speed.*"]  # timing programs, of use only beside the source
 
 packages = [
@@ -24,5 +25,5 @@ setup(
     version=version.group(1),
     packages=packages,
     package_dir=FOLDERS,
-    package_data={package: ["*.toml", "*.csv", "*.json", "*.safetensors", "py.typed"] for package in packages},
+    package_data=dict.fromkeys(packages, DATA),
 )

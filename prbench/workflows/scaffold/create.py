@@ -1,0 +1,133 @@
+"""Write the package, or the program, of a new method: complete, and working before anything is changed."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.contract import Condition
+from prbench.errors import StorageError, UsageError
+from prbench.storage import atomic_folder, remove_leftovers
+from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
+from prbench.workflows.scaffold.templating import filled, read_template
+from prbench.workflows.scaffold.values import template_flags, template_values
+
+
+@dataclass(frozen=True)
+class ScaffoldRequest:
+    """What is to be written."""
+
+    name: str
+    """Of the method."""
+    conditions: tuple[str, ...] = (Condition.GOAL_LOCATION.value,)
+    out: Path | None = None
+    """The new folder; None for one in the current folder, named after the package or the program."""
+    trainable: bool = False
+    program: bool = False
+    """A program of its own instead of an installable package."""
+
+
+@dataclass(frozen=True)
+class ScaffoldReport:
+    """What was written."""
+
+    folder: Path
+    files: tuple[Path, ...]
+    """Relative to the folder, sorted."""
+    next_steps: tuple[str, ...]
+    """Commands to try, in order."""
+    warnings: tuple[str, ...]
+
+
+def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
+    """Write a new method's folder, whole or not at all.
+
+    Raises:
+        UsageError: if the name cannot be used, or the choices do not go together.
+        StorageError: if the folder exists and holds something, or cannot be written.
+    """
+    names = method_names(request.name)
+    folder = request.out or Path(names.method if request.program else names.distribution)
+    _require_new(folder)
+    contents = _program(names, request) if request.program else _package(names, request)
+    remove_leftovers(folder)
+    with atomic_folder(folder) as temporary:
+        for path, text in contents.items():
+            target = temporary / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(text, encoding="utf-8", newline="\n")
+    warning = None if request.program else taken_by(names)
+    return ScaffoldReport(
+        folder,
+        files=tuple(sorted(map(Path, contents))),
+        next_steps=_next_steps(names, request, folder),
+        warnings=() if warning is None else (warning,),
+    )
+
+
+def _require_new(folder: Path) -> None:
+    """Refuse a folder that holds something, and the current one, which cannot be replaced by a finished one.
+
+    Raises:
+        StorageError: if it is there.
+    """
+    empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
+    if os.path.lexists(folder) and (not empty or folder.resolve() == Path.cwd()):
+        raise StorageError(f"{folder}: exists already; nothing was written. Name a new folder with --out DIR.")
+
+
+def _next_steps(names: MethodNames, request: ScaffoldRequest, folder: Path) -> tuple[str, ...]:
+    condition = request.conditions[0]
+    steps = [f"cd {shlex.quote(str(folder))}"]
+    if request.program:
+        method = f"{names.program}.toml"
+    else:
+        method = names.method
+        steps += ['pip install -e ".[test]"', "python -m pytest"]
+    steps += [f"prbench adapters check {method}", f"prbench run --method {method} --condition {condition}"]
+    return tuple(steps)
+
+
+def _package(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
+    """Path and text of every file of an installable package."""
+    source = f"src/{names.module}"
+    templates = {
+        "pyproject.toml": "pyproject.toml",
+        "README.md": "README.md",
+        ".gitignore": "gitignore",
+        ".github/workflows/test.yml": "workflow.yml",
+        f"{source}/__init__.py": "init.py",
+        f"{source}/adapter.py": "adapter.py",
+        "tests/test_conformance.py": "test_conformance.py",
+        "tests/test_method.py": "test_method.py",
+    }
+    if "free" in template_flags(request.conditions, trainable=request.trainable):
+        templates[f"{source}/standing.py"] = "standing.py"
+    return _filled(templates, names, request) | {f"{source}/py.typed": ""}
+
+
+def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
+    """Path and text of every file of a program of its own.
+
+    Raises:
+        UsageError: if it should also be trainable.
+    """
+    if request.trainable:
+        raise UsageError(
+            "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
+            " --weights, or write a package."
+        )
+    templates = {
+        "README.md": "program_README.md",
+        f"{names.program}.py": "program.py",
+        f"{names.program}.toml": "method.toml",
+    }
+    return _filled(templates, names, request)
+
+
+def _filled(templates: dict[str, str], names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
+    values = template_values(names, request.conditions, trainable=request.trainable)
+    flags = template_flags(request.conditions, trainable=request.trainable)
+    return {path: filled(read_template(name), values, flags) for path, name in templates.items()}

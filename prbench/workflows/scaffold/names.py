@@ -1,0 +1,102 @@
+"""The name of a new method, and every other name that follows from it."""
+
+from __future__ import annotations
+
+import builtins
+import keyword
+import re
+import sys
+from dataclasses import dataclass
+
+from prbench.errors import UsageError
+from prbench.evaluation.controls import CONTROLS
+from prbench.evaluation.installed import list_adapters
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_LONGEST = 40
+_OURS = frozenset({"adapters", "benchmarks", "data-manifests"})  # prbench_NAME is a package of prbench itself
+_WORDS = frozenset({"cmd", "prbench", "all", "test", "tests"})
+_WINDOWS = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
+_IN_TEMPLATES = frozenset(
+    {"Adapter", "Condition", "ConditionBatch", "Joint", "Mapping", "Motions", "Path", "SequenceTable", "TrainingRun"}
+)
+
+
+@dataclass(frozen=True)
+class MethodNames:
+    """What a method and its package are called."""
+
+    method: str
+    """What ``--method`` is given."""
+
+    @property
+    def distribution(self) -> str:
+        """What pip installs."""
+        return f"prbench-{self.method}"
+
+    @property
+    def module(self) -> str:
+        """What Python imports."""
+        return self.distribution.replace("-", "_")
+
+    @property
+    def class_name(self) -> str:
+        """Of the adapter."""
+        name = "".join(part.capitalize() for part in self.method.split("-"))
+        taken = keyword.iskeyword(name) or hasattr(builtins, name) or name in _IN_TEMPLATES
+        return f"{name}Method" if taken else name
+
+    @property
+    def program(self) -> str:
+        """File name of the program, without its suffix; it must not hide a module that the program imports."""
+        name = self.method.replace("-", "_")
+        return f"{name}_method" if name in sys.stdlib_module_names or name in ("numpy", "pyarrow") else name
+
+
+def method_names(name: str) -> MethodNames:
+    """The names that follow from that of a method.
+
+    Raises:
+        UsageError: if it is no name for a package, or belongs to prbench; it says which name would do.
+    """
+    proposal = re.sub(r"[-_.\s]+", "-", name.strip()).strip("-").lower()
+    shortened = proposal.removeprefix("prbench-")
+    if shortened != proposal and _NAME.fullmatch(shortened):
+        raise UsageError(f"'{name}': the package is called prbench-NAME by itself. Give '{shortened}'.")
+    if not _NAME.fullmatch(name):
+        hint = f" Would '{proposal}' do?" if _NAME.fullmatch(proposal) else ""
+        raise UsageError(
+            f"'{name}': expected the name of a method in small letters and digits, its words joined by hyphens,"
+            f" beginning with a letter.{hint}"
+        )
+    if len(name) > _LONGEST:
+        raise UsageError(f"'{name}': expected at most {_LONGEST} characters, found {len(name)}.")
+    _refuse_reserved(name)
+    return MethodNames(name)
+
+
+def _refuse_reserved(name: str) -> None:
+    """Refuse names that could never be used.
+
+    Raises:
+        UsageError: naming who has it.
+    """
+    if name in {control.name for control in CONTROLS}:
+        raise UsageError(
+            f"'{name}' is a control of prbench, which would be run in place of your method. Choose another."
+        )
+    if name in _OURS | _WORDS | _WINDOWS:
+        raise UsageError(f"'{name}' is a reserved name. Choose another.")
+    if any(adapter.name == name and adapter.package == "prbench" for adapter in list_adapters()):
+        raise UsageError(f"'{name}' is a method of prbench itself. Choose another name, such as 'my-{name}'.")
+
+
+def taken_by(names: MethodNames) -> str | None:
+    """A warning if an installed package offers a method of this name already, else None."""
+    for adapter in list_adapters():
+        if adapter.name == names.method:
+            return (
+                f"the installed package {adapter.package} {adapter.version} offers a method '{names.method}' already;"
+                f" uninstall it before you install yours, or neither can be used."
+            )
+    return None
