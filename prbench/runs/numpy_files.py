@@ -8,13 +8,12 @@ as a whole.
 from __future__ import annotations
 
 import contextlib
-import io
 import math
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import IO
@@ -24,6 +23,7 @@ import numpy as np
 from prbench.errors import InputFileError
 
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
+_PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
 
 
@@ -129,17 +129,42 @@ class Archive:
         Raises:
             InputFileError: if it is larger, damaged, or holds Python objects.
         """
-        with self._opened() as archive, archive.open(self.members[name]) as stream:
-            header = self._header(name, stream)
-            if header.nbytes > largest:
-                raise InputFileError(
-                    self.path,
-                    f"'{name}'",
-                    expected=f"at most {largest:,} bytes",
-                    found=f"{header.nbytes:,} (shape {header.shape} of {header.dtype})",
-                )
-            content = stream.read(header.nbytes)
-        return header.shaped(np.frombuffer(content, header.dtype))
+        if self.header(name).nbytes > largest:
+            header = self.header(name)
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"at most {largest:,} bytes",
+                found=f"{header.nbytes:,} (shape {header.shape} of {header.dtype})",
+            )
+        return self.read_all([name])[0]
+
+    def headers(self) -> dict[str, ArrayHeader]:
+        """Shapes and kinds of all arrays.
+
+        Raises:
+            InputFileError: see :meth:`header`.
+        """
+        found = {}
+        with self._opened() as archive:
+            for name, info in self.members.items():
+                with archive.open(info) as stream:
+                    found[name] = self._header(name, stream)
+        return found
+
+    def read_all(self, names: Sequence[str]) -> list[np.ndarray]:
+        """Several whole arrays, of sizes that the caller has looked at.
+
+        Raises:
+            InputFileError: if one is damaged, or holds Python objects.
+        """
+        found = []
+        with self._opened() as archive:
+            for name in names:
+                with archive.open(self.members[name]) as stream:
+                    header = self._header(name, stream)
+                    found.append(header.shaped(np.frombuffer(stream.read(header.nbytes), header.dtype)))
+        return found
 
     def stored_as_is(self, name: str) -> bool:
         """Whether :meth:`mapped` can give single rows without unpacking the whole."""
@@ -158,23 +183,31 @@ class Archive:
         name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
         return map_array(self.path, header, start=info.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
 
-    def unpack(self, name: str, target: Path) -> np.ndarray:
-        """A read-only view of a compressed array, by way of an unpacked copy.
+    def verify(self, name: str) -> None:
+        """Read an array once and compare its checksum.
 
-        Args:
-            name: Of the array.
-            target: Where the copy is written; it has to stay as long as the view.
+        Raises:
+            InputFileError: if the archive is damaged.
+        """
+        with self._opened() as archive, archive.open(self.members[name]) as stream:
+            while stream.read(_PIECE):
+                pass
+
+    def unpack(self, name: str, target: Path) -> None:
+        """Write the values of an array to a file of their own, a piece at a time.
 
         Raises:
             InputFileError: if the archive is damaged.
         """
         with self._opened() as archive, archive.open(self.members[name]) as stream, open(target, "wb") as file:
-            header = self._header(name, stream)
-            left = header.nbytes
-            while left and (part := stream.read(min(left, io.DEFAULT_BUFFER_SIZE * 128))):
+            self._header(name, stream)
+            while part := stream.read(_PIECE):
                 file.write(part)
-                left -= len(part)
-        return map_array(target, ArrayHeader(header.shape, header.dtype, header.fortran_order, 0))
+
+    def unpacked(self, name: str, target: Path) -> np.ndarray:
+        """A read-only view of what :meth:`unpack` wrote; the file has to stay as long as the view."""
+        header = self.header(name)
+        return map_array(target, replace(header, offset=0))
 
     def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
         header, info = read_header(stream, self.path, f"'{name}'"), self.members[name]

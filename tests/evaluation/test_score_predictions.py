@@ -182,7 +182,7 @@ def test_other_numbers_of_joints_are_refused(table, recorded, tmp_path):
         ({"id": ["a"]}, "expected a column 'sequence_id' or 'opaque_id', found id"),
         ({"sequence_id": ["a"]}, "expected a column 'joints', found sequence_id"),
         ({"sequence_id": [1], "joints": [[[0.0] * 66]]}, "column 'sequence_id': expected text, found int64"),
-        ({"sequence_id": ["a"], "joints": [[0.0] * 66]}, "column 'joints': expected a list of frames"),
+        ({"sequence_id": ["a"], "joints": [0.0]}, "column 'joints': expected a list of frames"),
         ({"sequence_id": ["a"], "joints": [[["x"] * 66]]}, "column 'joints': expected numbers"),
         ({"sequence_id": ["a"], "sample": [0.5], "joints": [[[0.0] * 66]]}, "column 'sample': expected whole numbers"),
         ({"sequence_id": ["a", None], "joints": [[[0.0] * 66]] * 2}, "expected a value in every row of sequence_id"),

@@ -8,9 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import PredictionsError
-from prbench.runs import predictions as module
 from prbench.runs.folder import DatasetFolder
-from prbench.runs.predictions import PredictionRows, Predictions, write_part
+from prbench.runs.predictions import PredictionRows, Predictions, parquet, write_part
 from prbench.runs.schema import PREDICTIONS
 
 
@@ -41,7 +40,7 @@ def test_motions_come_back_in_the_order_asked_for(folder):
 
 def test_a_small_cache_changes_nothing(folder, monkeypatch):
     whole = Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values
-    monkeypatch.setattr(module, "_CACHED_BYTES", 1)
+    monkeypatch.setattr(parquet, "_CACHED_BYTES", 1)
     assert np.array_equal(Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values, whole)
 
 

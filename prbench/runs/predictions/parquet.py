@@ -1,0 +1,200 @@
+"""Predictions as Parquet: a file, or a folder of parts as a run leaves them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from prbench.errors import PredictionsError
+from prbench.runs.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
+from prbench.skeleton import N_JOINTS
+
+_CACHED_BYTES = 256 * 1024**2
+_JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
+
+
+def index_parquet(paths: tuple[Path, ...]) -> IndexedRows:
+    """Read the ids and samples of one file or several, whose rows count on.
+
+    Raises:
+        PredictionsError: if a file cannot be read, or columns are missing or of a wrong kind.
+    """
+    id_column = _id_column(paths[0])
+    ids: list[str] = []
+    samples: list[int] = []
+    groups: list[_RowGroup] = []
+    for part in paths:
+        file = _open(part)
+        _check_columns(part, file.schema_arrow, id_column)
+        columns = [id_column, "sample"] if "sample" in file.schema_arrow.names else [id_column]
+        before = len(ids)
+        for number in range(file.num_row_groups):
+            with _naming(part):
+                rows = file.read_row_group(number, columns=columns)
+            if any(rows[name].null_count for name in columns):
+                raise PredictionsError(f"{part}: expected a value in every row of {' and '.join(columns)}.")
+            groups.append(_RowGroup(part, number, len(ids), len(ids) - before))
+            ids += rows[id_column].to_pylist()
+            samples += rows["sample"].to_pylist() if "sample" in columns else [0] * rows.num_rows
+    return IndexedRows(paths, id_column, tuple(ids), tuple(samples), None, ParquetMotions(tuple(groups)))
+
+
+@dataclass(frozen=True)
+class _RowGroup:
+    path: Path
+    number: int
+    start: int
+    """Its first row among those of all files."""
+    start_in_file: int
+
+
+@dataclass(frozen=True)
+class ParquetMotions:
+    """Reads motions a row group at a time; the last ones stay in memory."""
+
+    groups: tuple[_RowGroup, ...]
+    _cache: OrderedDict[_RowGroup, PredictionRows] = field(default_factory=OrderedDict, repr=False)
+
+    def make_ready(self) -> None:
+        """Nothing has to be done."""
+
+    def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """See :class:`MotionStore`; every row group is read once, whatever the order of the rows."""
+        found: list[np.ndarray] = [np.empty(0)] * len(rows)
+        for place in sorted(range(len(rows)), key=lambda i: rows[i]):
+            group = self._group_of(rows[place])
+            motions, row = self._read(group), rows[place] - group.start
+            found[place] = motions.values[motions.offsets[row] : motions.offsets[row + 1]]
+        return found
+
+    def where(self, row: int) -> str:
+        """See :class:`MotionStore`."""
+        return str(self._group_of(row).path)
+
+    def _group_of(self, row: int) -> _RowGroup:
+        starts = [group.start for group in self.groups]
+        return self.groups[int(np.searchsorted(starts, row, side="right")) - 1]
+
+    def _read(self, group: _RowGroup) -> PredictionRows:
+        if group not in self._cache:
+            opened = _open(group.path)
+            with _naming(group.path):
+                column = opened.read_row_group(group.number, columns=["joints"])["joints"].combine_chunks()
+            self._cache[group] = _as_rows(column, group.path, first_row=group.start_in_file)
+            while len(self._cache) > 1 and sum(rows.values.nbytes for rows in self._cache.values()) > _CACHED_BYTES:
+                self._cache.popitem(last=False)
+        self._cache.move_to_end(group)
+        return self._cache[group]
+
+
+def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
+    """Frames as numbers: all of a motion after one another, or however deeply the 66 of a frame are nested in lists."""
+    if column.null_count:
+        raise PredictionsError(f"{path}, column 'joints': expected {_JOINTS_FORM} in every row, found a null.")
+    offsets = _ends(column)
+    leaves = column.flatten()
+    if not pa.types.is_nested(leaves.type):
+        return _from_flat(leaves, offsets, path, first_row=first_row)
+    frame_ends, sizes_of_lists = np.arange(offsets[-1] + 1), []
+    while pa.types.is_nested(leaves.type):
+        ends = _ends(leaves)
+        frame_ends = ends[frame_ends]
+        sizes_of_lists.append(np.diff(ends))
+        leaves = leaves.flatten()
+    if len(sizes_of_lists) > 1 and (sizes_of_lists[-1] != 3).any():
+        found = int(sizes_of_lists[-1][sizes_of_lists[-1] != 3][0])
+        raise PredictionsError(f"{path}, column 'joints': expected x y z for each of 22 joints, found {found} numbers.")
+    sizes = np.diff(frame_ends)
+    if (sizes != POSE_SIZE).any():
+        frame = int(np.flatnonzero(sizes != POSE_SIZE)[0])
+        row = int(np.searchsorted(offsets, frame, side="right")) - 1
+        raise PredictionsError(
+            f"{path}, column 'joints', row {first_row + row}, frame {frame - offsets[row]}:"
+            f" expected {_JOINTS_FORM}, found {sizes[frame]} numbers."
+        )
+    return PredictionRows(_numbers(leaves), offsets)
+
+
+def _from_flat(leaves: pa.Array, offsets: np.ndarray, path: Path, *, first_row: int) -> PredictionRows:
+    sizes = np.diff(offsets)
+    if (sizes % POSE_SIZE).any():
+        row = int(np.flatnonzero(sizes % POSE_SIZE)[0])
+        raise PredictionsError(
+            f"{path}, column 'joints', row {first_row + row}: expected {_JOINTS_FORM}, or all frames after one another"
+            f" (n × {POSE_SIZE} numbers), found {sizes[row]} numbers."
+        )
+    return PredictionRows(_numbers(leaves), offsets // POSE_SIZE)
+
+
+def _numbers(leaves: pa.Array) -> np.ndarray:
+    """float32 poses; a missing number is NaN, which no motion may hold."""
+    return as_float32(leaves.to_numpy(zero_copy_only=False)).reshape(-1, N_JOINTS, 3)
+
+
+def _ends(lists: pa.Array) -> np.ndarray:
+    """Where each list begins among all their items, then the number of items; a null holds none."""
+    lengths = lists.value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
+    return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise PredictionsError(f"{path}: expected a predictions file, found none.") from error
+    except (pa.ArrowInvalid, OSError) as error:
+        first = str(error).splitlines()[0] if str(error) else "damaged"
+        raise PredictionsError(
+            f"{path}: expected a readable Parquet file, found another form or a damaged one ({first})."
+            " Write it again as Parquet; parts of a run are made again by the same `prbench run`."
+        ) from error
+
+
+def _open(path: Path) -> pq.ParquetFile:
+    with _naming(path):
+        return pq.ParquetFile(path, page_checksum_verification=True)
+
+
+def _id_column(path: Path) -> str:
+    names = _open(path).schema_arrow.names
+    for name in ("sequence_id", "opaque_id"):
+        if name in names:
+            return name
+    raise PredictionsError(f"{path}: expected a column 'sequence_id' or 'opaque_id', found {', '.join(names)}.")
+
+
+def _check_columns(path: Path, schema: pa.Schema, id_column: str) -> None:
+    for name in (id_column, "joints"):
+        if name not in schema.names:
+            raise PredictionsError(f"{path}: expected a column '{name}', found {', '.join(schema.names)}.")
+    if not _is_text(schema.field(id_column).type):
+        raise PredictionsError(f"{path}, column '{id_column}': expected text, found {schema.field(id_column).type}.")
+    if "sample" in schema.names and not pa.types.is_integer(schema.field("sample").type):
+        raise PredictionsError(f"{path}, column 'sample': expected whole numbers, found {schema.field('sample').type}.")
+    kind = schema.field("joints").type
+    if not (pa.types.is_list(kind) or pa.types.is_large_list(kind)):
+        raise PredictionsError(f"{path}, column 'joints': expected {_JOINTS_FORM}, found {kind}.")
+    leaf = kind.value_type
+    while pa.types.is_nested(leaf):
+        if pa.types.is_struct(leaf) or pa.types.is_map(leaf) or pa.types.is_union(leaf):
+            raise PredictionsError(f"{path}, column 'joints': expected {_JOINTS_FORM}, found {kind}.")
+        leaf = leaf.value_type
+    if not (pa.types.is_float32(leaf) or pa.types.is_float64(leaf)):
+        raise PredictionsError(
+            f"{path}, column 'joints': expected numbers with decimals (float or double), found {kind}."
+        )
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    if pa.types.is_dictionary(kind):
+        return _is_text(kind.value_type)
+    return pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)

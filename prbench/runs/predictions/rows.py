@@ -1,0 +1,88 @@
+"""Motions after one another, and what reads them from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.skeleton import N_JOINTS
+
+POSE_SIZE = N_JOINTS * 3
+
+
+@dataclass(frozen=True)
+class PredictionRows:
+    """Motions of some sequences after one another."""
+
+    values: Float[np.ndarray, "total 22 3"]
+    """Canonical frames, metres."""
+    offsets: Int[np.ndarray, " offsets"]
+    """Where each motion begins, then the number of all frames."""
+
+    @classmethod
+    def from_padded(
+        cls, joints: Float[np.ndarray, "batch frames 22 3"], n_frames: Int[np.ndarray, " batch"]
+    ) -> PredictionRows:
+        """Leave out what stands behind the last frame of each row."""
+        valid = np.arange(joints.shape[1]) < n_frames[:, None]
+        return cls(joints[valid], np.concatenate(([0], np.cumsum(n_frames))))
+
+
+@runtime_checkable
+class MotionStore(Protocol):
+    """Reads single motions. Goes to worker processes, so it holds paths, not open files."""
+
+    def make_ready(self) -> None:
+        """Do once what every process would have to do: call it before the store goes to others."""
+        ...
+
+    def motions(self, rows: Sequence[int]) -> list[Float[np.ndarray, "_ 22 3"]]:
+        """The motions of some rows, in the order given."""
+        ...
+
+    def where(self, row: int) -> str:
+        """The file that a row stands in and its place there, for messages."""
+        ...
+
+
+@dataclass(frozen=True)
+class IndexedRows:
+    """What a predictions file holds, known without reading a motion."""
+
+    paths: tuple[Path, ...]
+    id_column: str
+    """``sequence_id`` or ``opaque_id``."""
+    ids: tuple[str, ...]
+    samples: tuple[int, ...]
+    n_frames: Int[np.ndarray, " n"] | None
+    """None where only the motions themselves tell."""
+    store: MotionStore
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """Which motion the files of a folder of numbered motions are: file number i is row i."""
+
+    source: Path
+    """The conditions file whose rows are numbered."""
+    ids: tuple[str, ...]
+    """Opaque ids."""
+    samples: tuple[int, ...]
+
+
+def leading_axes(shape: tuple[int, ...]) -> tuple[int, ...] | None:
+    """The axes before those of a pose, (22, 3) or 66 numbers; None if the last axes are no pose."""
+    if len(shape) >= 2 and shape[-2:] == (N_JOINTS, 3):
+        return shape[:-2]
+    return shape[:-1] if shape and shape[-1] == POSE_SIZE else None
+
+
+def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
+    """The numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
+    with np.errstate(over="ignore"):
+        return np.asarray(joints, dtype=np.float32)
