@@ -1,0 +1,64 @@
+"""What models put out, as the 22 joints in the canonical frame (``docs/wrapping.md``).
+
+Three sources: HumanML3D features, SMPL parameters, joints of another skeleton. Every step is a small pure function in
+NumPy; nothing here imports torch except :func:`joints_by_smplx`.
+"""
+
+from __future__ import annotations
+
+from prbench.representation.converters.axes import check_sides, front_of_legs, to_y_up
+from prbench.representation.converters.features import (
+    check_features,
+    feature_rows,
+    joints_from_features,
+    read_feature_statistics,
+    relative_root,
+)
+from prbench.representation.converters.placement import (
+    in_frame_of,
+    on_body_of,
+    on_floor,
+    padded,
+    placed_on,
+    to_canonical,
+)
+from prbench.representation.converters.skeletons.joint_map import JointMap
+from prbench.representation.converters.skeletons.named import JOINT_MAPS, joint_map, joint_map_by_names
+from prbench.representation.converters.smpl.body_model import RestJoints, read_rest_joints
+from prbench.representation.converters.smpl.joints import smpl_joints
+from prbench.representation.converters.smpl.parameters import SmplParameters, read_amass
+from prbench.representation.converters.smpl.rotations import RotationForm, rotation_matrices
+from prbench.representation.converters.smpl.through_smplx import joints_by_smplx
+from prbench.representation.converters.timing import at_rate, at_times, frames_needed
+
+__all__ = [
+    "JOINT_MAPS",
+    "JointMap",
+    "RestJoints",
+    "RotationForm",
+    "SmplParameters",
+    "at_rate",
+    "at_times",
+    "check_features",
+    "check_sides",
+    "feature_rows",
+    "frames_needed",
+    "front_of_legs",
+    "in_frame_of",
+    "joint_map",
+    "joint_map_by_names",
+    "joints_by_smplx",
+    "joints_from_features",
+    "on_body_of",
+    "on_floor",
+    "padded",
+    "placed_on",
+    "read_amass",
+    "read_feature_statistics",
+    "read_rest_joints",
+    "relative_root",
+    "rotation_matrices",
+    "smpl_joints",
+    "to_canonical",
+    "to_y_up",
+]

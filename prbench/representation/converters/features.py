@@ -1,0 +1,238 @@
+"""What a HumanML3D model puts out, as joints: statistics, layout, rows and frames.
+
+Sources: ``formats/humanml3d.md`` sections 3 and 4.
+
+The steps, each a function: :func:`feature_rows`, :meth:`Statistics.restore`, :func:`joints_from_features`, and then
+:func:`prbench.representation.converters.placed_on`. No torch: tensors come as ``tensor.detach().cpu().numpy()``.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.errors import InputFileError
+from prbench.representation.decoding import decode, decode_rotations
+from prbench.representation.encoding import yaw_matrices
+from prbench.representation.features import (
+    FOOT_CONTACTS,
+    JOINT_VELOCITIES,
+    N_FEATURES,
+    REST_OFFSETS,
+    ROOT_LINEAR_VELOCITY,
+    ROOT_YAW_VELOCITY,
+)
+from prbench.representation.statistics import Statistics
+from prbench.skeleton import N_JOINTS
+
+FEATURES = "features"
+"""What messages call an array that comes from no file."""
+
+_TINIEST_STD = 1e-8
+_WALKS = 0.002  # metres a frame; slower pelvises say nothing about their scale
+_SAME_SCALE = 3.0  # factor between the two ways in which the step of the pelvis is written
+
+
+def read_feature_statistics(mean: Path, std: Path) -> Statistics:
+    """``Mean.npy`` and ``Std.npy`` of the generator.
+
+    Use the pair that the model was *trained* with. Text-to-motion evaluators come with another one, whose root and
+    contact blocks are about 25 times smaller (``formats/humanml3d.md`` section 4); some models were trained with that
+    one. :func:`check_features` tells a wrong pair from the numbers.
+
+    Args:
+        mean: 263 numbers.
+        std: 263 numbers above 0; a zero (a feature that never changed) becomes 1.
+
+    Raises:
+        InputFileError: if a file is missing, no ``.npy`` of plain numbers, or holds other than 263 finite numbers.
+    """
+    means, stds = _vector(mean), _vector(std)
+    if (stds < 0).any():
+        column = int(np.flatnonzero(stds < 0)[0])
+        raise InputFileError(
+            std, f"column {column}", expected="0 or more", found=f"{stds[column]:g}", remedy="Is this Mean.npy?"
+        )
+    return Statistics(means, np.where(stds < _TINIEST_STD, np.float32(1.0), stds))
+
+
+def _vector(path: Path) -> np.ndarray:
+    remedy = "Give the Mean.npy and Std.npy that the model was trained with."
+    try:
+        values = np.load(path, allow_pickle=False)
+    except FileNotFoundError as error:
+        raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise InputFileError(path, "", expected="an .npy file of numbers", found=str(error)[:160]) from error
+    shape = getattr(values, "shape", "an archive")
+    if shape != (N_FEATURES,) or not np.issubdtype(values.dtype, np.number):
+        raise InputFileError(path, "", expected=f"{N_FEATURES} numbers", found=f"{shape}", remedy=remedy)
+    if not np.isfinite(values).all():
+        column = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise InputFileError(path, f"column {column}", expected="a finite number", found=str(values[column]))
+    return values.astype(np.float32)
+
+
+def feature_rows(output: np.ndarray, *, source: str = FEATURES) -> Float[np.ndarray, "batch rows 263"]:
+    """The output of a model as (batch, rows, 263).
+
+    Args:
+        output: (rows, 263), (batch, rows, 263), (batch, 263, 1, rows) as MDM and its family have it, or
+            (batch, 263, rows). Where rows could be features, the last axis counts as features.
+        source: Name that messages begin with.
+
+    Raises:
+        InputFileError: if no axis holds 263 features.
+    """
+    if output.ndim == 4 and output.shape[1:3] == (N_FEATURES, 1):
+        return np.moveaxis(output[:, :, 0], 1, 2)
+    if output.ndim == 2 and output.shape[1] == N_FEATURES:
+        return output[None]
+    if output.ndim == 3 and output.shape[2] == N_FEATURES:
+        return output
+    if output.ndim == 3 and output.shape[1] == N_FEATURES:
+        return np.moveaxis(output, 1, 2)
+    raise InputFileError(
+        source,
+        "",
+        expected="(batch, rows, 263), (rows, 263) or (batch, 263, 1, rows)",
+        found=str(output.shape),
+        remedy="251 features are those of the KIT skeleton of 21 joints; they are not read."
+        if N_FEATURES - 12 in output.shape
+        else "",
+    )
+
+
+def joints_from_features(
+    features: Float[np.ndarray, "rows 263"],
+    n_frames: int | None = None,
+    *,
+    root: Literal["relative", "absolute"] = "relative",
+    bones: Literal["positions", "rotations"] = "positions",
+    offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS,
+    check: bool = True,
+    source: str = FEATURES,
+) -> Float[np.ndarray, "frames 22 3"]:
+    """Joints of one motion from raw features; it starts over the origin, facing +Z.
+
+    A row holds a frame and the step to the next one, so N frames encode to N - 1 rows, and N - 1 rows decode to N - 1
+    frames. Where one frame more is asked for, it is taken from the joint velocities of the last row.
+
+    Args:
+        features: Raw (restored with the model's statistics).
+        n_frames: Frames wanted: as many as rows, one more, or fewer (rows behind are padding). None for all rows.
+        root: ``absolute`` for models of the GMD family, whose first three columns hold heading (half angle) and place
+            of the pelvis instead of their steps (``methods/gmd.md``).
+        bones: ``positions`` decodes columns 4 to 66, as everybody does for evaluation; ``rotations`` decodes the
+            rotations on ``offsets``, so bones keep their lengths, but errors add up along the limbs.
+        offsets: With ``rotations``: the uniform skeleton, or the body of the initial pose
+            (:func:`prbench.representation.rest_offsets`).
+        check: Refuse features that were restored with foreign statistics (:func:`check_features`).
+        source: Name that messages begin with.
+
+    Returns:
+        Metres, float32; the floor is where the model has it.
+
+    Raises:
+        InputFileError: if there are too few rows, a number is not finite, or the check fails.
+    """
+    rows = len(features)
+    wanted = rows if n_frames is None else n_frames
+    if not 1 <= wanted <= rows + 1 or rows == 0:
+        raise InputFileError(
+            source,
+            "",
+            expected=f"{wanted} rows, or {wanted - 1}, for {wanted} frames",
+            found=str(rows),
+            remedy="Ask the model for as many rows as the batch's n_frames.",
+        )
+    used = features[: min(wanted, rows)].astype(np.float64)
+    bad = np.argwhere(~np.isfinite(used))
+    if bad.size:
+        row, column = bad[0]
+        raise InputFileError(source, f"row {row}, column {column}", expected="a finite number", found="NaN or infinity")
+    if root == "absolute":
+        used = relative_root(used)
+    if check:
+        check_features(used, source=source)
+    joints = decode(used) if bones == "positions" else decode_rotations(used, offsets)
+    if wanted > rows:
+        joints = np.concatenate([joints, _frame_after(used, joints[-1])[None]])
+    return joints
+
+
+def relative_root(features: Float[np.ndarray, "rows 263"]) -> Float[np.ndarray, "rows 263"]:
+    """Features with absolute heading and place in the first three columns, as HumanML3D has them: as steps.
+
+    Args:
+        features: Column 0 holds the heading as half an angle, columns 1 and 2 the pelvis's x and z.
+
+    Returns:
+        Raw features. The last row's step is 0, for no row says where it leads; the start is moved to the origin.
+    """
+    steps = features.copy()
+    heading = features[:, 0] - features[0, 0]
+    steps[:-1, 0], steps[-1, 0] = np.diff(heading), 0.0
+    start = yaw_matrices(np.cos(2 * features[:1, 0]), np.sin(2 * features[:1, 0]))[0]
+    place = np.zeros((len(features), 3))
+    place[:, ::2] = features[:, 1:3] - features[:1, 1:3]
+    walked = np.diff(place @ start.T, axis=0)
+    seen = yaw_matrices(np.cos(2 * heading[1:]), np.sin(2 * heading[1:])) @ walked[..., None]
+    steps[:-1, ROOT_LINEAR_VELOCITY], steps[-1, ROOT_LINEAR_VELOCITY] = seen[:, ::2, 0], 0.0
+    return steps
+
+
+def check_features(features: Float[np.ndarray, "rows 263"], *, source: str = FEATURES) -> None:
+    """Refuse features that were restored with the statistics of another model.
+
+    The step of the pelvis stands in a row twice, in the root block and among the joint velocities. Statistics of an
+    evaluator scale the one about 25 times as small as those of a generator, and leave the other.
+
+    Args:
+        features: Raw, relative root.
+        source: Name that the message begins with.
+
+    Raises:
+        InputFileError: if the two differ by more than a factor of three in a motion that walks, or the foot contacts,
+            which are 0 or 1, lie nowhere near.
+    """
+    pelvis = features[:, JOINT_VELOCITIES.start : JOINT_VELOCITIES.start + 3 : 2]
+    walked = float(np.linalg.norm(pelvis, axis=1).mean())
+    stepped = float(np.linalg.norm(features[:, ROOT_LINEAR_VELOCITY], axis=1).mean())
+    ratio = stepped / max(walked, 1e-12)
+    if max(walked, stepped) > _WALKS and not 1 / _SAME_SCALE < ratio < _SAME_SCALE:
+        raise InputFileError(
+            source,
+            "columns 1 and 2",
+            expected=f"steps of the pelvis as long as those in columns 193 and 195 ({walked * 1000:.1f} mm a frame)",
+            found=f"{stepped * 1000:.1f} mm ({ratio:.2g} times as long)",
+            remedy=_OTHER_STATISTICS,
+        )
+    contacts = features[:, FOOT_CONTACTS]
+    if np.abs(contacts).max() > 4.0:
+        raise InputFileError(
+            source,
+            "columns 259 to 262",
+            expected="foot contacts near 0 or 1",
+            found=f"{contacts.min():.1f} to {contacts.max():.1f}",
+            remedy=_OTHER_STATISTICS,
+        )
+
+
+_OTHER_STATISTICS = (
+    "The features were restored with the statistics of another model: take the Mean.npy and Std.npy that this one was"
+    " trained with (those of text-to-motion evaluators have root and contacts about 25 times smaller). If the first"
+    " three columns are absolute, say root='absolute'."
+)
+
+
+def _frame_after(features: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """The frame to which the joint velocities of the last row lead."""
+    yaw = 2 * features[:-1, ROOT_YAW_VELOCITY].sum()
+    world_from_heading = yaw_matrices(np.cos(yaw), -np.sin(yaw))
+    step = features[-1, JOINT_VELOCITIES].reshape(N_JOINTS, 3) @ world_from_heading.T
+    return (last + step).astype(np.float32)

@@ -1,0 +1,36 @@
+"""The 22 joints of SMPL parameters without the package ``smplx``: rest joints and forward kinematics in NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from prbench.formats.egoallo import forward_kinematics
+from prbench.representation.converters.smpl.body_model import RestJoints
+from prbench.representation.converters.smpl.parameters import SmplParameters
+from prbench.skeleton import N_JOINTS, Joint
+
+
+def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarray, "frames 22 3"]:
+    """Joints as the body model has them; blend shapes of the surface move none of them, so this is exact.
+
+    SMPL, SMPL-H and SMPL-X share the order of these 22 joints, not their rest joints: take the model that the
+    parameters were made for.
+
+    Args:
+        parameters: The motion.
+        rest: Rest joints of the model.
+
+    Returns:
+        World of the parameters (AMASS: Z up), metres, at their rate.
+
+    Raises:
+        InputFileError: if there are more shape numbers than the model knows.
+    """
+    body = rest.of(parameters.betas)
+    frames = len(parameters.transl)
+    quats = Rotation.from_matrix(parameters.rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    quats = quats.reshape(frames, N_JOINTS, 4)
+    pelvis = parameters.transl + body[Joint.PELVIS]
+    return forward_kinematics(body, pelvis, quats[:, Joint.PELVIS], quats[:, 1:])

@@ -1,0 +1,121 @@
+"""Rotations in every form in which models put them out, as matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from prbench.errors import InputFileError, UsageError, did_you_mean
+
+RotationForm = Literal[
+    "axis-angle", "matrix", "quaternion-wxyz", "quaternion-xyzw", "6d-columns", "6d-rows", "6d-interleaved"
+]
+"""``6d-columns``: first column, then second column of the matrix (HumanML3D). ``6d-rows``: first row, then second row
+(PyTorch3D, and with it MDM's SMPL representation). ``6d-interleaved``: the two columns side by side, row by row
+(HMR, SPIN, VPoser: ``reshape(3, 2)``)."""
+
+_NUMBERS: Mapping[str, int] = MappingProxyType(
+    {form: 3 if form == "axis-angle" else 9 if form == "matrix" else 4 if form[0] == "q" else 6
+     for form in get_args(RotationForm)}
+)  # fmt: skip
+_UNIT_TOLERANCE = 0.05
+"""How far a quaternion's length or a matrix's determinant may be from 1; networks do not end on exact rotations."""
+
+
+def numbers_of(form: RotationForm) -> int:
+    """Numbers that a rotation takes in this form.
+
+    Raises:
+        UsageError: if the form is unknown.
+    """
+    if form not in _NUMBERS:
+        raise UsageError(
+            f"unknown form of rotations '{form}'.{did_you_mean(form, _NUMBERS)} Choose one of: {', '.join(_NUMBERS)}."
+        )
+    return _NUMBERS[form]
+
+
+def rotation_matrices(
+    values: Float[np.ndarray, "frames numbers"], form: RotationForm, *, source: Path | str = "rotations"
+) -> Float[np.ndarray, "frames joints 3 3"]:
+    """Rotation matrices of each frame from its numbers, joint after joint.
+
+    Args:
+        values: As many numbers as ``joints`` rotations take.
+        form: How they are written; axis-angle in radians.
+        source: Name that messages begin with.
+
+    Raises:
+        UsageError: if the form is unknown.
+        InputFileError: if the numbers do not divide into rotations, are not finite, or are far from any rotation
+            (quaternions of another length, angles that look like degrees).
+    """
+    size = numbers_of(form)
+    if values.shape[1] % size or not values.shape[1]:
+        raise InputFileError(
+            source, "", expected=f"a multiple of {size} numbers a frame ({form})", found=str(values.shape[1])
+        )
+    if not np.isfinite(values).all():
+        frame = int(np.argwhere(~np.isfinite(values))[0, 0])
+        raise InputFileError(source, f"frame {frame}", expected="finite numbers", found="NaN or infinity")
+    each = values.astype(np.float64).reshape(-1, size)
+    return _READ[form](each, source).reshape(len(values), -1, 3, 3)
+
+
+def _axis_angle(values: np.ndarray, source: Path | str) -> np.ndarray:
+    largest = float(np.linalg.norm(values, axis=-1).max(initial=0.0))
+    if largest > 4 * np.pi:
+        raise InputFileError(
+            source,
+            "",
+            expected="axis-angle in radians",
+            found=f"an angle of {largest:.0f}",
+            remedy="These look like degrees, or like another form of rotations.",
+        )
+    return Rotation.from_rotvec(values).as_matrix()
+
+
+def _quaternion(values: np.ndarray, source: Path | str, *, scalar_first: bool) -> np.ndarray:
+    lengths = np.linalg.norm(values, axis=-1)
+    if np.abs(lengths - 1).max(initial=0.0) > _UNIT_TOLERANCE:
+        wrong = float(lengths[np.abs(lengths - 1).argmax()])
+        raise InputFileError(source, "", expected="unit quaternions", found=f"one of the length {wrong:.3g}")
+    return Rotation.from_quat(values, scalar_first=scalar_first).as_matrix()
+
+
+def _matrix(values: np.ndarray, source: Path | str) -> np.ndarray:
+    matrices = values.reshape(-1, 3, 3)
+    determinants = np.linalg.det(matrices)
+    if np.abs(determinants - 1).max(initial=0.0) > 3 * _UNIT_TOLERANCE:
+        wrong = float(determinants[np.abs(determinants - 1).argmax()])
+        raise InputFileError(
+            source, "", expected="rotation matrices", found=f"a matrix whose determinant is {wrong:.3g}"
+        )
+    return _orthonormal(matrices[..., 0], matrices[..., 1])
+
+
+def _orthonormal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Matrices whose first two columns span the given ones (Gram-Schmidt)."""
+    first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
+    second = second - (first * second).sum(axis=-1, keepdims=True) * first
+    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
+    return np.stack([first, second, np.cross(first, second)], axis=-1)
+
+
+_READ: Mapping[str, Callable[[np.ndarray, Path | str], np.ndarray]] = MappingProxyType(
+    {
+        "axis-angle": _axis_angle,
+        "matrix": _matrix,
+        "quaternion-wxyz": lambda values, source: _quaternion(values, source, scalar_first=True),
+        "quaternion-xyzw": lambda values, source: _quaternion(values, source, scalar_first=False),
+        "6d-columns": lambda values, _: _orthonormal(values[:, :3], values[:, 3:]),
+        "6d-rows": lambda values, _: np.swapaxes(_orthonormal(values[:, :3], values[:, 3:]), -1, -2),
+        "6d-interleaved": lambda values, _: _orthonormal(values[:, ::2], values[:, 1::2]),
+    }
+)
