@@ -5,9 +5,9 @@
 It speaks wire protocol 1 (docs/wire-protocol.md): the harness starts this program, writes conditions to its stdin and
 reads motions from its stdout. Copy the file and replace `motion` by your own method; the rest stays as it is.
 
-The method turns the body towards the goal, glides there and reaches (goal-loc), or glides into the goal pose with
-every bone turning at its own pace (goal-pose). It uses + - * / and square roots only, which IEEE 754 rounds alike
-everywhere, so glide.mjs, the same program in JavaScript, gives the same bytes.
+The method turns the body towards the goal, glides there, leans and reaches (goal-loc), or glides into the goal
+pose with every bone turning at its own pace (goal-pose). It uses + - * / and square roots only, which IEEE 754 rounds
+alike everywhere, so glide.mjs, the same program in JavaScript, gives the same bytes.
 """
 
 import json
@@ -21,6 +21,14 @@ import pyarrow as pa
 PELVIS, NECK, HEAD = 0, 12, 15
 ARMS = ((16, 18, 20), (17, 19, 21))  # shoulder, elbow, wrist; left, right
 LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = 1, 2, 16, 17
+UPPER_BODY = [3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21]
+LEANS = (
+    (1.0, 0.0),
+    (12 / 13, 5 / 13),
+    (4 / 5, 3 / 5),
+    (3 / 5, 4 / 5),
+    (5 / 13, 12 / 13),
+)  # cosine and sine; 0 to 67 degrees
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
 
 
@@ -69,9 +77,11 @@ def to_location(initial, goal, time, fps, chance, settings):
     pelvis[:, 2] = initial[PELVIS, 2] + cosine * way * reached
 
     body = turned_about_y(initial - initial[PELVIS], cosine, sine, turned) + pelvis[:, None]
-    look_at(body, goal, turned)
     left, right = (length(body[-1, arm[2]] - goal) for arm in ARMS)
-    reach(body, ARMS[0] if left <= right else ARMS[1], goal, reached, 0.1 * chance[2])
+    arm = ARMS[0] if left <= right else ARMS[1]
+    body = leaning_to(body, arm, goal, cosine, sine, reached)
+    look_at(body, goal, turned)
+    reach(body, arm, goal, reached, 0.1 * chance[2])
     return body
 
 
@@ -96,6 +106,24 @@ def into_pose(initial, final, time, fps, chance):
         bone = direction * (size / np.maximum(length(direction), 1e-9))[:, None]
         blended[:, joint] = blended[:, parent] + bone
     return turned_about_y(blended, cosine, sine, progress) + pelvis[:, None]
+
+
+def leaning_to(body, arm, goal, cosine, sine, progress):
+    """Lean from the hips towards the goal, no further than its arm needs."""
+    shoulder, elbow, wrist = arm
+    reached = length(body[0, elbow] - body[0, shoulder]) + length(body[0, wrist] - body[0, elbow])
+    for lean_cosine, lean_sine in LEANS:
+        c, s = part_of_turn(lean_cosine, lean_sine, progress)
+        leaning = body.copy()
+        offset = body[:, UPPER_BODY] - body[:, PELVIS : PELVIS + 1]
+        ahead, up = offset[..., 0] * sine + offset[..., 2] * cosine, offset[..., 1]
+        further = ahead * c + up * s - ahead
+        leaning[:, UPPER_BODY, 0] = body[:, UPPER_BODY, 0] + further * sine
+        leaning[:, UPPER_BODY, 1] = body[:, UPPER_BODY, 1] + (up * c - ahead * s - up)
+        leaning[:, UPPER_BODY, 2] = body[:, UPPER_BODY, 2] + further * cosine
+        if length(leaning[-1, shoulder] - goal) <= 0.98 * reached:
+            break
+    return leaning
 
 
 def look_at(body, goal, progress):
@@ -146,17 +174,21 @@ def heading(pose):
 
 def turned_about_y(points, cosine, sine, progress):
     """Points (22, 3) or (frames, 22, 3) turned about the vertical by a growing part of a yaw: (frames, 22, 3)."""
+    c, s = part_of_turn(cosine, sine, progress)
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    turned = np.empty((len(progress), 22, 3))
+    turned[..., 0], turned[..., 1], turned[..., 2] = x * c + z * s, y, z * c - x * s
+    return turned
+
+
+def part_of_turn(cosine, sine, progress):
+    """Cosine and sine (frames, 1) of the part of an angle that is reached at each progress."""
     half_cosine = np.sqrt(max(1.0 + cosine, 0.0) / 2.0)
     half_sine = np.sqrt(max(1.0 - cosine, 0.0) / 2.0) * (1.0 if sine >= 0.0 else -1.0)
     real, imaginary = (1.0 - progress) + progress * half_cosine, progress * half_sine
     size = np.sqrt(real * real + imaginary * imaginary)
     real, imaginary = real / size, imaginary / size
-    c = (real * real - imaginary * imaginary)[:, None]
-    s = (2.0 * real * imaginary)[:, None]
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    turned = np.empty((len(progress), 22, 3))
-    turned[..., 0], turned[..., 1], turned[..., 2] = x * c + z * s, y, z * c - x * s
-    return turned
+    return (real * real - imaginary * imaginary)[:, None], (2.0 * real * imaginary)[:, None]
 
 
 def dot(a, b):
