@@ -33,8 +33,9 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--method",
         required=True,
-        metavar="NAME",
-        help="an installed method, or a control: ground-truth, ground-truth-resampled, scripted",
+        metavar="NAME|cmd:…|FILE",
+        help="an installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
+        " ground-truth, ground-truth-resampled, scripted",
     )
     parser.add_argument("--condition", choices=_CONDITIONS, default="none", help="what the method is given")
     add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
@@ -65,6 +66,18 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--batch-size", type=positive, metavar="N", help="sequences a batch (default 64)")
     parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
     parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads a worker (default 1)")
+    parser.add_argument(
+        "--isolate",
+        action="store_true",
+        help="run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
+        " the file system is withheld too",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        metavar="SECONDS",
+        help="for each batch, of a program or with --isolate (default 600); a program that is late is stopped",
+    )
     add_workers(parser)
     parser.set_defaults(workers=None)
 
@@ -99,7 +112,9 @@ def _run(arguments: argparse.Namespace) -> int:
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
     from prbench.evaluation.run import run_method
 
-    with progress(f"running {request.method}") as show:
+    if request.isolate:
+        _tell_isolation()
+    with progress(f"running {request.method_label}") as show:
         report = run_method(
             request,
             engine=engine,
@@ -108,6 +123,12 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
     if report.batches_found:
         print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
     return report
+
+
+def _tell_isolation() -> None:
+    from prbench.evaluation.isolation import available_fence
+
+    print(available_fence().notice, file=sys.stderr)
 
 
 def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> None:
@@ -161,6 +182,8 @@ def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunReques
         threads=arguments.threads,
         control=arguments.control,
         out=arguments.out,
+        isolate=arguments.isolate,
+        timeout=arguments.timeout,
     )
 
 

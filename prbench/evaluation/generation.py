@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-from threadpoolctl import threadpool_limits
 
 from prbench.contract import ConditionBatch, Motions
 from prbench.evaluation.methods import MethodSpec
 from prbench.evaluation.motions import generate_checked
+from prbench.evaluation.threads import computing_threads
 from prbench.runs.cost import BatchCost
 from prbench.runs.predictions import PredictionRows, write_part
 
@@ -25,7 +25,8 @@ class BatchTask:
     sequence_ids: tuple[str, ...]
     conditions: tuple[ConditionBatch, ...]
     """One a sample; they differ in their noise seeds only."""
-    method: MethodSpec
+    method: MethodSpec | None
+    """None for a control."""
     seed: int
     given: Motions | None
     """Motions that the harness itself supplies (controls), instead of the method's."""
@@ -53,21 +54,22 @@ def run_batch(task: BatchTask) -> int:
 
 
 def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
+    assert task.method is not None
     method = task.method.load()
     warm_up = not method.warmed_up
-    _set_threads(task.method.threads)
     _reset_device_peak()
     samples, halvings, peak = [], 0, 0
     started = _synchronised_time()
-    with threadpool_limits(task.method.threads):  # the same here and in a worker, whatever it started with
+    with computing_threads(task.method.threads):
         for batch in task.conditions:
             motions, halved = generate_checked(
-                method.adapter, batch, seed=task.seed, method=task.method.name, sequence_ids=task.sequence_ids
+                method.adapter, batch, seed=task.seed, method=method.name, sequence_ids=task.sequence_ids
             )
             samples.append(motions)
             halvings += halved
             peak = max(peak, psutil.Process().memory_info().rss)
     seconds = _synchronised_time() - started
+    peak += method.program_bytes()
     method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
     return samples, _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
@@ -99,13 +101,6 @@ def _cost(
         halvings=halvings,
         network_passes=network_passes,
     )
-
-
-def _set_threads(threads: int) -> None:
-    """Fix torch's threads, on which its rounding depends; it manages them itself."""
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.get_num_threads() != threads:
-        torch.set_num_threads(threads)
 
 
 def _synchronised_time() -> float:

@@ -54,24 +54,35 @@ def _generate(
     except PrbenchError:
         raise
     except (Exception, SystemExit) as error:
-        if not _out_of_memory(error):
-            raise AdapterError(f"adapter '{method}' failed on {_span(ids)}: {_told(error)}") from error
+        if not is_out_of_memory(error):
+            raise AdapterError(f"adapter '{method}' failed on {_span(ids)}: {told(error)}") from error
         if len(batch) == 1:
             raise AdapterError(
                 f"adapter '{method}' ran out of memory on the single sequence {ids[0]}"
                 f" ({batch.n_frames[0]} frames). Use a device with more memory."
             ) from error
     else:
-        return _checked(motions, batch, method, ids), 0
-    _release_memory()
+        return well_formed(motions, batch, method=method, sequence_ids=ids), 0
+    release_memory()
     middle = len(batch) // 2
     first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle])
     second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:])
     return _joined(first, second), 1 + halved_first + halved_second
 
 
-def _checked(motions: object, batch: ConditionBatch, method: str, ids: Sequence[str]) -> Motions:
-    """The motions as float32 if they are what the contract asks for."""
+def well_formed(motions: object, batch: ConditionBatch, *, method: str, sequence_ids: Sequence[str]) -> Motions:
+    """The motions as float32 if they are what the contract asks for.
+
+    Args:
+        motions: What a method has returned.
+        batch: What it was asked for.
+        method: Name of the method, for messages.
+        sequence_ids: Names of the rows, for messages.
+
+    Raises:
+        AdapterError: naming method, sequence and frame, what was expected and what was found.
+    """
+    ids = sequence_ids
     origin = f"adapter '{method}' on {_span(ids)}"
     if not isinstance(motions, Motions):
         raise AdapterError(f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.")
@@ -129,7 +140,7 @@ def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
     return message
 
 
-def _told(error: BaseException) -> str:
+def told(error: BaseException) -> str:
     """An exception with the file and line that raised it, for whoever has to repair the method."""
     raised_at = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
@@ -157,14 +168,15 @@ def _joined(first: Motions, second: Motions) -> Motions:
     return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
 
 
-def _out_of_memory(error: BaseException) -> bool:
+def is_out_of_memory(error: BaseException) -> bool:
     """Of Python or NumPy, or of torch on either kind of device (recognised without importing it)."""
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return True
     return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
 
 
-def _release_memory() -> None:
+def release_memory() -> None:
+    """Give back what a failed batch holds, before it is tried in halves."""
     gc.collect()
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():

@@ -13,20 +13,23 @@ from jaxtyping import Float, Int
 
 import prbench
 from prbench.errors import AdapterError, UsageError
-from prbench.evaluation.adapters import InstalledAdapter, find_adapter, require_condition
+from prbench.evaluation.adapters import find_adapter, require_condition
 from prbench.evaluation.conditions import ConditionSource, derangement
-from prbench.evaluation.controls import METHOD_CONTROLS, RECORDED_MOTION, SHUFFLED_GOAL
+from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.declared import Declared
-from prbench.evaluation.methods import MethodSpec, forget_loaded_methods, require_weights, used_weights, weights_digest
+from prbench.evaluation.methods import LoadedMethod, MethodSpec, forget_loaded_methods, method_spec
 from prbench.evaluation.native_rate import native_frames
 from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select, select_sequences
+from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.request import RunRequest
+from prbench.evaluation.weights import require_weights, used_weights, weights_digest
 from prbench.manifests import load_protocol
 from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
+_DEFAULT_PARENT = Path("runs")
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
@@ -40,7 +43,8 @@ class PreparedDataset:
     """Of these, the ones that the method can generate."""
     source: ConditionSource
     plan: list[Int[np.ndarray, "_"]]
-    method: MethodSpec
+    method: MethodSpec | None
+    """None for a control."""
     scored_goals: Float[np.ndarray, "n 3"] | None
     """Goals of other sequences that the recorded motion is scored against; None for each sequence's own."""
 
@@ -79,41 +83,74 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
-    spec = MethodSpec(
-        request.method, request.weights, tuple(sorted(request.options.items())), request.device, request.threads
-    )
-    method, installed = _method(request, spec)
-    datasets = tuple(
-        _dataset(request, chosen, spec, method, installed) for chosen in _chosen_sequences(request, tables)
-    )
+    spec = None if request.is_control else _spec(request)
+    method = _control(request) if spec is None else _method(request, spec)
+    datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
     record = _record(request, method, datasets)
     return PreparedRun(request, record, datasets, request.out or _default_folder(record))
 
 
-def _method(request: RunRequest, spec: MethodSpec) -> tuple[MethodRecord, InstalledAdapter | None]:
-    """What is recorded about the method, and where it was installed from unless it is a control."""
-    if request.is_control:
-        own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
-        limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
-        return MethodRecord(name=request.method, kind="control", **own, **limits), None
+def _spec(request: RunRequest) -> MethodSpec:
     require_weights(request.weights)
-    installed = find_adapter(request.method, also_known=METHOD_CONTROLS)
-    adapter, origin = spec.load().adapter, f"adapter '{request.method}'"
-    require_condition(request.method, adapter, request.condition)
-    declared = Declared.by(adapter, origin=origin)
-    weights = used_weights(adapter, request.condition, request.weights, origin=origin)
+    return method_spec(
+        request.method,
+        weights=request.weights,
+        options=request.options,
+        device=request.device,
+        threads=request.threads,
+        isolate=request.isolate,
+        timeout=request.timeout,
+        hidden=(*request.data, request.out or _DEFAULT_PARENT),
+    )
+
+
+def _control(request: RunRequest) -> MethodRecord:
+    own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
+    limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
+    return MethodRecord(name=request.method, kind="control", **own, **limits)
+
+
+def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
+    """What is recorded about an adapter or a program, which is loaded for it."""
+    method = spec.load()
+    origin = f"adapter '{method.name}'"
+    require_condition(method.name, method.adapter, request.condition)
+    declared = Declared.by(method.adapter, origin=origin)
+    weights, digest = _weights(request, method, origin)
+    package, version = _package(spec, method)
     return MethodRecord(
-        name=request.method,
-        kind="adapter",
-        package=installed.package,
-        version=installed.version,
-        weights=weights.name if weights else None,
-        weights_digest=weights_digest(weights),
+        name=method.name,
+        kind="adapter" if spec.package is None else "program",
+        package=package,
+        version=version,
+        weights=weights,
+        weights_digest=digest,
         options=dict(spec.options),
         max_frames=declared.max_frames,
         native_fps=declared.native_fps,
         motionless=declared.motionless,
-    ), installed
+        isolation=spec.isolation,
+    )
+
+
+def _package(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str]:
+    """Where a method comes from, and its version: of the installed package, or as the program says."""
+    if spec.package is not None and isinstance(method.adapter, RemoteAdapter):
+        return spec.package, method.adapter.version
+    installed = find_adapter(spec.name)
+    return installed.package, installed.version
+
+
+def _weights(request: RunRequest, method: LoadedMethod, origin: str) -> tuple[str | None, str | None]:
+    """Name and digest of the weights in use: those that the method declares, else those that the user gave."""
+    if isinstance(method.adapter, RemoteAdapter):
+        declared = method.adapter.weights.get(request.condition)
+        if declared is not None:
+            return declared.name, declared.sha256
+        given = request.weights
+        return (given.name, weights_digest(given) if given.exists() else None) if given else (None, None)
+    used = used_weights(method.adapter, request.condition, request.weights, origin=origin)
+    return (used.name, weights_digest(used)) if used else (None, None)
 
 
 def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[Selection]:
@@ -126,9 +163,8 @@ def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[
 def _dataset(
     request: RunRequest,
     chosen: Selection,
-    spec: MethodSpec,
+    spec: MethodSpec | None,
     method: MethodRecord,
-    installed: InstalledAdapter | None,
 ) -> PreparedDataset:
     table = chosen.table
     selection = supported(chosen, max_frames=method.max_frames, native_fps=method.native_fps)
@@ -137,8 +173,8 @@ def _dataset(
             f"adapter '{method.name}' generates at most {method.max_frames} frames; all {len(chosen)} chosen sequences"
             f" of {table.info.dataset} are longer."
         )
-    if installed is not None:
-        spec = spec.fitted_to(table, installed)
+    if spec is not None:
+        spec = spec.fitted_to(table)
         spec.load()  # a fit is made here, once, and found by every worker
     source, scored_goals = ConditionSource.read(selection), None
     if request.control == SHUFFLED_GOAL:
@@ -226,4 +262,4 @@ def _default_folder(record: RunRecord) -> Path:
     control = f"-{record.control}" if record.control else ""
     datasets = "+".join(table.dataset for table in record.tables)
     name = f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
-    return Path("runs") / re.sub(r"[^\w.+-]", "_", name)
+    return _DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

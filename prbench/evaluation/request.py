@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.evaluation.controls import METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.evaluation.programs.reference import short_name
 
 DEFAULT_BATCH_SIZE = 64
 
@@ -22,7 +24,9 @@ class RunRequest:
     """
 
     method: str
-    """Name of an installed adapter, or of a control: ``ground-truth``, ``ground-truth-resampled``, ``scripted``."""
+    """Name of an installed adapter; of a control: ``ground-truth``, ``ground-truth-resampled``, ``scripted``; ``cmd:``
+    and a command; or path of a TOML file that describes a program. What is recorded and shown is never this text but
+    the method's own name (``RunRecord.method.name``)."""
     data: tuple[Path, ...]
     """Dataset folders."""
     condition: Condition = Condition.NONE
@@ -42,6 +46,11 @@ class RunRequest:
     """Torch's threads in each worker, on which its rounding may depend; NumPy's follow ``OMP_NUM_THREADS``."""
     control: str | None = None
     """``shuffled-goal`` or None."""
+    isolate: bool = False
+    """Run the method at a distance: in another process without paths, objects and environment, and without the file
+    system where bubblewrap works."""
+    timeout: float | None = None
+    """Seconds until another process answers a batch; by default 600, or what its TOML file says."""
     out: Path | None = None
     """The run folder; by default one under ``runs`` whose name says what was run."""
 
@@ -63,8 +72,17 @@ class RunRequest:
             raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
         if self.is_control and (self.weights is not None or self.options):
             raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
+        if self.is_control and (self.isolate or self.timeout is not None):
+            raise UsageError(f"--method {self.method} is part of the harness; leave --isolate and --timeout out.")
+        if self.timeout is not None and not 0 < self.timeout < math.inf:
+            raise UsageError(f"--timeout: expected seconds above 0, found {self.timeout:g}.")
 
     @property
     def is_control(self) -> bool:
         """The motions come from the harness, not from an adapter."""
         return self.method in METHOD_CONTROLS
+
+    @property
+    def method_label(self) -> str:
+        """What to call the method before it is loaded: its name, its command, or the name of its file."""
+        return short_name(self.method)

@@ -16,6 +16,7 @@ from prbench.engine import Engine, InProcess
 from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
+from prbench.evaluation.methods import forget_loaded_methods, unload_method
 from prbench.evaluation.preparation import PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
@@ -59,18 +60,28 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         UsageError: if the request does not fit together.
     """
     engine = engine or InProcess()
-    prepared = prepare_run(request)
-    folder = RunFolder.prepare(prepared.out, prepared.record)
     try:
-        made = [_generate(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets]
-    except Exception:
-        folder.discard_if_empty()
-        raise
+        prepared = prepare_run(request)
+        folder = RunFolder.prepare(prepared.out, prepared.record)
+        made = _generate_all(prepared, folder, engine, progress)
+    finally:
+        forget_loaded_methods()  # no program outlives the run, however it ends
     for dataset in prepared.datasets:
         _write_notice(prepared, dataset, folder)
     summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)
     total = sum(len(dataset.plan) for dataset in prepared.datasets)
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
+
+
+def _generate_all(prepared: PreparedRun, folder: RunFolder, engine: Engine, progress: ProgressCallback) -> list[int]:
+    """Make what is missing of every dataset; returns how many batches each took."""
+    if not isinstance(engine, InProcess):
+        unload_method()  # every worker loads its own
+    try:
+        return [_generate(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets]
+    except Exception:
+        folder.discard_if_empty()
+        raise
 
 
 def _write_notice(prepared: PreparedRun, dataset: PreparedDataset, folder: RunFolder) -> None:
@@ -150,18 +161,18 @@ def _scored(
         measured = files.batch_costs()
         if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
             total_cost(read_batch_costs(measured), batches=len(dataset.plan)).write(files.cost)
-        summarise(read_scores(files.scores), _scored_set(dataset, prepared.request)).write(files.path)
+        summarise(read_scores(files.scores), _scored_set(prepared, dataset)).write(files.path)
     files.forget_batch_costs()
     return DatasetSummary.read(files.path)
 
 
-def _scored_set(dataset: PreparedDataset, request: RunRequest) -> ScoredSet:
-    selection = dataset.selection
+def _scored_set(prepared: PreparedRun, dataset: PreparedDataset) -> ScoredSet:
+    request, selection = prepared.request, dataset.selection
     return ScoredSet(
         info=selection.table.info,
         recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
         chosen=len(dataset.chosen),
-        method=request.method,
+        method=prepared.record.method.name,
         condition=request.condition.value,
         control=request.control,
         split=request.split,

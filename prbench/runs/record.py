@@ -17,8 +17,9 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     kind: str
-    """``adapter`` or ``control``."""
+    """``adapter``, ``program`` (``cmd:`` or a TOML file) or ``control``."""
     package: str
+    """What an adapter was installed from; of a program its command, without the folders of the machine."""
     version: str
     weights: str | None
     """Last part of the path of the weights in use, given or bundled, for people."""
@@ -28,6 +29,8 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     native_fps: float | None
     motionless: bool
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
+    isolation: str | None = None
+    """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
 
 
 class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):

@@ -61,5 +61,12 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
         return
     for method, condition in _COMPANIONS:
         yield replace(
-            request, method=method, condition=condition or request.condition, weights=None, options={}, out=None
+            request,
+            method=method,
+            condition=condition or request.condition,
+            weights=None,
+            options={},
+            out=None,
+            isolate=False,
+            timeout=None,
         )

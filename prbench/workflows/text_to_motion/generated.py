@@ -13,8 +13,8 @@ from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
 from prbench.errors import UsageError
 from prbench.evaluation.adapters import load_adapter, require_condition
 from prbench.evaluation.declared import Declared
-from prbench.evaluation.methods import weights_digest
 from prbench.evaluation.motions import generate_checked
+from prbench.evaluation.weights import weights_digest
 from prbench.evaluation.native_rate import native_frames
 from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
 from prbench.randomness import noise_seed

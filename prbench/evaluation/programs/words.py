@@ -1,0 +1,75 @@
+"""A command as one text, split into words as the user's system splits them, and shown without the user's folders."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from collections.abc import Iterable
+from pathlib import PurePosixPath, PureWindowsPath
+
+from prbench.errors import UsageError
+
+_WINDOWS_TOKEN = re.compile(r'(?P<slashes>\\*)(?P<quote>"{1,2})|(?P<space>[ \t]+)|(?P<other>\\+|[^\\" \t]+)')
+
+
+def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> tuple[str, ...]:
+    """The words of a command line; no shell takes part, so there are no pipes and no variables.
+
+    Args:
+        text: As the user wrote it.
+        where: What to call its source in messages.
+        windows: By the rules of Windows (backslashes are separators of paths) instead of a POSIX shell's.
+
+    Raises:
+        UsageError: if it is empty or a quotation is not closed.
+    """
+    try:
+        words = _split_on_windows(text) if windows else shlex.split(text)
+    except ValueError as error:
+        raise UsageError(f"{where}: expected every quotation to be closed, found: {text.strip()} ({error}).") from error
+    if not words or not words[0]:
+        raise UsageError(f'{where}: expected a command, such as cmd:"python glide.py", found nothing.')
+    return tuple(words)
+
+
+def shown_command(words: Iterable[str]) -> str:
+    """A command for a record that others may read: absolute paths are cut to their last part."""
+    return shlex.join(_without_folders(word) for word in words)
+
+
+def _without_folders(word: str) -> str:
+    key, equals, value = word.partition("=")
+    if equals and key.startswith("-"):
+        return f"{key}={_without_folders(value)}"
+    for kind in (PurePosixPath, PureWindowsPath):
+        if kind(word).is_absolute() or word.startswith(("~/", "~\\")):
+            return kind(word).name or word
+    return word
+
+
+def _split_on_windows(text: str) -> list[str]:
+    """As programs on Windows split what they are given: quotes group, a backslash escapes only before a quote."""
+    words: list[str] = []
+    word, quoted, begun = "", False, False
+    for token in _WINDOWS_TOKEN.finditer(text):
+        if token["space"] and not quoted:
+            words += [word] if begun else []
+            word, begun = "", False
+            continue
+        begun = True
+        if not token["quote"]:
+            word += token[0]
+            continue
+        escaped = len(token["slashes"]) % 2 == 1
+        word += "\\" * (len(token["slashes"]) // 2)
+        quotes = len(token["quote"])
+        if escaped:
+            word, quotes = word + '"', quotes - 1
+        if quotes == 2 and quoted:
+            word += '"'  # a doubled quote inside a quotation stands for itself
+        elif quotes == 1:
+            quoted = not quoted
+    if quoted:
+        raise ValueError("No closing quotation")
+    return words + ([word] if begun else [])

@@ -1,0 +1,19 @@
+"""How many threads a method computes with, on which its rounding may depend."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+
+from threadpoolctl import threadpool_limits
+
+
+@contextlib.contextmanager
+def computing_threads(threads: int) -> Iterator[None]:
+    """Fix the threads of numerical libraries: the same in this process and in any other, whatever it started with."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.get_num_threads() != threads:
+        torch.set_num_threads(threads)  # torch manages its own
+    with threadpool_limits(threads):
+        yield
