@@ -1,32 +1,32 @@
-"""``prbench adapters``: the installed methods, what they declare, and a package for a new one."""
+"""``prbench adapters``: the installed methods, from package metadata alone; beside it ``new`` and ``check``."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from prbench.cli import adapters_check, adapters_new
+from prbench.cli.adapters_details import print_details
 from prbench.cli.arguments import command, positive
+from prbench.cli.columns import print_columns
 
 if TYPE_CHECKING:
-    from prbench.evaluation.describe import Description
     from prbench.evaluation.installed import InstalledAdapter
 
 _EXAMPLE = "prbench adapters list"
-_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
     """Register the command group."""
-    summary = "show the installed methods, or start a package with a new one"
+    summary = "list the installed methods, start a new one, check one"
     parser = command(commands, "adapters", summary=summary, example=_EXAMPLE, execute=_list)
     parser.set_defaults(details=False, as_json=False, names=[])
     group = parser.add_subparsers(metavar="COMMAND")
     _add_list(group)
-    _add_new(group)
+    adapters_new.add_parser(group)
+    adapters_check.add_parser(group)
 
 
 def _add_list(group: argparse._SubParsersAction) -> None:
@@ -50,50 +50,6 @@ def _add_list(group: argparse._SubParsersAction) -> None:
     parser.add_argument("--json", dest="as_json", action="store_true", help="print JSON")
 
 
-def _add_new(group: argparse._SubParsersAction) -> None:
-    parser = command(
-        group,
-        "new",
-        summary="write a complete package with a new method that works at once, for you to change",
-        example="prbench adapters new glide --condition goal-loc",
-        execute=_new,
-    )
-    parser.add_argument("name", metavar="NAME", help="of the method, such as glide: what --method will be given")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="new folder (default: ./prbench-NAME, or ./NAME)")
-    parser.add_argument(
-        "--condition",
-        choices=_CONDITIONS,
-        action="append",
-        default=[],
-        help="what the method is given (default goal-loc); repeatable",
-    )
-    parser.add_argument("--trainable", action="store_true", help="with fit(): a method that learns from a table")
-    parser.add_argument(
-        "--program",
-        action="store_true",
-        help="a program of its own instead of a package: one plain Python file and a TOML file",
-    )
-
-
-def _new(arguments: argparse.Namespace) -> int:
-    from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
-
-    request = ScaffoldRequest(
-        name=arguments.name,
-        conditions=tuple(arguments.condition) or ("goal-loc",),
-        out=arguments.out,
-        trainable=arguments.trainable,
-        program=arguments.program,
-    )
-    report = new_adapter(request)
-    for warning in report.warnings:
-        print(f"prbench: {warning}", file=sys.stderr)
-    print(f"{report.folder}: {len(report.files)} files. Next:")
-    for step in report.next_steps:
-        print(f"  {step}")
-    return 0
-
-
 def _list(arguments: argparse.Namespace) -> int:
     from prbench.evaluation.installed import list_adapters, no_such_method
 
@@ -103,14 +59,15 @@ def _list(arguments: argparse.Namespace) -> int:
         if name not in known:
             raise no_such_method(name, known)
     if arguments.details:
-        return _details(arguments)
+        print_details(arguments.names, time_limit=arguments.time_limit, as_json=arguments.as_json)
+        return 0
     shown = [adapter for adapter in found if not arguments.names or adapter.name in arguments.names]
     if arguments.as_json:
         print(json.dumps([_plain(adapter, found) for adapter in shown], indent=2))
         return 0
     rows = [("name", "package", "version", "target", "")]
     rows += [(a.name, a.package, a.version, a.target, _remark(a, found)) for a in shown]
-    _print_table(rows)
+    print_columns(rows)
     return 0
 
 
@@ -131,69 +88,3 @@ def _plain(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> dict
         "target": adapter.target,
         "problem": _remark(adapter, found).removeprefix("! "),
     }
-
-
-def _details(arguments: argparse.Namespace) -> int:
-    from prbench.evaluation.controls import CONTROLS
-    from prbench.evaluation.describe import describe_adapters
-    from prbench.training.installed import list_tasks
-
-    described = describe_adapters(arguments.names or None, time_limit=arguments.time_limit)
-    tasks = list_tasks()
-    if arguments.as_json:
-        print(json.dumps([_plain_details(one, tasks) for one in described], indent=2))
-        return 0
-    rows = [("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load")]
-    rows += [_details_row(one, tasks) for one in described if not one.error]
-    _print_table(rows)
-    for one in described:
-        if one.error:
-            print(f"! {one.method.name} ({one.method.package} {one.method.version}): {one.error}")
-    if not arguments.names:
-        print("\ncontrols, part of prbench:")
-        _print_table([(f"{control.use} {control.name}", control.summary) for control in CONTROLS])
-    return 0
-
-
-def _trains(description: Description, tasks: Sequence[str]) -> str:
-    if description.method.name in tasks and description.method.package == "prbench":
-        return "prbench train"
-    return "by the run" if description.fitted else "no"
-
-
-def _details_row(one: Description, tasks: Sequence[str]) -> tuple[str, ...]:
-    return (
-        one.method.name,
-        f"{one.method.package} {one.method.version}",
-        ", ".join(one.conditions),
-        _trains(one, tasks),
-        f"<= {one.max_frames}" if one.max_frames else "any",
-        f"{one.native_fps:g}/s" if one.native_fps else "any",
-        ", ".join(one.weights) or "none",
-        f"{one.import_seconds or 0:.1f} + {one.load_seconds or 0:.1f} s",
-    )
-
-
-def _plain_details(one: Description, tasks: Sequence[str]) -> dict[str, object]:
-    return {
-        "name": one.method.name,
-        "package": one.method.package,
-        "version": one.method.version,
-        "target": one.method.target,
-        "conditions": list(one.conditions),
-        "trains": _trains(one, tasks),
-        "max_frames": one.max_frames,
-        "native_fps": one.native_fps,
-        "motionless": one.motionless,
-        "weights": list(one.weights),
-        "import_seconds": one.import_seconds,
-        "load_seconds": one.load_seconds,
-        "printed_bytes": one.printed,
-        "error": one.error,
-    }
-
-
-def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
-    widths = [max(len(cell) for cell in column) for column in zip(*rows)]
-    for row in rows:
-        print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip())

@@ -16,7 +16,7 @@ def read_template(name: str) -> str:
 
 
 def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> str:
-    """A template with its values put in and the lines kept whose conditions hold.
+    """A template with its values put in and the lines kept whose conditions hold; an empty value leaves no empty line.
 
     Args:
         template: Lines; ``%if a and not b`` begins a part that is kept if flag ``a`` is set and ``b`` is not. Parts do
@@ -34,7 +34,8 @@ def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> 
         elif word == "%end":
             keep = True
         elif keep:
-            kept.append(_MARK.sub(lambda mark: values[mark[1]], line))
+            text = _MARK.sub(lambda mark: values[mark[1]], line)
+            kept += [text] if text or not line else []
     return "\n".join(kept) + "\n"
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import version
 
+import prbench
 from prbench.contract import GIVEN, Condition
 from prbench.workflows.scaffold.names import MethodNames
 from prbench.workflows.scaffold.templating import read_template
@@ -43,7 +43,7 @@ def template_values(names: MethodNames, conditions: Sequence[str], *, trainable:
         "module": names.module,
         "class": names.class_name,
         "program": names.program,
-        "prbench_version": version("prbench"),
+        "prbench_version": prbench.__version__.partition("+")[0],
         "condition": chosen[0].value,
         "conditions": ", ".join(f"Condition.{condition.name}" for condition in chosen),
         "condition_words": ", ".join(f'"{condition.value}"' for condition in chosen),
