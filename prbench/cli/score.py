@@ -1,13 +1,15 @@
-"""``prbench score``: predictions that lie on disk, against a table."""
+"""``prbench score``: predictions that lie on disk, against one table or several."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.arguments import add_data, add_workers, command, positive
 from prbench.cli.progress import progress
 from prbench.cli.summaries import print_summary
+
+_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -15,46 +17,66 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser = command(
         commands,
         "score",
-        summary="score a finished predictions file, or a run folder again",
-        example="prbench score predictions.parquet --data tables/adt --out scores/mine",
+        summary="score finished motions (Parquet, .npz, motions/*.npy), or a run folder again",
+        example="prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine",
         execute=_score,
     )
     parser.add_argument(
         "predictions",
         type=Path,
-        help="a run folder, or Parquet with sequence_id (or opaque_id), sample (0 if absent) and joints (n × 66)",
+        help="a run folder; Parquet or .npz with opaque_id (or sequence_id), sample (0 if absent), joints and, in .npz,"
+        " n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions",
     )
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="built dataset folder")
+    add_data(parser, required=True)
+    parser.add_argument(
+        "--conditions",
+        type=Path,
+        metavar="FILE",
+        help="of `prbench export-conditions`; says seed, split, limit, samples and condition, and is checked",
+    )
+    parser.add_argument("--name", help="of the method, for summaries and leaderboards (default: that of the file)")
     parser.add_argument("--split", choices=["train", "validation", "test"], help="default: that of the run, else test")
     parser.add_argument("--limit", type=positive, metavar="N", help="the predictions cover only these N sequences")
-    parser.add_argument("--seed", type=int, default=0, help="behind the opaque ids, if the predictions have those")
+    parser.add_argument("--seed", type=int, help="behind the opaque ids, if the predictions have those (default 0)")
+    parser.add_argument("--condition", choices=_CONDITIONS, help="what the method was given; leaderboards need it")
+    parser.add_argument("--control", choices=["shuffled-goal"], help="the method was given other sequences' goals")
+    parser.add_argument("--max-frames", type=positive, metavar="N", help="the method makes no more; longer ones count")
+    parser.add_argument("--native-fps", type=float, metavar="F", help="rate of the motions, if not the table's")
     parser.add_argument(
         "--allow-length-mismatch", action="store_true", help="score motions of another length than the recorded one"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write scores.parquet and summary.json there")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write scores.parquet, summary.json … there")
     add_workers(parser)
 
 
 def _score(arguments: argparse.Namespace) -> int:
+    from prbench.contract import Condition
     from prbench.engine import engine_for
     from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
 
     request = ScoreRequest(
         predictions=arguments.predictions,
-        data=arguments.data,
+        data=tuple(arguments.data),
+        conditions=arguments.conditions,
         split=arguments.split,
         limit=arguments.limit,
         seed=arguments.seed,
+        condition=Condition(arguments.condition) if arguments.condition else None,
+        control=arguments.control,
+        max_frames=arguments.max_frames,
+        native_fps=arguments.native_fps,
+        name=arguments.name,
         allow_length_mismatch=arguments.allow_length_mismatch,
         out=arguments.out,
     )
     with progress("scoring") as show:
-        report = score_predictions(
+        reports = score_predictions(
             request,
             engine=engine_for(arguments.workers),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
-    print_summary(report.summary, motionless=report.motionless)
-    if report.folder is not None:
-        print(f"scores: {report.folder}")
+    for report in reports:
+        print_summary(report.summary, motionless=report.motionless)
+    if arguments.out is not None:
+        print(f"scores: {arguments.out}")
     return 0

@@ -10,9 +10,12 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
+from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.engine import Engine
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
+from prbench.evaluation.lengths import length_problem
+from prbench.evaluation.native_rate import at_table_rate, native_frames
 from prbench.evaluation.planning import Selection
 from prbench.manifests import MetricConstants
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
@@ -24,6 +27,8 @@ from prbench.sequences.chunk import SequenceChunk
 _COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
+SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
+"""What to do about motions of another length."""
 _AGAINST_ITSELF = frozenset(
     {"goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "reach_wrist"}
 )  # of a recorded motion: they compare it with itself whatever the goal is
@@ -42,6 +47,8 @@ class ScoringRules:
     allow_length_mismatch: bool = False
     id_seed: int = 0
     """Seed behind the opaque ids, where the predictions have those."""
+    native_fps: float | None = None
+    """Rate of the predictions; None for the table's, to which the others are brought."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +62,22 @@ class _Window:
     """Ids as the predictions have them."""
     samples: tuple[int, ...]
     predictions: Predictions
-    source: Path
     rules: ScoringRules
 
 
 def score_selection(
-    selection: Selection, predictions: Path, *, samples: Sequence[int], rules: ScoringRules, engine: Engine
+    selection: Selection,
+    predictions: Path | Predictions,
+    *,
+    samples: Sequence[int],
+    rules: ScoringRules,
+    engine: Engine,
 ) -> Iterator[pa.Table]:
     """Score all chosen sequences.
 
     Args:
         selection: The sequences; every one has a prediction for every sample.
-        predictions: File or folder of parts.
+        predictions: Opened, or a file or folder of parts.
         samples: Indices of the samples.
         rules: How to score.
         engine: Where the windows are worked on; the values are the same for any.
@@ -77,21 +88,22 @@ def score_selection(
     Raises:
         PredictionsError: if a motion has another length than the recorded one, or NaN; names sequence and frame.
     """
-    yield from engine.map(_score_window, _windows(selection, predictions, tuple(samples), rules))
+    opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
+    opened.make_ready()
+    yield from engine.map(_score_window, _windows(selection, opened, tuple(samples), rules))
 
 
 def _windows(
-    selection: Selection, predictions: Path, samples: tuple[int, ...], rules: ScoringRules
+    selection: Selection, predictions: Predictions, samples: tuple[int, ...], rules: ScoringRules
 ) -> Iterator[_Window]:
-    opened = Predictions.open(predictions)
-    opaque = opened.id_column == "opaque_id"
+    opaque = predictions.id_column == "opaque_id"
     salt = run_salt(rules.id_seed, selection.table.identity) if opaque else b""
     columns = _COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else [])
     for place, chunk in selection.windows(columns):
         names = opaque_ids(chunk.sequence_ids, salt) if opaque else chunk.sequence_ids
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
         dataset = selection.table.info.dataset
-        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, opened, predictions, rules)
+        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, predictions, rules)
 
 
 def _score_window(window: _Window) -> pa.Table:
@@ -102,7 +114,9 @@ def _score_window(window: _Window) -> pa.Table:
     for sample in window.samples:
         rows = window.predictions.motions(window.names, sample)
         predicted = MotionBatch(rows.values, rows.offsets)
-        _check(predicted, recorded, chunk.sequence_ids, window)
+        _check(predicted, recorded, chunk.sequence_ids, sample, window)
+        if window.rules.native_fps is not None:
+            predicted = _at_table_rate(predicted, recorded, window)
         by_sample.append(_scored(predicted, recorded, targets, window.rules))
     return _long_form(window.dataset, chunk.sequence_ids, window.samples, by_sample)
 
@@ -142,27 +156,51 @@ def _scored(
     return list(values.values())
 
 
-def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], window: _Window) -> None:
+def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample: int, window: _Window) -> None:
     """Name the sequence where a motion cannot be scored."""
-    source = window.source
-    different = np.flatnonzero(predicted.n_frames != recorded.n_frames)
-    if different.size and not window.rules.allow_length_mismatch:
-        row = different[0]
-        raise PredictionsError(
-            f"{source}, {ids[row]}: expected {recorded.n_frames[row]} frames, found {predicted.n_frames[row]}."
-            " Give every motion the length of the recorded one, or pass --allow-length-mismatch."
-        )
+
+    def place(row: int) -> str:
+        return f"{window.predictions.where(window.names[row], sample)}, {ids[row]}"
+
+    expected, fps, native_fps = recorded.n_frames, _fps(window), window.rules.native_fps
+    if native_fps is not None:
+        expected, fps = native_frames(expected, fps=fps, native_fps=native_fps), native_fps
+    if not window.rules.allow_length_mismatch:
+        wrong = length_problem(place, expected, predicted.n_frames, fps=fps)
+        if wrong is not None:
+            raise PredictionsError(f"{wrong} {SAME_LENGTH}")
     short = np.flatnonzero(predicted.n_frames < 2)
     if short.size:
-        raise PredictionsError(f"{source}, {ids[short[0]]}: expected 2 frames or more, found 1.")
+        raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
     finite = np.isfinite(predicted.values).all(axis=(1, 2))
     if not finite.all():
         frame = int(np.flatnonzero(~finite)[0])
         row = int(predicted.sequence_of_row[frame])
         raise PredictionsError(
-            f"{source}, {ids[row]}, frame {frame - predicted.offsets[row]}: expected finite joint positions,"
+            f"{place(row)}, frame {frame - predicted.offsets[row]}: expected finite joint positions,"
             " found NaN or infinity."
         )
+
+
+def _at_table_rate(predicted: MotionBatch, recorded: MotionBatch, window: _Window) -> MotionBatch:
+    """Motions at their own rate as a run resamples them before it keeps them."""
+    assert window.rules.native_fps is not None
+    padded = np.zeros((len(window.names), int(predicted.n_frames.max()), *predicted.values.shape[1:]), np.float32)
+    padded[np.arange(padded.shape[1]) < predicted.n_frames[:, None]] = predicted.values
+    asked = ConditionBatch(
+        condition=Condition.NONE,
+        n_frames=recorded.n_frames,
+        fps=_fps(window),
+        opaque_id=window.names,
+        noise_seed=(0,) * len(window.names),
+    )
+    resampled = at_table_rate(Motions(padded, predicted.n_frames), asked, native_fps=window.rules.native_fps)
+    return MotionBatch(resampled.ragged(), recorded.offsets)
+
+
+def _fps(window: _Window) -> float:
+    """Of the table; a selection has one rate."""
+    return float(SequenceChunk(window.recorded).numbers("fps")[0])
 
 
 def _long_form(dataset: str, ids: list[str], samples: Sequence[int], by_sample: list[list[MetricValues]]) -> pa.Table:

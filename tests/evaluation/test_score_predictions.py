@@ -41,7 +41,8 @@ def write(path, motions, *, id_column="sequence_id", samples=None, kind=None):
 
 
 def score(table, path, **changes):
-    return score_predictions(ScoreRequest(predictions=path, data=table.folder, **changes))
+    (report,) = score_predictions(ScoreRequest(predictions=path, data=(table.folder,), **changes))
+    return report
 
 
 def mean(report, metric):

@@ -25,7 +25,7 @@ from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.storage import write_text
 
 _RECORDED_MOTION = frozenset({"initial_joints", "previous_joints", "goal_joints", "goal_location"})
-_GOALS = frozenset({"goal_joints", "goal_location"})
+GOALS = frozenset({"goal_joints", "goal_location"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class ExportRequest:
             raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {self.native_fps:g}.")
         if self.control not in (None, SHUFFLED_GOAL):
             raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
-        if self.control == SHUFFLED_GOAL and not _GOALS & set(given_columns(self.condition)):
+        if self.control == SHUFFLED_GOAL and not GOALS & set(given_columns(self.condition)):
             raise UsageError(f"--control {SHUFFLED_GOAL}: condition '{self.condition.value}' gives no goal to shuffle.")
 
 
