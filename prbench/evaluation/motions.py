@@ -48,7 +48,7 @@ def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str]
 ) -> tuple[Motions, int]:
     try:
-        motions = adapter.generate(_own_copy(batch), seed=seed)
+        motions = adapter.generate(own_copy(batch), seed=seed)
     except AdapterError as error:
         raise AdapterError(_with_names(str(error), batch, ids)) from error
     except PrbenchError:
@@ -125,7 +125,7 @@ def _as_array(n_frames: object) -> np.ndarray:
         return np.empty(0)
 
 
-def _own_copy(batch: ConditionBatch) -> ConditionBatch:
+def own_copy(batch: ConditionBatch) -> ConditionBatch:
     """Arrays of its own, so that a method that writes into them changes neither its next sample nor our checks."""
     arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
     return dataclasses.replace(

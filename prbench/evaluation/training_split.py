@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from prbench.errors import AdapterError
 from prbench.sequences import SequenceTable
@@ -39,6 +40,15 @@ class TrainingSplit(SequenceTable):
             AdapterError: if another split is asked for.
         """
         return super().scalars(split=_of_training(split))
+
+    def events(self) -> pa.Table:
+        """The events of the training recordings; those of the others would tell where the goals of test rows are."""
+        events, known = super().events(), self.recordings()["recording_id"].combine_chunks()
+        return events.filter(pc.call_function("is_in", [events["recording_id"]], pc.SetLookupOptions(known)))
+
+    def recordings(self) -> pa.Table:
+        """The training recordings."""
+        return super().recordings().filter(pc.field("split") == _SPLIT)
 
     @cached_property
     def identity(self) -> str:

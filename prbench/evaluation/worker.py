@@ -19,7 +19,7 @@ from prbench.evaluation.adapters import load_adapter
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.isolation.training_copy import TrainingCopy
 from prbench.evaluation.methods import FIT_SEED
-from prbench.evaluation.motions import is_out_of_memory, release_memory, told, well_formed
+from prbench.evaluation.motions import is_out_of_memory, own_copy, release_memory, told, well_formed
 from prbench.evaluation.remote.messages import (
     WIRE_VERSION,
     Header,
@@ -116,7 +116,7 @@ def _answered(
 ) -> tuple[Header, bytes | None]:
     try:
         with computing_threads(threads):
-            motions = adapter.generate(batch, seed=header["seed"])
+            motions = adapter.generate(own_copy(batch), seed=header["seed"])
         motions = well_formed(motions, batch, method=name, sequence_ids=batch.opaque_id)
     except PrbenchError as error:
         return {"message": "error", "text": str(error)}, None
