@@ -55,11 +55,11 @@ def _list(arguments: argparse.Namespace) -> int:
 
     found = list_adapters()
     known = {adapter.name for adapter in found}
-    for name in arguments.names:
-        if name not in known:
-            raise no_such_method(name, known)
+    unknown = [name for name in arguments.names if name not in known]
+    if unknown:
+        raise no_such_method(unknown[0], known)
     if arguments.details:
-        print_details(arguments.names, time_limit=arguments.time_limit, as_json=arguments.as_json)
+        print_details(arguments.names, time_limit=float(arguments.time_limit), as_json=arguments.as_json)
         return 0
     shown = [adapter for adapter in found if not arguments.names or adapter.name in arguments.names]
     if arguments.as_json:

@@ -71,18 +71,18 @@ def describe_adapters(
     twice = offered_twice(installed)
 
     def describe(method: InstalledAdapter) -> Description:
-        error = method.problem or (_OFFERED_TWICE if method.name in twice else "")
-        return Description(method, error=error) if error else describe_adapter(method, time_limit=time_limit)
+        if method.name in twice:
+            return Description(method, error="another package offers the same name; uninstall one of them")
+        return describe_adapter(method, time_limit=time_limit)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         return list(pool.map(describe, chosen))
 
 
-_OFFERED_TWICE = "another package offers the same name; uninstall one of them"
-
-
 def describe_adapter(method: InstalledAdapter, *, time_limit: float = TIME_LIMIT) -> Description:
     """Import one method in a process of its own and ask it; whatever it does there becomes one line."""
+    if method.problem:
+        return Description(method, error=method.problem)
     with tempfile.TemporaryDirectory(prefix="prbench-describe-", ignore_cleanup_errors=True) as folder:
         report = Path(folder) / "report.jsonl"
         child = _Child.start(method, report)
