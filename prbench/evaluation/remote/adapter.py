@@ -41,6 +41,7 @@ class RemoteAdapter:
         self.motionless = introduction.declared.motionless
         self.weights: Mapping[Condition, RemoteWeights] = introduction.weights
         """What it says that it will use under each condition; empty if it says nothing."""
+        self.trainable = introduction.trainable
 
     @classmethod
     def start(
@@ -144,16 +145,16 @@ class RemoteAdapter:
             text += (
                 f" It ran apart (--isolate, {self._program.fence}): paths and variables of this machine may be hidden."
             )
-        return text + _log_story(self._process.log)
+        return text + _log_story(self._process.log, even_if_empty=isinstance(fault, Ended | TimedOut))
 
 
 def _span(ids: Sequence[str]) -> str:
     return f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
 
 
-def _log_story(log: ProgramLog) -> str:
+def _log_story(log: ProgramLog, *, even_if_empty: bool) -> str:
     lines = log.tail()
     if not lines:
-        return " It wrote nothing to its log (stderr)."
+        return " It wrote nothing to its log (stderr)." if even_if_empty else ""
     place = f"the log, {log.path}" if log.path is not None else "its log"
     return "\n".join([f" The end of {place}:", *(f"    {line}" for line in lines)])

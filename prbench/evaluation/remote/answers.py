@@ -28,7 +28,7 @@ def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, num
     kind = header["message"]
     if kind not in ("motions", "error"):
         raise BrokenProtocol(f"answered with the message {kind[:80]!r}, where 'motions' or 'error' was due")
-    if header.get("batch", number if kind == "error" else None) != number:
+    if header.get("batch") != number and not (kind == "error" and header.get("batch") is None):
         raise BrokenProtocol(
             f"answered batch {str(header.get('batch'))[:40]}, where batch {number} was due: every request has exactly"
             " one answer, which repeats its number"

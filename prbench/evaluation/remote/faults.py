@@ -27,9 +27,14 @@ class ReportedError(Fault):
 
 
 def excerpt(found: bytes | bytearray, limit: int = 80) -> str:
-    """The first characters of what was found, in quotes, whatever bytes they are."""
-    text = found[: 4 * limit].decode(errors="replace").rstrip("\r\n")
-    return repr(text[:limit]) + ("…" if len(text) > limit or len(found) > 4 * limit else "")
+    r"""The first characters of what was found, in quotes, whatever bytes they are.
+
+    >>> excerpt(b"epoch 1\r\n")
+    "'epoch 1'"
+    """
+    text = found[: 4 * limit].decode(errors="backslashreplace").rstrip("\r\n")
+    shown = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+    return f"'{shown[:limit]}'" + ("…" if len(shown) > limit or len(found) > 4 * limit else "")
 
 
 def exit_story(status: int) -> str:

@@ -31,6 +31,8 @@ class Introduction:
     version: str
     declared: Declared
     weights: Mapping[Condition, RemoteWeights] = field(default_factory=dict)
+    trainable: bool = False
+    """Of prbench's own worker alone: the installed method can be fitted to a table."""
 
     @classmethod
     def read(cls, header: Mapping[str, Any], *, origin: str) -> Introduction:
@@ -48,8 +50,8 @@ class Introduction:
                 f"{origin}: expected it to answer 'hello' with 'hello', found the message {header['message'][:80]!r}."
             )
         _require_version(header.get("wire"), origin)
-        motionless = header.get("motionless", False)
-        if not isinstance(motionless, bool):
+        motionless = header.get("motionless")
+        if motionless not in (None, True, False):
             raise AdapterError(
                 f"{origin}: expected 'motionless' in its hello to be true or false, found {_shown(motionless)}."
             )
@@ -57,9 +59,14 @@ class Introduction:
             _text(header, "name", origin),
             _text(header, "version", origin),
             Declared.checked(
-                header.get("conditions"), header.get("max_frames"), header.get("native_fps"), motionless, origin=origin
+                header.get("conditions"),
+                header.get("max_frames"),
+                header.get("native_fps"),
+                motionless is True,
+                origin=origin,
             ),
             _weights(header.get("weights"), origin),
+            trainable=header.get("trainable") is True,
         )
 
 

@@ -45,21 +45,27 @@ def encode_message(header: Header, payload: bytes | None = None) -> list[bytes]:
 
 
 def parse_header(line: bytes) -> Header:
-    """The JSON object of a header line.
+    """The JSON object of a header line; it has the key ``bytes`` only if a payload follows.
 
     Raises:
         ValueError: if the line is no header; says why.
     """
     try:
-        header = json.loads(line.decode())
+        header = json.loads(line.decode(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"no JSON in UTF-8: {error}") from error
     if not isinstance(header, dict) or not isinstance(header.get("message"), str):
         raise ValueError("no JSON object with a text under 'message'")
-    size = header.get("bytes", 0)
+    if header.get("bytes") is None:
+        return {key: value for key, value in header.items() if key != "bytes"}
+    size = header["bytes"]
     if not isinstance(size, int) or isinstance(size, bool) or size < 0:
         raise ValueError(f"'bytes' is {str(size)[:40]!r}, no whole number of 0 or more")
     return header
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON")
 
 
 def write_message(stream: BinaryIO, header: Header, payload: bytes | None = None) -> None:

@@ -23,6 +23,18 @@ _LINE_PATIENCE = 0.3
 _REMEDY = "Its stdout belongs to the protocol: print to stderr"
 
 
+class Deadline:
+    """A time limit that has begun to run."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._end = time.monotonic() + seconds
+
+    def remaining(self) -> float:
+        """Seconds, 0 when it is over."""
+        return max(0.0, self._end - time.monotonic())
+
+
 class Outbox:
     """Writes to the program's stdin; one message may wait while another is being written."""
 
@@ -34,16 +46,16 @@ class Outbox:
         """Bytes of the message that is being written."""
         threading.Thread(target=self._write, args=(stdin,), name="stdin of a program", daemon=True).start()
 
-    def send(self, message: Sequence[bytes], deadline: float) -> None:
+    def send(self, message: Sequence[bytes], deadline: Deadline) -> None:
         """Leave a message to be written.
 
         Raises:
             TimedOut: if earlier ones are still unread at the deadline.
         """
         try:
-            self._waiting.put(message, timeout=max(0.0, deadline - time.monotonic()))
+            self._waiting.put(message, timeout=deadline.remaining())
         except queue.Full:
-            raise TimedOut(f"did not read its stdin ({self.progress()})") from None
+            raise TimedOut(f"did not read its stdin within {deadline.seconds:g} s ({self.progress()})") from None
 
     def progress(self) -> str:
         """How much of the message the program has taken."""
@@ -88,12 +100,12 @@ class Inbox:
         self._discarding = threading.Event()
         threading.Thread(target=self._read, args=(stdout,), name="stdout of a program", daemon=True).start()
 
-    def receive(self, payload_limit: int, deadline: float) -> tuple[Header, bytes | None]:
+    def receive(self, payload_limit: int, deadline: Deadline) -> tuple[Header, bytes | None]:
         """Wait for one message.
 
         Args:
             payload_limit: Bytes; a larger payload is refused unread.
-            deadline: On the clock of ``time.monotonic``.
+            deadline: For the whole message.
 
         Raises:
             BrokenProtocol: if what comes is no message.
@@ -129,7 +141,7 @@ class Inbox:
         """Read on, so that the program can end, but keep nothing."""
         self._discarding.set()
 
-    def _header(self, deadline: float) -> Header:
+    def _header(self, deadline: Deadline) -> Header:
         searched = 0
         while (end := self._buffer.find(b"\n", searched, HEADER_LIMIT)) < 0:
             searched = len(self._buffer)
@@ -142,32 +154,33 @@ class Inbox:
                 self._refuse_line(deadline)
             self._take_in(deadline, f"{searched:,} bytes of a header without its end" if searched else "")
         line = self._cut(end + 1)
+        if not line.startswith(b"{"):
+            raise _no_message(line)
         try:
             return parse_header(line)
         except ValueError as error:
-            raise BrokenProtocol(f"wrote a line that is no message ({error}): {excerpt(line)}. {_REMEDY}") from error
+            raise _no_message(line, f" ({error})") from error
 
-    def _refuse_line(self, deadline: float) -> None:
+    def _refuse_line(self, deadline: Deadline) -> None:
         """What begins so can be no header; take in a little more of it for the message."""
-        patience = min(deadline, time.monotonic() + _LINE_PATIENCE)
-        while time.monotonic() < patience and len(self._buffer) < 400 and b"\n" not in self._buffer:
+        patience = Deadline(min(deadline.remaining(), _LINE_PATIENCE))
+        while len(self._buffer) < 400 and b"\n" not in self._buffer:
             try:
                 self._take_in(patience, "")
             except (Ended, TimedOut):
                 break
-        line = bytes(self._buffer).split(b"\n")[0]
-        raise BrokenProtocol(f"wrote a line that is no message: {excerpt(line)}. {_REMEDY}")
+        raise _no_message(bytes(self._buffer).split(b"\n")[0])
 
     def _cut(self, size: int) -> bytes:
         piece = bytes(memoryview(self._buffer)[:size])
         del self._buffer[:size]
         return piece
 
-    def _take_in(self, deadline: float, so_far: str) -> None:
+    def _take_in(self, deadline: Deadline, so_far: str) -> None:
         """Wait for the next bytes."""
         behind = f", after {so_far}" if so_far else ""
-        broken_since: float | None = None
-        while (remaining := deadline - time.monotonic()) > 0:
+        patience: Deadline | None = None  # with a program that reads no more
+        while remaining := deadline.remaining():
             ended = self._ended()
             try:
                 chunk = self._chunks.get(timeout=min(remaining, _SLICE))
@@ -175,8 +188,8 @@ class Inbox:
                 if ended is not None:  # already before the wait, so nothing of it is on its way
                     raise Ended(f"{ended}{behind}") from None
                 if self._outbox.broken.is_set():
-                    broken_since = broken_since or time.monotonic()
-                    if time.monotonic() - broken_since > 2 * _SLICE:
+                    patience = patience or Deadline(2 * _SLICE)
+                    if not patience.remaining():
                         raise Ended(f"closed its stdin{behind}") from None
                 continue
             if not chunk:
@@ -184,12 +197,14 @@ class Inbox:
             self._buffer += chunk
             return
         unread = self._outbox.written < self._outbox.total
-        raise TimedOut(f"did not answer{f' ({self._outbox.progress()})' if unread else ''}{behind}")
+        raise TimedOut(
+            f"did not answer within {deadline.seconds:g} s{f' ({self._outbox.progress()})' if unread else ''}{behind}"
+        )
 
     def _ended_soon(self) -> str | None:
         """How the program ended; a pipe closes a moment before its process is gone."""
-        patience = time.monotonic() + 1.0
-        while (ended := self._ended()) is None and time.monotonic() < patience:
+        patience = Deadline(1.0)
+        while (ended := self._ended()) is None and patience.remaining():
             time.sleep(0.01)
         return ended
 
@@ -208,3 +223,7 @@ class Inbox:
                         continue
                 if not chunk:
                     return
+
+
+def _no_message(line: bytes, reason: str = "") -> BrokenProtocol:
+    return BrokenProtocol(f"wrote a line that is no message: {excerpt(line)}{reason}. {_REMEDY}")

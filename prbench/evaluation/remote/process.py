@@ -17,7 +17,7 @@ from prbench.errors import AdapterError
 from prbench.evaluation.remote.faults import exit_story
 from prbench.evaluation.remote.log import ProgramLog
 from prbench.evaluation.remote.messages import Header, encode_message
-from prbench.evaluation.remote.pipes import Inbox, Outbox
+from prbench.evaluation.remote.pipes import Deadline, Inbox, Outbox
 from prbench.evaluation.remote.program import Program
 
 EXIT_SECONDS = 5.0
@@ -71,7 +71,7 @@ class ProgramProcess:
         Raises:
             Fault: see :meth:`prbench.evaluation.remote.pipes.Inbox.receive`.
         """
-        deadline = time.monotonic() + timeout
+        deadline = Deadline(timeout)
         try:
             self._inbox.require_silence()
             self._outbox.send(encode_message(header, payload), deadline)
@@ -128,7 +128,7 @@ class ProgramProcess:
 
     def _signal_all(self, how: str, patience: float) -> None:
         """Send a signal to the program and its kin, and wait until they are gone."""
-        until = time.monotonic() + patience
+        until = Deadline(patience)
         kin = list(self._kin())
         if sys.platform != "win32" and (kin or self._popen.poll() is None):
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -139,8 +139,8 @@ class ProgramProcess:
         if self._popen.poll() is None:
             getattr(self._popen, how)()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._popen.wait(patience)
-        while any(map(_runs, kin)) and time.monotonic() < until:
+                self._popen.wait(until.remaining())
+        while any(map(_runs, kin)) and until.remaining():
             time.sleep(0.01)
 
     def _kin(self) -> Iterator[psutil.Process]:

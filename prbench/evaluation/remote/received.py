@@ -23,7 +23,7 @@ class ReceivedMotions:
 
     ids: tuple[str, ...]
     joints: Shaped[np.ndarray, "total 22 3"]
-    offsets: Int[np.ndarray, " rows+1"]
+    offsets: Int[np.ndarray, " offsets"]
     """Row i is ``joints[offsets[i]:offsets[i + 1]]``."""
 
     @classmethod

@@ -1,0 +1,91 @@
+"""Programs that answer a batch badly, or not: an error that names the batch and the reason, never a hang."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from typing import NamedTuple
+
+import pytest
+
+from prbench.errors import AdapterError
+from tests.evaluation.remote.programs import Workshop, standard_batch
+
+
+class Case(NamedTuple):
+    """What a program does after a good hello, and what the message about it says."""
+
+    name: str
+    source: str
+    says: str
+    waits: bool = False
+    """Only a time limit ends it."""
+
+
+HALF = "motions(read()[0], None, bytes=len(GOOD)); stdout.write(GOOD[:500]); stdout.flush()"
+PROTOCOL = [
+    Case(
+        "prints before", "print('epoch 1', flush=True); motions(read()[0])", "'epoch 1'. Its stdout belongs to the pro"
+    ),
+    Case("prints behind the header", "motions(read()[0], None, bytes=8); print('epoch 1')", "payload, found none"),
+    Case("garbage for a payload", "motions(read()[0], b'x' * 999)", "expected an Arrow IPC stream as payload, fou"),
+    Case("empty payload", "motions(read()[0], b'')", "expected an Arrow IPC stream as payload, fou"),
+    Case("truncated stream", "motions(read()[0], GOOD[:700])", "expected an Arrow IPC stream as payload, fou"),
+    Case("no payload", "motions(read()[0], None)", "answered without a payload"),
+    Case("huge payload", "motions(read()[0], None, bytes=2**40)", "payload of 1,099,511,627,776 bytes, where at most"),
+    Case("another batch", "motions(read()[0], batch=7)", "answered batch 7, where batch 0 was due"),
+    Case("another message", "read(); write({'message': 'hello'})", "answered with the message 'hello', where 'mot"),
+    Case("wrong passes", "motions(read()[0], network_passes=-4)", "declared '-4' network_passes"),
+    Case("error", "h, _ = read(); write({'message': 'error', 'batch': 0, 'text': 'no floor'})", "error: no floor.$"),
+]
+SILENCE = [
+    Case("never answers", "read(); time.sleep(60)", "did not answer within 0.4 s. .*lower --batch-size", waits=True),
+    Case("half a payload, then waits", f"{HALF}; time.sleep(60)", "after 500 of [0-9,]+ bytes of its payl", waits=True),
+]
+CRASHES = [
+    Case("half a payload, then exits", HALF, "twice: its program ended with exit status 0, after 500 of"),
+    Case("raises", "read(); sys.exit('IndexError: 7')", r"twice: .* status 1\. .*cmd-made-\d+\.log:\n +IndexError: 7"),
+    Case("exits well", "read(); sys.exit(0)", "twice: its program ended with exit status 0. It wrote nothing to its log"),
+    Case("closes stdout", "read(); os.close(1); time.sleep(60)", "twice: its program closed its stdout"),
+    Case("closes stdin", "os.close(0); time.sleep(60)", "twice: its program closed its stdin"),
+    Case("is killed", "read(); os.kill(os.getpid(), 9)", r"twice: its program was ended by signal 9 \(SIGKILL; often"),
+    Case("128 + signal", "read(); sys.exit(139)", r"twice: .* status 139 \(128 \+ 11: SIGSEGV\)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", PROTOCOL + SILENCE + CRASHES, ids=lambda case: case.name)
+def test_a_bad_answer_is_refused_with_the_batch_and_the_reason(case: Case, workshop: Workshop) -> None:
+    if sys.platform == "win32" and "signal" in case.says:
+        pytest.skip("Windows has no signals")
+    adapter = workshop.start("hello()\n" + case.source, batch_timeout=0.4 if case.waits else 20.0)
+    with pytest.raises(AdapterError) as caught:
+        adapter.generate(standard_batch(), seed=0)
+    message = str(caught.value)
+    assert message.startswith(f"adapter 'made' on the batch of 3 sequences from {0:064x} to {2:064x}")
+    assert re.search(case.says, message, re.DOTALL), message
+    assert adapter.restarts == (1 if case in CRASHES else 0)
+    assert not workshop.left_behind() or "error: " in case.says
+
+
+def test_what_is_printed_behind_an_answer_is_refused_with_the_next_batch(workshop: Workshop) -> None:
+    adapter = workshop.start("hello(); motions(read()[0]); print('done', flush=True); read()")
+    adapter.generate(standard_batch(), seed=0)
+    time.sleep(0.2)
+    with pytest.raises(AdapterError, match="wrote to stdout without being asked, behind its last answer: 'done'"):
+        adapter.generate(standard_batch(), seed=0)
+
+
+def test_a_second_answer_to_the_same_batch_is_never_taken_for_the_next(workshop: Workshop) -> None:
+    adapter = workshop.start("hello(); h, _ = read(); motions(h); read(); motions(h); read()")
+    adapter.generate(standard_batch(), seed=0)
+    with pytest.raises(AdapterError, match="answered batch 0, where batch 1 was due"):
+        adapter.generate(standard_batch(), seed=0)
+
+
+def test_a_long_request_to_a_program_that_does_not_read_ends_with_its_time_limit(workshop: Workshop) -> None:
+    adapter = workshop.start("hello(); time.sleep(60)", batch_timeout=0.4)
+    started = time.monotonic()
+    with pytest.raises(AdapterError, match=r"did not answer within 0.4 s \([0-9,]+ of [0-9,]+ bytes of the request"):
+        adapter.generate(standard_batch(3000), seed=0)
+    assert time.monotonic() - started < 3
