@@ -57,7 +57,7 @@ def _check(arguments: argparse.Namespace) -> int:
         data=arguments.data,
     )
     with progress(f"checking {arguments.method}") as show:
-        report = check(request, lambda one, place, total: show(place, total, one.name))
+        report = check(request, lambda name, place, total: show(place, total, name))
     if arguments.json is not None:
         write_json(arguments.json, report.as_json())
     _print(report)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
-from threadpoolctl import threadpool_limits
 
 from prbench.contract import Adapter, ConditionBatch, Motions
 from prbench.errors import PrbenchError
 from prbench.evaluation.conformance import global_random
 from prbench.evaluation.motions import generate_checked
+from prbench.evaluation.threads import computing_threads
 
 STATE_SEED = 20_240_607
 """Of the global generators before every call, so that only the check that is about them sees them at work."""
@@ -88,11 +87,10 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     """
     watched = _Watched(adapter)
     motions, halvings, error = None, 0, ""
-    _set_torch_threads(threads)
     own = dataclasses.replace(batch)
     started = time.perf_counter()
     try:
-        with global_random.set_to(state_seed), threadpool_limits(threads):
+        with computing_threads(threads), global_random.set_to(state_seed):
             motions, halvings = generate_checked(
                 watched,  # type: ignore[arg-type] - its other attributes are the method's
                 own,
@@ -105,9 +103,3 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     seconds = time.perf_counter() - started
     overwritten, drew_from = tuple(sorted(watched.overwritten)), tuple(sorted(watched.drew_from))
     return Answer(batch, motions, error, watched.returned, seconds, halvings, overwritten, drew_from)
-
-
-def _set_torch_threads(threads: int) -> None:
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.get_num_threads() != threads:
-        torch.set_num_threads(threads)

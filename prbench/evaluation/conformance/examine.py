@@ -29,8 +29,14 @@ def examine(
         if announce is not None:
             announce(one)
         findings = [observation.of(one.name) for observation in _observed(one, subject, worst)]
-        worst[one.name] = Outcome.FAILED if any(f.outcome is Outcome.FAILED for f in findings) else Outcome.PASSED
+        worst[one.name] = worst_of(findings)
         yield from findings
+
+
+def worst_of(findings: Iterable[Finding]) -> Outcome:
+    """How a check ended that found all this."""
+    order = (Outcome.SKIPPED, Outcome.PASSED, Outcome.WARNING, Outcome.FAILED)
+    return max((finding.outcome for finding in findings), key=order.index, default=Outcome.SKIPPED)
 
 
 def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> list[Observation]:
@@ -38,6 +44,8 @@ def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> lis
     if missing:
         return [skipped(f"not looked at before '{missing[0]}' passes.")]
     try:
+        if one.of_motions and (why := _no_motions(subject, worst)):
+            return [skipped(why)]
         return list(one.examine(subject))
     except Exception as error:  # a method may answer in ways that no check expects
         return [
@@ -46,3 +54,12 @@ def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> lis
                 "Look at the failures above first; if there are none, this is a defect of prbench: please report it.",
             )
         ]
+
+
+def _no_motions(subject: Subject, worst: Mapping[str, Outcome]) -> str:
+    if worst.get("load") is Outcome.FAILED:
+        return "not looked at before 'load' passes."
+    if not subject.working:
+        broken = [name for name in ("generates", "shapes", "dtype", "finite") if worst.get(name) is Outcome.FAILED]
+        return f"there are no motions to look at before {broken[0] if broken else 'generates'!r} passes."
+    return ""

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
-from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
+from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.evaluation.conditions import ConditionSource, run_salt
 from prbench.evaluation.conformance.answer import STATE_SEED, Answer, ask
 from prbench.evaluation.conformance.cases import Cases, rows_of, write_training_table
 from prbench.evaluation.declared import Declared
-from prbench.evaluation.methods import MethodSpec, forget_loaded_methods
+from prbench.evaluation.methods import LoadedMethod, MethodSpec
 from prbench.evaluation.native_rate import native_frames
 from prbench.manifests import load_protocol
+from prbench.sequences import SequenceTable
 
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
 """The condition that most checks use is the first of these that works."""
 _SALT = run_salt(0, "conformance")
+_FIRST = "first-motions.npy"
 _FEW, _PATIENCE = 3, 12.0  # sequences that even a slow method is asked about; seconds that a batch should take
 
 
@@ -36,22 +39,44 @@ class Subject:
 
     def __init__(self, spec: MethodSpec, cases: Cases, folder: Path) -> None:
         self.spec, self.cases, self.folder = spec, cases, folder
+        self.overwritten: set[str] = set()
+        """Fields of batches that the method wrote into."""
+        self.drew_from: set[str] = set()
+        """Global generators whose state it moved."""
+        self.asking: Callable[[str], None] = lambda _text: None
+        """Told what the method is asked, before each call."""
         self._answers: dict[Condition, Answer] = {}
 
-    @cached_property
+    @property
     def adapter(self) -> Adapter:
         """The method, ready to generate.
 
         Raises:
             PrbenchError: if it cannot be loaded or fitted.
         """
-        forget_loaded_methods()
-        adapter = self.spec.load().adapter
-        if self.spec.weights is None and self.spec.fit_folder is None and isinstance(adapter, Trainable):
-            table = self.cases.train_folder or write_training_table(self.folder / "table")
+        return self.loaded.adapter
+
+    @cached_property
+    def loaded(self) -> LoadedMethod:
+        """The method as a run holds it; fitted, if it learns and was given no weights.
+
+        Raises:
+            PrbenchError: if it cannot be loaded or fitted.
+        """
+        loaded = self.spec.load()
+        if self.spec.weights is not None or self.spec.fit_folder is not None or not loaded.is_trainable:
+            return loaded
+        table = self.cases.train_folder or write_training_table(self.folder / "table")
+        if self.spec.program is None:
             self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table)
-            adapter = self.spec.load().adapter
-        return adapter
+        else:
+            self.spec = self.spec.fitted_to(SequenceTable.open(table))
+        return self.spec.load()
+
+    def load_again(self) -> None:
+        """Start a program again that was ended because another was started; a method in this process stays."""
+        if self.spec.program is not None:
+            self.__dict__.pop("loaded", None)
 
     @cached_property
     def declared(self) -> Declared:
@@ -64,9 +89,14 @@ class Subject:
         return f"adapter '{self.spec.name}'"
 
     @property
+    def is_installed(self) -> bool:
+        """It is an installed adapter, wherever it runs; not a program that the user named."""
+        return self.spec.package is None
+
+    @property
     def is_program(self) -> bool:
         """It runs in a process of its own: neither its objects nor its generators can be seen from here."""
-        return hasattr(self.adapter, "close")
+        return self.spec.program is not None
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -89,11 +119,22 @@ class Subject:
         source = self.cases.source
         return rows_of(source, [row for row in range(len(source.n_frames)) if self.takes(int(source.n_frames[row]))])
 
+    @property
+    def shortest(self) -> int:
+        """Frames of the shortest sequence of the protocol: its lead, and an event at prime time."""
+        protocol = load_protocol()
+        return int(protocol.curation.lead * protocol.fps + 1e-6) + 1
+
+    @property
+    def protocols_longest(self) -> int:
+        """Frames of its longest sequence: lead and priming window."""
+        protocol = load_protocol()
+        return int((protocol.curation.priming_window + protocol.curation.lead) * protocol.fps + 1e-6) + 1
+
     @cached_property
     def longest(self) -> int:
-        """Frames, at the table's rate, of the longest sequence that the protocol can ask for and the method takes."""
-        constants = load_protocol()
-        n_frames = int((constants.curation.priming_window + constants.curation.lead) * constants.fps + 1e-6) + 1
+        """Frames of the longest sequence of the protocol that the method takes."""
+        n_frames = self.protocols_longest
         while n_frames > 1 and not self.takes(n_frames):
             n_frames -= 1
         return n_frames
@@ -109,7 +150,16 @@ class Subject:
     def warm_up(self) -> tuple[Answer, Answer]:
         """The first call of all, which pays for what loads on first use, and the same once more."""
         batch = self.batch(range(min(2, len(self.source.n_frames))), self.conditions[0])
-        return self.ask(batch), self.ask(batch)
+        first = self.ask(batch)
+        kept = self.folder / _FIRST
+        if first.motions is not None and not kept.is_file() and self.folder.is_dir():
+            np.save(kept, first.motions.joints)
+        return first, self.ask(batch)
+
+    def first_motions(self) -> Float[np.ndarray, "batch frames 22 3"] | None:
+        """Those of the very first batch, of whichever process looked at the method first; None if there are none."""
+        kept = self.folder / _FIRST
+        return np.load(kept) if kept.is_file() else None
 
     @cached_property
     def rows(self) -> tuple[int, ...]:
@@ -132,7 +182,12 @@ class Subject:
 
     def ask(self, batch: ConditionBatch, *, seed: int = 0, state_seed: int = STATE_SEED) -> Answer:
         """One call; whatever goes wrong is part of the answer."""
-        return ask(self.adapter, batch, seed=seed, state_seed=state_seed, threads=self.spec.threads)
+        of_one = "1 sequence" if len(batch) == 1 else f"{len(batch)} sequences"
+        self.asking(f"{of_one} of up to {int(batch.n_frames.max())} frames under {batch.condition.value}")
+        answer = ask(self.adapter, batch, seed=seed, state_seed=state_seed, threads=self.spec.threads)
+        self.overwritten.update(answer.overwritten)
+        self.drew_from.update(answer.drew_from)
+        return answer
 
 
 def working_folder() -> tempfile.TemporaryDirectory[str]:

@@ -1,61 +1,128 @@
-"""Same input and seed, same motion: whatever was generated before, beside it, and by which run."""
+"""Same input and noise seed, same motion: whatever was generated before, and whatever else is drawn from."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
-from prbench.evaluation.conformance.answer import Answer
+from prbench.evaluation.conformance.answer import STATE_SEED, Answer
 from prbench.evaluation.conformance.check import check
-from prbench.evaluation.conformance.finding import Observation, failed, passed, warning
+from prbench.evaluation.conformance.comparing import TOLERANCE, largest_changes, metres, same_bytes
+from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
 
-TOLERANCE = 1e-4
-"""Metres by which a motion may change where only rounding differs (design, section 3, "Reproducibility")."""
+_OWN_GENERATORS = (
+    "Draw from one generator a sequence, made of its noise_seed alone:"
+    " prbench.randomness.sequence_generator(noise_seed), or torch.Generator().manual_seed(noise_seed)."
+)
 
 
-@check("determinism", "the same batch gives the same motions", needs=("load", "generates", "shapes", "dtype", "finite"))
+@check("determinism", "the same batch gives the same motions", of_motions=True)
 def determinism(subject: Subject) -> Iterator[Observation]:
     """The usual batch again, after another one."""
     first = subject.standard(subject.main)
     subject.ask(subject.batch(subject.rows[:1], subject.main, sample=7))
     again = subject.ask(first.batch)
-    if again.motions is None:
-        yield failed(
-            f"asked for the same batch a second time: {again.error}", "Let no call change what the next finds."
-        )
+    yield _compared(
+        first, again, "asked for the same batch a second time",
+        f"Something is left over from earlier calls, or drawn from time or the system. {_OWN_GENERATORS}",
+    )  # fmt: skip
+
+
+@check("global-random", "nothing is drawn from global generators", needs=("determinism",), of_motions=True)
+def global_random(subject: Subject) -> Iterator[Observation]:
+    """The usual batch with other states of Python's, NumPy's and torch's global generators."""
+    if subject.is_program:
+        yield skipped("a program's generators are its own; 'determinism' and 'process' see what they would change.")
         return
-    moved = largest_change(first, again)
-    if first.motions is not None and np.array_equal(first.motions.joints, again.motions.joints):
-        yield passed("the same batch gave the same bytes.", change_m=0.0)
-    elif moved <= TOLERANCE:
-        yield warning(
-            f"the same batch gave motions that differ by up to {moved:.1e} m.",
-            "Rounding differs from call to call; torch.use_deterministic_algorithms(True) says which operations.",
-            change_m=moved,
+    first = subject.standard(subject.main)
+    other = subject.ask(first.batch, state_seed=STATE_SEED + 1)
+    drew = ", ".join(sorted(subject.drew_from)) or "a global generator"
+    if other.motions is not None and same_bytes(first, other):
+        if subject.drew_from:
+            yield warning(
+                f"it sets or draws from {drew}, though its motions do not change with it.",
+                f"Leave global generators alone: another method or test in the process may use them. {_OWN_GENERATORS}",
+            )
+        else:
+            yield passed("no global generator is touched.")
+        return
+    yield _compared(first, other, f"with {drew} in another state", _OWN_GENERATORS)
+
+
+@check("noise-seed", "noise_seed is the only source of chance", needs=("determinism", "global-random"), of_motions=True)
+def noise_seed(subject: Subject) -> Iterator[Observation]:
+    """The usual batch for another run's seed and opaque ids; then with other noise seeds."""
+    first = subject.standard(subject.main)
+    renamed = tuple(name[::-1] for name in first.batch.opaque_id)
+    other_run = subject.ask(dataclasses.replace(first.batch, opaque_id=renamed), seed=1)
+    finding = _compared(
+        first, other_run, "with another 'seed' and other opaque ids, but the same noise seeds",
+        f"Both are for the record only: noise_seed alone tells sequences and samples apart. {_OWN_GENERATORS}",
+    )  # fmt: skip
+    if finding.remedy:
+        yield finding
+        return
+    redrawn = subject.ask(subject.batch(subject.rows, subject.main, sample=1))
+    if redrawn.motions is None:
+        yield failed(f"with other noise seeds: {redrawn.error}", _OWN_GENERATORS)
+        return
+    changes = largest_changes(first, redrawn)
+    if not changes.any():
+        yield passed("the run's seed changes nothing; the method draws nothing: more --samples would be copies.")
+    elif not changes.all():
+        still = int((changes == 0).sum())
+        yield failed(
+            f"with other noise seeds, {still} of {len(changes)} motions stayed the same and the others changed.",
+            f"Use the noise_seed of each row, not that of the first. {_OWN_GENERATORS}",
         )
     else:
-        yield failed(
-            f"the same batch, asked a second time, moved joints by up to {metres(moved)}.",
-            "Draw from generators made of batch.noise_seed alone (prbench.randomness.sequence_generator, or"
-            " torch.Generator().manual_seed(noise_seed)), not from time, the system or what earlier calls left.",
-            change_m=moved,
+        yield passed(
+            f"the run's seed changes nothing, another noise_seed moves joints by up to {metres(changes.max())}.",
+            change_m=changes.max(),
         )
 
 
-def largest_change(first: Answer, second: Answer) -> float:
-    """Largest distance of any joint in any frame between two answers of the same lengths, metres."""
-    return max(
-        float(np.linalg.norm(first.motion(row) - second.motion(row), axis=-1).max()) for row in range(len(first.batch))
+@check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
+def process(subject: Subject) -> Iterator[Observation]:
+    """The first batch of all, in a process that has done nothing else."""
+    kept = subject.first_motions()
+    if kept is None:
+        yield skipped("there are no motions of the first process to compare with.")
+        return
+    answer = subject.warm_up[0]
+    if answer.motions is None:
+        yield failed(f"in another process: {answer.error}", "Find out what the first process had that this one lacks.")
+        return
+    moved = float(np.linalg.norm(answer.motions.joints - kept, axis=-1).max())
+    if not moved:
+        yield passed("another process gave the same bytes.", change_m=0.0)
+        return
+    text = f"another process moved joints by up to {metres(moved)}."
+    remedy = (
+        "A run may use several processes and be resumed in new ones. Python's hash() of text and the order of sets"
+        " change from process to process, and so does whatever is drawn or read while loading."
     )
+    yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
 
 
-def metres(distance: float) -> str:
-    """A distance in the unit in which it is easily read."""
-    if distance >= 1:
-        return f"{distance:.2f} m"
-    return f"{distance * 100:.2g} cm" if distance >= 0.001 else f"{distance:.1e} m"
+def _compared(first: Answer, second: Answer, when: str, remedy: str) -> Observation:
+    """Equal bytes pass, rounding is a remark, anything else a failure."""
+    if second.motions is None:
+        return failed(f"{when}: {second.error}", remedy)
+    if same_bytes(first, second):
+        return passed(f"{when}: the same bytes.", change_m=0.0)
+    moved = largest_changes(first, second).max()
+    if moved <= TOLERANCE:
+        return warning(
+            f"{when}: joints moved by up to {moved:.1e} m.",
+            "That is rounding; resumed runs may differ in the last digits."
+            " torch.use_deterministic_algorithms(True) names the operations.",
+            change_m=moved,
+        )
+    return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
 
 
-CHECKS = (determinism,)
+CHECKS = (determinism, global_random, noise_seed, process)

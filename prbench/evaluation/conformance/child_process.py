@@ -1,0 +1,141 @@
+"""The parent's side of the process in which a method is looked at."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import psutil
+
+from prbench.evaluation.conformance.finding import Finding, Outcome
+from prbench.evaluation.remote.faults import exit_story
+
+if TYPE_CHECKING:
+    from prbench.evaluation.conformance.session import CheckRequest
+
+_MODULE = "prbench.evaluation.conformance.child"
+_SHOWN_LINES = 5
+_GRACE = 10.0  # seconds more than a program gets, whose own time limit says more about it
+
+
+class Lost(Exception):
+    """The child crashed, or the method did not come to an end; the text says so."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """A finding, or the beginning of the next check."""
+
+    finding: Finding | None = None
+
+
+class ChildProcess:
+    """Runs some checks in a process of its own, which may crash or hang."""
+
+    def __init__(self, request: CheckRequest, checks: list[str], known: Mapping[str, str], folder: Path) -> None:
+        self._asking = ""
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed in __exit__
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", _MODULE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(path or "." for path in sys.path)},
+        )
+        order = {"request": _plain(request), "checks": checks, "known": dict(known), "folder": str(folder)}
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.close()
+        except BrokenPipeError:
+            pass  # it is gone already; events() says how it ended
+        self._lines: queue.Queue[bytes] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it with all that it started."""
+        if self._process.poll() is None:
+            for process in [*_descendants(self._process.pid), psutil.Process(self._process.pid)]:
+                with contextlib.suppress(psutil.Error):
+                    process.kill()
+        self._process.wait()
+        self._log.close()
+
+    def events(self, time_limit: float) -> Iterator[Event]:
+        """What the child does, until it has done everything.
+
+        Args:
+            time_limit: Seconds for each call of the method.
+
+        Raises:
+            Lost: if it crashed, or the method took longer.
+        """
+        deadline = time.monotonic() + time_limit + _GRACE
+        while True:
+            try:
+                line = self._lines.get(timeout=max(deadline - time.monotonic(), 0.0))
+            except queue.Empty:
+                raise Lost(f"no end after {time_limit:g} s{self._story()}") from None
+            if not line:
+                raise Lost(f"the process of the method {exit_story(self._process.wait())}{self._story()}")
+            message = json.loads(line)
+            if message["event"] == "end":
+                return
+            deadline = time.monotonic() + time_limit + _GRACE
+            if message["event"] == "asking":
+                self._asking = message["text"]
+            elif message["event"] == "check":
+                self._asking = ""
+                yield Event()
+            else:
+                found = message["finding"]
+                yield Event(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line)
+        self._lines.put(b"")
+
+    def _story(self) -> str:
+        """What was under way, and the last words on stderr."""
+        asked = f", while it generated {self._asking}" if self._asking else ""
+        self._log.seek(0)
+        lines = [line for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
+        told = " | ".join(line.strip() for line in lines[-_SHOWN_LINES:])
+        return f"{asked}." + (f" Its last words on stderr: {told}" if told else "")
+
+
+def _plain(request: CheckRequest) -> dict[str, object]:
+    """The request as JSON values."""
+    weights = request.weights
+    return {
+        "method": request.method,
+        "weights": None if weights is None else str(weights),
+        "options": dict(request.options),
+        "device": request.device,
+        "threads": request.threads,
+        "isolate": request.isolate,
+        "data": None if request.data is None else str(request.data.absolute()),
+        "time_limit": request.time_limit,
+    }
+
+
+def _descendants(pid: int) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.Error):
+        return psutil.Process(pid).children(recursive=True)
+    return []
