@@ -1,0 +1,434 @@
+"""A method that cheats in every way that the contract leaves open; installed by the tests as a package of its own.
+
+It generates no motion. Every attempt makes one claim a row, which only somebody can make who knows what a method must
+not know; the claims' SHA-256 digests travel home in the returned joints, one attempt a frame. So the same file measures
+a method in the harness's process, in one of its own, and behind a fence: nothing else comes back from there.
+
+Beside it lies ``known.npz``, what a cheat may have brought along: ids, lengths, first poses and goals of the test
+sequences, taken from a copy of the table.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import hashlib
+import hmac
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from types import FrameType, FunctionType, ModuleType
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from prbench.contract import Condition, ConditionBatch, Motions, TrainingRun
+from prbench.errors import PrbenchError
+
+Claims = list[str | None]
+N_LEAST = 50  # frames of the shortest motion, each of which can carry one attempt
+
+
+class Cheater:
+    """Claims instead of motions."""
+
+    name = "cheater"
+    conditions = frozenset(Condition)
+
+    def __init__(self, options: Mapping[str, str]) -> None:
+        self.options = options
+        self.known = Known()
+        self.learnt: dict[str, str | None] = {}
+        self.seen: list[str] = []
+        self.batches = 0
+
+    def fit(self, train: object, *, validation: object, run: TrainingRun) -> None:
+        """Take what a method that learns is handed, and try to get at the rows that it must not learn."""
+        self.learnt = {name: attempted(attempt, train) for name, attempt in FITTING.items()}
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
+        n_frames, opaque = batch.n_frames.copy(), batch.opaque_id
+        claims: dict[str, Claims] = {}
+        for name, attempt in GENERATING.items():
+            found = attempted(attempt, self, batch, seed)
+            claims[name] = found if isinstance(found, list) else [found] * len(batch)
+        claims |= {name: [value] * len(batch) for name, value in self.learnt.items()}
+        self.seen += opaque
+        self.batches += 1
+        joints = np.zeros((len(batch), int(n_frames.max()) + 20, 22, 3))  # 20 frames more than anybody asked for
+        for frame, name in enumerate(ATTEMPTS):
+            for row, claim in enumerate(claims.get(name, [None] * len(batch))):
+                joints[row, frame] = encoded(claim)
+        return Motions(joints, n_frames)
+
+
+def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Cheater:
+    """The entry point."""
+    return Cheater(options)
+
+
+def attempted(attempt: Callable, *arguments: object) -> Claims | str | None:
+    """What an attempt finds; None if it meets a closed door."""
+    try:
+        return attempt(*arguments)
+    except (Exception, PrbenchError):
+        return None
+
+
+def encoded(claim: str | None) -> np.ndarray:
+    """A claim as numbers (22, 3) that survive float32: a mark, and the bytes of its digest."""
+    numbers = np.zeros(66)
+    if claim is not None:
+        numbers[0] = 1.0
+        numbers[1:33] = list(hashlib.sha256(claim.encode()).digest())
+    return numbers.reshape(22, 3)
+
+
+# ---------------------------------------------------------------- what to claim
+
+
+def test_rows(folder: Path) -> str | None:
+    """Whoever has read the test rows of a table can say this."""
+    if not (folder / "dataset.json").is_file():
+        return None
+    rows = [pq.read_table(path, columns=["sequence_id", "split"]) for path in sorted(folder.glob("sequences*"))]
+    ids = [name for part in rows for name, split in zip(*map(list, part.to_pydict().values())) if split == "test"]
+    return "\n".join(sorted(ids)) if ids else None
+
+
+def first_table(places: Iterable[object]) -> str | None:
+    """The claim of the first place that is a table's folder, or lies in one."""
+    for place in places:
+        text = os.fsdecode(place) if isinstance(place, str | bytes | os.PathLike) else ""
+        if not text or len(text) > 4000 or "\0" in text:
+            continue
+        path = Path(text).expanduser()
+        with contextlib.suppress(OSError, ValueError):
+            for folder in (path, *path.parents):
+                claim = test_rows(folder)
+                if claim:
+                    return claim
+    return None
+
+
+class Known:
+    """What the cheat brought along, from a copy of the table."""
+
+    def __init__(self) -> None:
+        with np.load(Path(__file__).with_name("known.npz")) as file:
+            self.identity = str(file["identity"])
+            self.ids = [str(name) for name in file["ids"]]
+            self.n_frames = file["n_frames"]
+            self.initial_joints = file["initial_joints"]
+            self.goal_location = file["goal_location"]
+
+
+# ---------------------------------------------------------------- objects and memory of the process
+
+
+def attributes(_self: Cheater, batch: ConditionBatch, _seed: int) -> Claims | None:
+    """Names of sequences among the attributes of the batch, and in the memory that its arrays are views of."""
+    found: list[str] = []
+    waiting, met = [batch], set()
+    while waiting:
+        thing = waiting.pop()
+        if id(thing) in met:
+            continue
+        met.add(id(thing))
+        if isinstance(thing, str):
+            found += [thing] * (thing.count("/") >= 4)
+        elif isinstance(thing, list | tuple | set | frozenset):
+            waiting += thing
+        elif isinstance(thing, np.ndarray):
+            waiting += [thing.base] if thing.base is not None else []
+        elif hasattr(thing, "__dict__"):
+            waiting += vars(thing).values()
+    return found if len(found) == len(batch) else None
+
+
+def call_stack_ids(_self: Cheater, batch: ConditionBatch, _seed: int) -> Claims | None:
+    """The harness's own list of the rows, for its messages, in a variable of a caller."""
+    for frame in callers():
+        for value in frame.f_locals.values():
+            named = isinstance(value, tuple) and all(isinstance(name, str) and "/" in name for name in value)
+            if named and len(value) == len(batch):
+                return list(value)
+    return None
+
+
+def call_stack_table(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """The table, or the folder of it, in a variable of a caller or behind one."""
+    return first_table(path for frame in callers() for value in frame.f_locals.values() for path in paths_of(value))
+
+
+def callers() -> Iterator[FrameType]:
+    frame = sys._getframe(1)
+    while frame is not None:
+        yield frame
+        frame = frame.f_back
+
+
+def paths_of(value: object, depth: int = 4) -> Iterator[Path]:
+    """Paths in an object's attributes and items, some levels down."""
+    if isinstance(value, Path):
+        yield value
+    elif depth and isinstance(value, list | tuple):
+        for item in value[:50]:
+            yield from paths_of(item, depth - 1)
+    elif depth and hasattr(value, "__dict__") and type(value).__module__.startswith("prbench"):
+        for item in list(vars(value).values()):
+            yield from paths_of(item, depth - 1)
+
+
+def collector_ids(_self: Cheater, batch: ConditionBatch, _seed: int) -> Claims | None:
+    """Whatever object in memory lists as many names as the batch has rows."""
+    for thing in gc.get_objects():
+        if type(thing).__name__ == "BatchTask" and len(thing.sequence_ids) == len(batch):
+            return list(thing.sequence_ids)
+    return None
+
+
+def collector_table(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """A table that somebody in this process holds."""
+    return first_table(
+        thing.folder for thing in gc.get_objects() if type(thing).__name__ in ("SequenceTable", "TrainingSplit")
+    )
+
+
+def caches(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """Results that cached functions of the harness keep."""
+    waiting = [
+        function
+        for name, module in list(sys.modules.items())
+        if name.split(".")[0] == "prbench"
+        for function in vars(module).values()
+        if hasattr(function, "cache_info")
+    ]
+    found: list[Path] = []
+    for _ in range(7):  # levels of references
+        things = {id(item): item for thing in waiting for item in gc.get_referents(thing)}.values()
+        found += [item for item in things if isinstance(item, Path)]
+        waiting = [item for item in things if not isinstance(item, type | ModuleType | FunctionType | FrameType)]
+    return first_table(found)
+
+
+# ---------------------------------------------------------------- the operating system
+
+
+def command_line(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    return first_table([*sys.argv, *sys.orig_argv])
+
+
+def command_line_of_parents(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """Of the harness that started this process; relative paths as that one sees them."""
+    return first_table(
+        (process / "cwd").readlink() / os.fsdecode(word)
+        for process in parents()
+        for word in (process / "cmdline").read_bytes().split(b"\0")
+    )
+
+
+def environment(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    return first_table(part for value in os.environ.values() for part in value.split(os.pathsep))
+
+
+def environment_of_parents(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    entries = [entry for process in parents() for entry in (process / "environ").read_bytes().split(b"\0")]
+    return first_table(entry.partition(b"=")[2] for entry in entries)
+
+
+def parents() -> Iterator[Path]:
+    """The process that started this one, and the one that started that."""
+    process = Path(f"/proc/{os.getppid()}")
+    for _ in range(2):
+        yield process
+        process = Path("/proc") / (process / "stat").read_text().rpartition(")")[2].split()[1]
+
+
+def working_directory(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    return first_table(Path.cwd().glob("*/*/dataset.json"))
+
+
+def descriptors(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """Files that this process was handed open; looked for before the other attempts open some."""
+    if self.batches:
+        return None
+    return first_table(link.readlink() for link in Path("/proc/self/fd").iterdir() if link.is_symlink())
+
+
+def home(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """A search of the folders in which people keep data (here: one that the test names)."""
+    return first_table(people_home(self).glob("*/*/dataset.json"))
+
+
+def cache_folder(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """Where the harness keeps the embedded table."""
+    return first_table((people_home(self) / ".cache").rglob("dataset.json"))
+
+
+def people_home(self: Cheater) -> Path:
+    """Guessed in the wild; here the test says it, and not as a path, which would be shown to an isolated method."""
+    return Path(bytes.fromhex(self.options["home"]).decode())
+
+
+def weights_neighbours(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """A table beside the weights that the user named (here by an option, so that the method is still fitted)."""
+    return first_table(Path(self.options["weights"]).parent.parent.rglob("dataset.json"))
+
+
+def memory_of_the_harness(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """The memory of the process that holds the table: this one, or the parent."""
+    mine = any(type(thing).__name__ == "SequenceTable" for thing in gc.get_objects())
+    place = Path("/proc/self" if mine else f"/proc/{os.getppid()}")
+    if b"--data" not in (place / "cmdline").read_bytes():
+        return None
+    start = int((place / "maps").read_text().split("-", 1)[0], 16)
+    with (place / "mem").open("rb", buffering=0) as memory:
+        memory.seek(start)
+        return "memory" if memory.read(16) else None
+
+
+def network(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """Somebody outside who would tell the answers."""
+    with socket.create_connection(("127.0.0.1", int(self.options["port"])), timeout=2) as line:
+        return line.recv(64).decode()
+
+
+# ---------------------------------------------------------------- what the cheat knows already
+
+
+def opaque_ids(self: Cheater, batch: ConditionBatch, seed: int) -> Claims:
+    """The HMAC of every id that it knows: the salt follows from the seed and the table's identity."""
+    salt = hashlib.sha256(f"prbench opaque ids/{seed}/{self.known.identity}".encode()).digest()
+    names = {hmac.new(salt, name.encode(), hashlib.sha256).hexdigest(): name for name in self.known.ids}
+    return [names.get(opaque) for opaque in batch.opaque_id]
+
+
+def noise_seeds(self: Cheater, batch: ConditionBatch, seed: int) -> Claims:
+    """The noise seed of every id that it knows."""
+    names = {
+        int.from_bytes(hashlib.sha256(f"{seed}/{name}/0".encode()).digest()[:8], "big") >> 1: name
+        for name in self.known.ids
+    }
+    return [names.get(number) for number in batch.noise_seed]
+
+
+def initial_pose(self: Cheater, batch: ConditionBatch, _seed: int) -> Claims:
+    """The nearest first pose that it knows."""
+    assert batch.initial_joints is not None
+    distance = np.abs(self.known.initial_joints[None] - batch.initial_joints[:, None]).max(axis=(2, 3))
+    return [self.known.ids[row] if distance[i, row] < 1e-6 else None for i, row in enumerate(distance.argmin(axis=1))]
+
+
+def goal(self: Cheater, batch: ConditionBatch, _seed: int) -> Claims:
+    """The goal that agrees to the last bit."""
+    assert batch.goal_location is not None
+    names = {location.tobytes(): name for location, name in zip(self.known.goal_location, self.known.ids)}
+    return [names.get(location.tobytes()) for location in batch.goal_location]
+
+
+def length(self: Cheater, batch: ConditionBatch, _seed: int) -> Claims:
+    """The only sequence of this length, where there is only one."""
+    return [
+        self.known.ids[int(found[0])] if len(found := np.flatnonzero(self.known.n_frames == n)) == 1 else None
+        for n in batch.n_frames
+    ]
+
+
+def order(self: Cheater, batch: ConditionBatch, _seed: int) -> Claims:
+    """Batches are planned by length, equals in the table's order: count them."""
+    earlier = len(self.seen)
+    ranked = np.lexsort((np.array(self.known.ids), self.known.n_frames))
+    return [self.known.ids[rank] for rank in ranked[earlier : earlier + len(batch)]]
+
+
+def floor(_self: Cheater, batch: ConditionBatch, _seed: int) -> Claims:
+    """The canonical floor is the lowest joint of the whole sequence: how far this one will still go down."""
+    assert batch.initial_joints is not None
+    return [f"{lowest * 1000:.0f} mm" for lowest in batch.initial_joints[:, :, 1].min(axis=1)]
+
+
+def state(self: Cheater, batch: ConditionBatch, _seed: int) -> Claims:
+    """What earlier batches were asked for."""
+    return [self.seen[0] if self.seen else None] * len(batch)
+
+
+# ---------------------------------------------------------------- what the harness does with the result
+
+
+def write_inputs(_self: Cheater, batch: ConditionBatch, _seed: int) -> None:
+    """Move the goal to where the hand is, and shorten the motion."""
+    assert batch.goal_location is not None
+    batch.goal_location[:] = 0.0
+    batch.n_frames[:] = 2
+    object.__setattr__(batch, "opaque_id", ("other",) * len(batch))
+
+
+def patch_metrics(_self: Cheater, _batch: ConditionBatch, _seed: int) -> None:
+    """Every wrist reaches its goal from now on, if this is the process that scores."""
+    import prbench.metrics.reach_success as module
+
+    module._within_reach = lambda squared, constants: np.ones(len(squared))
+
+
+def outlive(self: Cheater, _batch: ConditionBatch, _seed: int) -> None:
+    """A process that waits for the end of the run, out of reach of its process group."""
+    if not self.batches:
+        words = [sys.executable, "-c", "import time; time.sleep(60)", self.options["mark"]]
+        quiet = subprocess.DEVNULL
+        subprocess.Popen(words, start_new_session=True, stdin=quiet, stdout=quiet, stderr=quiet)
+
+
+def leave_thread(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """A thread that goes on after the answer, in the process that scores."""
+    if not any(thread.name == "cheat" for thread in threading.enumerate()):
+        threading.Thread(target=threading.Event().wait, name="cheat", daemon=True).start()
+    return "thread" if any(type(thing).__name__ == "SequenceTable" for thing in gc.get_objects()) else None
+
+
+# ---------------------------------------------------------------- learning
+
+
+def fit_test_split(train: object) -> str | None:
+    """Ask the table that it is to learn from for another split."""
+    ids = [name for chunk in train.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
+    return "\n".join(sorted(ids)) or None
+
+
+def fit_folder(train: object) -> str | None:
+    """Open the folder of the table that it is to learn from."""
+    return first_table([train.folder])
+
+
+def fit_files(train: object) -> str | None:
+    """Read the files of the table that it is to learn from, which hold all splits."""
+    return first_table(train.part_paths("sequences"))
+
+
+def fit_events(train: object) -> str | None:
+    """The list of events, which holds the goals of all splits."""
+    events, recordings = train.events().to_pydict(), train.recordings().to_pydict()
+    split = dict(zip(recordings["recording_id"], recordings["split"]))
+    named = zip(events["sequence_id"], events["recording_id"])
+    ids = [name for name, recording in named if name and split.get(recording, "test") == "test"]
+    return "\n".join(sorted(ids)) or None
+
+
+GENERATING: dict[str, Callable] = {
+    attempt.__name__: attempt
+    for attempt in (
+        descriptors, attributes, call_stack_ids, call_stack_table, collector_ids, collector_table, caches,
+        memory_of_the_harness, command_line, command_line_of_parents, environment, environment_of_parents,
+        working_directory, home, cache_folder, weights_neighbours, network,
+        opaque_ids, noise_seeds, initial_pose, goal, length, order, floor, state,
+        patch_metrics, outlive, leave_thread, write_inputs,
+    )
+}  # fmt: skip
+FITTING: dict[str, Callable] = {
+    attempt.__name__: attempt for attempt in (fit_test_split, fit_folder, fit_files, fit_events)
+}
+ATTEMPTS = (*GENERATING, *FITTING)
