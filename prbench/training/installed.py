@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
-from prbench.evaluation.installed import entry_points_of
+from prbench.evaluation.installed import entry_points_of, list_adapters
 
 if TYPE_CHECKING:
     from prbench.training.task import TrainingTask
@@ -49,5 +49,9 @@ def _find(name: str) -> EntryPoint:
     if not found:
         known = list_tasks()
         hint = did_you_mean(name, known)
+        if any(method.name == name for method in list_adapters()):
+            hint = (
+                f" The method '{name}' is not trained by this command; if it learns, `prbench run` fits it by itself."
+            )
         raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
     return found[0]
