@@ -17,7 +17,7 @@ from prbench.evaluation.cache import cache_folder
 from prbench.evaluation.controls import METHOD_CONTROLS
 from prbench.evaluation.isolation import fenced, isolated_environment, worker_program
 from prbench.evaluation.isolation.isolated import Fit
-from prbench.evaluation.isolation.training_copy import write_training_copy
+from prbench.evaluation.isolation.training_copy import temporary_training_copy
 from prbench.evaluation.programs import MethodProgram, is_program, own_environment, program_of
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
@@ -224,10 +224,8 @@ class _Held:
         return self.loaded
 
     def training_copy(self, table: SequenceTable) -> Path:
-        copy = tempfile.TemporaryDirectory(prefix="prbench-train-", ignore_cleanup_errors=True)
-        self.copies.append(copy)
-        write_training_copy(table, Path(copy.name).resolve())
-        return Path(copy.name).resolve()
+        self.copies.append(temporary_training_copy(table))
+        return Path(self.copies[-1].name).resolve()
 
     def forget(self) -> None:
         self.unload()

@@ -29,7 +29,8 @@ from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
-_DEFAULT_PARENT = Path("runs")
+DEFAULT_PARENT = Path("runs")
+"""Where run folders are made if the user names none."""
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
@@ -100,7 +101,7 @@ def _spec(request: RunRequest) -> MethodSpec:
         threads=request.threads,
         isolate=request.isolate,
         timeout=request.timeout,
-        hidden=(*request.data, request.out or _DEFAULT_PARENT),
+        hidden=(*request.data, request.out or DEFAULT_PARENT),
     )
 
 
@@ -262,4 +263,4 @@ def _default_folder(record: RunRecord) -> Path:
     control = f"-{record.control}" if record.control else ""
     datasets = "+".join(table.dataset for table in record.tables)
     name = f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
-    return _DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
+    return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import pyarrow as pa
 
@@ -17,7 +18,7 @@ from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.methods import forget_loaded_methods, unload_method
-from prbench.evaluation.preparation import PreparedDataset, PreparedRun, prepare_run
+from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
@@ -64,6 +65,10 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         prepared = prepare_run(request)
         folder = RunFolder.prepare(prepared.out, prepared.record)
         made = _generate_all(prepared, folder, engine, progress)
+    except Exception:
+        if request.isolate:
+            _remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
+        raise
     finally:
         forget_loaded_methods()  # no program outlives the run, however it ends
     for dataset in prepared.datasets:
@@ -82,6 +87,11 @@ def _generate_all(prepared: PreparedRun, folder: RunFolder, engine: Engine, prog
     except Exception:
         folder.discard_if_empty()
         raise
+
+
+def _remove_empty(folder: Path) -> None:
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _write_notice(prepared: PreparedRun, dataset: PreparedDataset, folder: RunFolder) -> None:

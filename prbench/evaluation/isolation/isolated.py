@@ -56,14 +56,15 @@ def worker_program(
     shown += [Shown(Path(value)) for _, value in options if Path(value).is_absolute()]
     if weights is not None:
         shown.append(Shown(weights.absolute(), essential=True))
-    limits = {} if timeout is None else {"batch_timeout": timeout}
+    program = Program(name, (), None, tuple(sorted(environment.items())))
+    if timeout is not None:
+        program = replace(program, batch_timeout=timeout)
     if fit is not None:
         fit.folder.mkdir(parents=True, exist_ok=True)
         words += ["--train", str(fit.train), "--fit", str(fit.folder)]
         shown += [Shown(fit.train, essential=True), Shown(fit.folder, writable=True, essential=True)]
-        limits["start_timeout"] = _FIT_TIMEOUT
-    program = Program(name, tuple(words), None, tuple(sorted(environment.items())), **limits)
-    return _behind_fence(program, shown, hidden)
+        program = replace(program, start_timeout=_FIT_TIMEOUT)
+    return _behind_fence(replace(program, words=tuple(words)), shown, hidden)
 
 
 def fenced(program: Program, *, readable: Iterable[Path], weights: Path | None, hidden: tuple[Path, ...]) -> Program:

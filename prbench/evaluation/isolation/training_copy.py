@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import os
+import shutil
+import tempfile
 from functools import cached_property
 from pathlib import Path
 
+import psutil
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -15,6 +19,7 @@ from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.write import write_table
 
 _TRAIN = "train"
+_PREFIX = "prbench-train-"
 
 
 class TrainingCopy(TrainingSplit):
@@ -34,6 +39,22 @@ class TrainingCopy(TrainingSplit):
     def content(self) -> str:
         """That of the whole table that was copied from."""
         return self.info.content_digest
+
+
+def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory[str]:
+    """A training copy in a folder that vanishes with this process, or at the latest when the next one is made.
+
+    Raises:
+        StorageError: if it cannot be written.
+    """
+    _remove_orphans()
+    folder = tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-", ignore_cleanup_errors=True)
+    try:
+        write_training_copy(table, Path(folder.name))
+    except BaseException:
+        folder.cleanup()
+        raise
+    return folder
 
 
 def write_training_copy(table: SequenceTable, folder: Path) -> None:
@@ -64,6 +85,14 @@ def write_training_copy(table: SequenceTable, folder: Path) -> None:
         ("events", events.filter(of_training), EVENTS),
     ):
         write_table(folder / f"{name}.parquet", _batches(rows), schema, protocol_version=version)
+
+
+def _remove_orphans() -> None:
+    """Copies of processes that were killed."""
+    for left in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
+        owner = left.name.removeprefix(_PREFIX).partition("-")[0]
+        if owner.isdecimal() and not psutil.pid_exists(int(owner)):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _batches(rows: pa.Table) -> list[pa.RecordBatch]:

@@ -1,0 +1,219 @@
+"""Runs of a method that is a program of the user's own: what is recorded, what is the same, how it fails."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from prbench.engine import ProcessPool
+from prbench.errors import AdapterError, RunError, UsageError
+from prbench.evaluation.methods import forget_loaded_methods, method_spec
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.runs.record import RunRecord
+from prbench.runs.summary import DatasetSummary
+from prbench.storage import file_digest
+from tests.evaluation.conftest import adapter_source
+from tests.evaluation.test_run import reproducible_bytes, request
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from prbench.engine import engine_for
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+if __name__ == "__main__":
+    run_method(
+        RunRequest(method=sys.argv[1], data=(Path(sys.argv[2]),), out=Path(sys.argv[3]), batch_size=1),
+        engine=engine_for(int(sys.argv[4])),
+        progress=lambda step: print(step.stage, step.done, flush=True),
+    )
+"""
+
+
+def started_run(own, table, out, tmp_path, *, workers=1) -> subprocess.Popen:
+    (tmp_path / "run.py").write_text(PROGRAM)
+    words = [sys.executable, str(tmp_path / "run.py"), own.method, str(table.folder), str(out), str(workers)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def parts(folder: Path) -> dict[str, bytes]:
+    return {name: content for name, content in reproducible_bytes(folder).items() if name != "run.json"}
+
+
+def test_the_record_holds_what_the_program_says_and_no_path_of_the_machine(own, table, tmp_path):
+    own.write(hello='introduction.update(weights={"none": {"name": "w.npz", "sha256": "%s"}})' % ("0" * 64))
+    report = run_method(request(table, tmp_path / "out", own.method, options={"a": "1"}))
+    record = RunRecord.read(tmp_path / "out").method
+    assert (record.name, record.kind, record.version) == ("drawn", "program", "2.1")
+    assert record.package == f"{Path(sys.executable).name} drawn.py"
+    assert (record.weights, record.weights_digest, record.isolation) == ("w.npz", "0" * 64, None)
+    assert record.options == {"a": "1"}
+    assert report.summaries[0].method == "drawn"
+    assert DatasetSummary.read(tmp_path / "out").method == "drawn"
+    written = (tmp_path / "out/run.json").read_text() + (tmp_path / "out/summary.json").read_text()
+    assert str(tmp_path) not in written and "cmd:" not in written
+
+
+def test_what_a_program_declares_is_honoured(own, table, tmp_path):
+    own.write(hello="introduction.update(max_frames=80, motionless=True)")
+    run_method(request(table, tmp_path / "out", own.method))
+    record = RunRecord.read(tmp_path / "out")
+    assert record.method.max_frames == 80 and record.method.motionless
+    assert record.tables[0].unsupported > 0
+
+
+def test_a_program_and_the_same_method_in_process_give_the_same_bytes(own, table, tmp_path, install):
+    own.write()
+    install("made", adapter_source(body="joints = joints.astype(np.float32)"))
+    run_method(request(table, tmp_path / "in", "made", samples=2))
+    run_method(request(table, tmp_path / "out", own.method, samples=2))
+    run_method(request(table, tmp_path / "two", own.method, samples=2), engine=ProcessPool(2))
+    predictions = {name: content for name, content in parts(tmp_path / "in").items() if name != "summary.json"}
+    assert len(predictions) == 5
+    for folder in ("out", "two"):
+        assert {name: parts(tmp_path / folder)[name] for name in predictions} == predictions
+    assert reproducible_bytes(tmp_path / "two") == reproducible_bytes(tmp_path / "out")
+
+
+def test_seconds_passes_and_the_programs_memory_stand_in_the_cost(own, table, tmp_path):
+    own.write(hello="ballast = np.ones(50_000_000)")
+    run_method(request(table, tmp_path / "out", own.method))
+    cost = json.loads((tmp_path / "out/cost.json").read_text())
+    assert cost["network_passes_declared"] == 3 * 4
+    assert cost["seconds"] > 0
+    assert cost["peak_process_bytes"] > 400_000_000
+
+
+def test_a_program_gets_settings_and_an_environment_without_the_harness(own, table, tmp_path, monkeypatch):
+    monkeypatch.setenv("PRBENCH_SECRET", "1")
+    monkeypatch.setenv("USER_OWN", "2")
+    (tmp_path / "w.npz").write_bytes(b"weights")
+    own.write(hello='print(json.dumps([settings, dict(os.environ), os.getcwd()]), file=open("told.json", "w"))')
+    monkeypatch.chdir(tmp_path)
+    changes = {"weights": Path("w.npz"), "options": {"k": "v"}, "threads": 2, "device": "cuda:1"}
+    run_method(request(table, tmp_path / "out", own.method, limit=1, **changes))
+    settings, environment, directory = json.loads((tmp_path / "told.json").read_text())
+    assert settings["weights"] == str(tmp_path / "w.npz")
+    assert (settings["options"], settings["threads"], settings["device"]) == ({"k": "v"}, 2, "cuda:1")
+    assert environment["USER_OWN"] == "2"
+    assert not [name for name in environment if name.startswith("PRBENCH_")]
+    assert directory == str(tmp_path)
+    record = RunRecord.read(tmp_path / "out").method
+    assert (record.weights, record.weights_digest) == ("w.npz", file_digest(tmp_path / "w.npz"))
+
+
+@pytest.mark.parametrize("name", ["ground-truth", "Scripted"])
+def test_a_program_must_not_call_itself_like_a_control(own, table, tmp_path, name):
+    own.write(hello=f'introduction.update(name="{name}")')
+    with pytest.raises(AdapterError, match=f"found '{name}', which is a control of the harness"):
+        run_method(request(table, tmp_path / "out", own.method))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_toml_file_says_how_the_program_must_call_itself(own, table, tmp_path):
+    own.write()
+    file = own.folder / "drawn.toml"
+    file.write_text(f'[method]\nname = "drawn"\ncommand = [\'{sys.executable}\', "drawn.py"]\n')
+    run_method(request(table, tmp_path / "out", str(file)))
+    assert RunRecord.read(tmp_path / "out").method.package == f"{Path(sys.executable).name} drawn.py"
+    file.write_text(file.read_text().replace('"drawn"', '"glide"'))
+    with pytest.raises(AdapterError, match="method 'glide': expected the program to introduce itself by this name"):
+        run_method(request(table, tmp_path / "other", str(file)))
+
+
+def test_another_version_of_the_program_does_not_go_on_in_the_folder(own, table, tmp_path):
+    own.write()
+    run_method(request(table, tmp_path / "out", own.method))
+    own.write(hello='introduction.update(version="3")')
+    with pytest.raises(RunError, match=r"method\.version: expected 3 for this run, found 2\.1"):
+        run_method(request(table, tmp_path / "out", own.method))
+
+
+def test_an_error_of_a_program_names_the_sequence(own, table, tmp_path):
+    own.write(
+        body='answer = {"message": "error", "batch": header["batch"], "text": f"no way to {rows[\'opaque_id\'][0]}"}\nwrite(answer)\ncontinue'
+    )
+    with pytest.raises(AdapterError, match=r"adapter 'drawn' on .*: no way to synthetic-adt/rec"):
+        run_method(request(table, tmp_path / "out", own.method))
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_lengths_and_late_answers_end_the_run_and_keep_what_was_finished(own, table, tmp_path):
+    own.write(body='if header["batch"] == 2: joints[0] = joints[0][66:]')
+    with pytest.raises(
+        AdapterError, match=r"adapter 'drawn', sequence synthetic-adt.*: expected \d+ frames, found \d+"
+    ):
+        run_method(request(table, tmp_path / "out", own.method))
+    assert len(list((tmp_path / "out/predictions").glob("part-*.parquet"))) == 2
+    own.write(body='time.sleep(30 * (header["batch"] == 1))')
+    with pytest.raises(AdapterError, match="--timeout"):
+        run_method(request(table, tmp_path / "out", own.method, timeout=0.5))
+    own.write()
+    report = run_method(request(table, tmp_path / "out", own.method))
+    assert (report.batches_found, report.batches_made) == (3, 1)
+    run_method(request(table, tmp_path / "whole", own.method))
+    assert reproducible_bytes(tmp_path / "out") == reproducible_bytes(tmp_path / "whole")
+
+
+def test_a_batch_that_does_not_fit_in_the_programs_memory_is_run_in_halves(own, table, tmp_path):
+    full = '{"message": "error", "batch": header["batch"], "text": "full", "out_of_memory": True}'
+    own.write(body=f"if len(joints) > 2:\n    write({full})\n    continue")
+    run_method(request(table, tmp_path / "out", own.method))
+    assert json.loads((tmp_path / "out/cost.json").read_text())["halved_batches"]["00000"] == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_ends_the_run_and_its_programs_and_the_same_command_resumes(own, table, tmp_path, workers):
+    own.write(body="time.sleep(0.2)")
+    run = started_run(own, table, tmp_path / "out", tmp_path, workers=workers)
+    for line in run.stdout:
+        if line.startswith("generate 2"):
+            break
+    assert own.running()
+    os.killpg(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=20)
+    assert "KeyboardInterrupt" in errors
+    assert not own.running()
+    own.write()
+    report = run_method(request(table, tmp_path / "out", own.method, batch_size=1))
+    assert report.batches_found >= 2
+    run_method(request(table, tmp_path / "whole", own.method, batch_size=1))
+    assert reproducible_bytes(tmp_path / "out") == reproducible_bytes(tmp_path / "whole")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_no_program_outlives_a_harness_that_was_killed(own, table, tmp_path):
+    own.write(body="time.sleep(0.2)")
+    run = started_run(own, table, tmp_path / "out", tmp_path, workers=2)
+    for line in run.stdout:
+        if line.startswith("generate 2"):
+            break
+    run.kill()
+    run.communicate()  # the fixture sees that the programs have ended with their input
+
+
+def test_settings_that_do_not_fit_together_are_refused(table, tmp_path):
+    with pytest.raises(UsageError, match=r"--timeout: 'static' runs in this process.*Add --isolate"):
+        method_spec("static", timeout=3.0)
+    with pytest.raises(UsageError, match="--timeout: expected seconds above 0, found 0"):
+        request(table, tmp_path, timeout=0.0)
+    with pytest.raises(UsageError, match="--method scripted is part of the harness"):
+        request(table, tmp_path, "scripted", isolate=True)
+    with pytest.raises(UsageError, match=r"--weights no/such\.npz: expected a file or folder"):
+        run_method(RunRequest(method="cmd:python x", data=(table.folder,), weights=Path("no/such.npz")))
+
+
+def test_a_forgotten_program_ends_at_once(own):
+    own.write()
+    assert method_spec(own.method).load().adapter.name == "drawn"
+    assert len(own.running()) == 1
+    forget_loaded_methods()
+    assert not own.running()
