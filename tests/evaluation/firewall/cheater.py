@@ -200,19 +200,15 @@ def collector_table(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str |
 
 
 def caches(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
-    """Results that cached functions of the harness keep."""
-    waiting = [
-        function
-        for name, module in list(sys.modules.items())
-        if name.split(".")[0] == "prbench"
-        for function in vars(module).values()
-        if hasattr(function, "cache_info")
-    ]
+    """What modules of the harness keep: their global objects, and results of cached functions."""
+    code = type | ModuleType | FunctionType | FrameType
+    modules = [module for name, module in list(sys.modules.items()) if name.split(".")[0] == "prbench"]
+    waiting = [value for module in modules for value in vars(module).values() if not isinstance(value, code)]
     found: list[Path] = []
     for _ in range(7):  # levels of references
         things = {id(item): item for thing in waiting for item in gc.get_referents(thing)}.values()
         found += [item for item in things if isinstance(item, Path)]
-        waiting = [item for item in things if not isinstance(item, type | ModuleType | FunctionType | FrameType)]
+        waiting = [item for item in things if not isinstance(item, code)]
     return first_table(found)
 
 
