@@ -1,12 +1,12 @@
 """What models put out, as the 22 joints in the canonical frame (``docs/wrapping.md``).
 
 Three sources: HumanML3D features, SMPL parameters, joints of another skeleton. Every step is a small pure function in
-NumPy; nothing here imports torch except :func:`joints_by_smplx`.
+NumPy; nothing here imports torch except :class:`SmplxModel`.
 """
 
 from __future__ import annotations
 
-from prbench.representation.converters.axes import check_sides, front_of_legs, to_y_up
+from prbench.representation.converters.axes import to_y_up
 from prbench.representation.converters.features import (
     check_features,
     feature_rows,
@@ -22,13 +22,14 @@ from prbench.representation.converters.placement import (
     placed_on,
     to_canonical,
 )
+from prbench.representation.converters.plausibility import check_limbs, check_sides, front_of_legs
 from prbench.representation.converters.skeletons.joint_map import JointMap
 from prbench.representation.converters.skeletons.named import JOINT_MAPS, joint_map, joint_map_by_names
 from prbench.representation.converters.smpl.body_model import RestJoints, read_rest_joints
 from prbench.representation.converters.smpl.joints import smpl_joints
 from prbench.representation.converters.smpl.parameters import SmplParameters, read_amass
 from prbench.representation.converters.smpl.rotations import RotationForm, rotation_matrices
-from prbench.representation.converters.smpl.through_smplx import joints_by_smplx
+from prbench.representation.converters.smpl.through_smplx import SmplxModel
 from prbench.representation.converters.timing import at_rate, at_times, frames_needed
 
 __all__ = [
@@ -37,9 +38,11 @@ __all__ = [
     "RestJoints",
     "RotationForm",
     "SmplParameters",
+    "SmplxModel",
     "at_rate",
     "at_times",
     "check_features",
+    "check_limbs",
     "check_sides",
     "feature_rows",
     "frames_needed",
@@ -47,7 +50,6 @@ __all__ = [
     "in_frame_of",
     "joint_map",
     "joint_map_by_names",
-    "joints_by_smplx",
     "joints_from_features",
     "on_body_of",
     "on_floor",

@@ -35,6 +35,8 @@ FEATURES = "features"
 _TINIEST_STD = 1e-8
 _WALKS = 0.002  # metres a frame; slower pelvises say nothing about their scale
 _SAME_SCALE = 3.0  # factor between the two ways in which the step of the pelvis is written
+_FARTHEST_CONTACT = 4.0
+_FASTEST = 0.15  # metres a frame, mean over joints and frames: 3 m/s
 
 
 def read_feature_statistics(mean: Path, std: Path) -> Statistics:
@@ -187,18 +189,19 @@ def relative_root(features: Float[np.ndarray, "rows 263"]) -> Float[np.ndarray, 
 
 
 def check_features(features: Float[np.ndarray, "rows 263"], *, source: str = FEATURES) -> None:
-    """Refuse features that were restored with the statistics of another model.
+    """Refuse features that were not restored, or with the statistics of another model.
 
     The step of the pelvis stands in a row twice, in the root block and among the joint velocities. Statistics of an
-    evaluator scale the one about 25 times as small as those of a generator, and leave the other.
+    evaluator scale the one about 25 times as small as those of a generator, and leave the other. Numbers that were
+    never restored are near 1 and move joints by half a metre a frame.
 
     Args:
         features: Raw, relative root.
         source: Name that the message begins with.
 
     Raises:
-        InputFileError: if the two differ by more than a factor of three in a motion that walks, or the foot contacts,
-            which are 0 or 1, lie nowhere near.
+        InputFileError: if the two differ by more than a factor of three in a motion that walks, if the foot contacts,
+            which are 0 or 1, lie nowhere near, or if joints move by more than 3 m/s in the mean.
     """
     pelvis = features[:, JOINT_VELOCITIES.start : JOINT_VELOCITIES.start + 3 : 2]
     walked = float(np.linalg.norm(pelvis, axis=1).mean())
@@ -213,7 +216,7 @@ def check_features(features: Float[np.ndarray, "rows 263"], *, source: str = FEA
             remedy=_OTHER_STATISTICS,
         )
     contacts = features[:, FOOT_CONTACTS]
-    if np.abs(contacts).max() > 4.0:
+    if np.abs(contacts).max() > _FARTHEST_CONTACT:
         raise InputFileError(
             source,
             "columns 259 to 262",
@@ -221,18 +224,27 @@ def check_features(features: Float[np.ndarray, "rows 263"], *, source: str = FEA
             found=f"{contacts.min():.1f} to {contacts.max():.1f}",
             remedy=_OTHER_STATISTICS,
         )
+    speed = float(np.linalg.norm(np.diff(decode(features), axis=0), axis=-1).mean()) if len(features) > 1 else 0.0
+    if speed > _FASTEST:
+        raise InputFileError(
+            source,
+            "",
+            expected=f"joints that move less than {_FASTEST * 100:.0f} cm a frame in the mean",
+            found=f"{speed * 100:.0f} cm",
+            remedy=_OTHER_STATISTICS,
+        )
 
 
 _OTHER_STATISTICS = (
-    "The features were restored with the statistics of another model: take the Mean.npy and Std.npy that this one was"
-    " trained with (those of text-to-motion evaluators have root and contacts about 25 times smaller). If the first"
-    " three columns are absolute, say root='absolute'."
+    "The features were never restored, or with the statistics of another model: take the Mean.npy and Std.npy that this"
+    " one was trained with (those of text-to-motion evaluators have root and contacts about 25 times smaller). If the"
+    " first three columns are absolute, say root='absolute'."
 )
 
 
 def _frame_after(features: np.ndarray, last: np.ndarray) -> np.ndarray:
     """The frame to which the joint velocities of the last row lead."""
-    yaw = 2 * features[:-1, ROOT_YAW_VELOCITY].sum()
-    world_from_heading = yaw_matrices(np.cos(yaw), -np.sin(yaw))
+    yaw = 2 * features[:-1, ROOT_YAW_VELOCITY].sum(axis=0)
+    world_from_heading = yaw_matrices(np.cos(yaw), -np.sin(yaw))[0]
     step = features[-1, JOINT_VELOCITIES].reshape(N_JOINTS, 3) @ world_from_heading.T
     return (last + step).astype(np.float32)

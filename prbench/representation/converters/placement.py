@@ -12,7 +12,8 @@ from jaxtyping import Float
 from prbench.errors import InputFileError
 from prbench.representation.checks import IN_MEMORY, check_joints
 from prbench.representation.clips import canonicalise
-from prbench.representation.converters.axes import check_sides, to_y_up
+from prbench.representation.converters.axes import to_y_up
+from prbench.representation.converters.plausibility import check_limbs, check_sides
 from prbench.representation.converters.timing import at_rate
 from prbench.representation.uniform_skeleton import rest_offsets, retarget
 from prbench.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points
@@ -52,10 +53,11 @@ def to_canonical(
         Canonical frame, metres, 20 fps, float32.
 
     Raises:
-        InputFileError: if positions are missing, not finite, in another unit or with another axis up, if left and
-            right are exchanged, or if the motion is too short.
+        InputFileError: if positions are missing, not finite, in another unit, in another order or with another axis
+            up, if left and right are exchanged, or if the motion is too short.
     """
     turned = to_y_up(joints.astype(np.float64), up=up, left_handed=left_handed, unit=unit)
+    check_limbs(turned, source=source)
     check_joints(turned, source=source, min_frames=1, upright=upright)
     check_sides(turned, feet=feet, source=source)
     resampled = at_rate(turned, fps, n_frames=n_frames, source=source)

@@ -37,8 +37,8 @@ class SmplParameters:
     def from_arrays(
         cls,
         *,
-        global_orient: Float[np.ndarray, "frames ..."],
-        body_pose: Float[np.ndarray, "frames ..."],
+        global_orient: Float[np.ndarray, "_frames ..."],
+        body_pose: Float[np.ndarray, "_frames ..."],
         transl: Float[np.ndarray, "frames 3"],
         betas: Float[np.ndarray, "..."] | None = None,
         form: RotationForm = "axis-angle",
@@ -70,7 +70,7 @@ class SmplParameters:
     @classmethod
     def from_poses(
         cls,
-        poses: Float[np.ndarray, "frames ..."],
+        poses: Float[np.ndarray, "_frames ..."],
         transl: Float[np.ndarray, "frames 3"],
         *,
         betas: Float[np.ndarray, "..."] | None = None,

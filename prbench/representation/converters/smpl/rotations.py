@@ -26,9 +26,10 @@ _NUMBERS: Mapping[str, int] = MappingProxyType(
 )  # fmt: skip
 _UNIT_TOLERANCE = 0.05
 """How far a quaternion's length or a matrix's determinant may be from 1; networks do not end on exact rotations."""
+_NO_DIRECTION = 1e-6
 
 
-def numbers_of(form: RotationForm) -> int:
+def numbers_of(form: str) -> int:
     """Numbers that a rotation takes in this form.
 
     Raises:
@@ -97,15 +98,25 @@ def _matrix(values: np.ndarray, source: Path | str) -> np.ndarray:
         raise InputFileError(
             source, "", expected="rotation matrices", found=f"a matrix whose determinant is {wrong:.3g}"
         )
-    return _orthonormal(matrices[..., 0], matrices[..., 1])
+    return _orthonormal(matrices[..., 0], matrices[..., 1], source)
 
 
-def _orthonormal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> np.ndarray:
     """Matrices whose first two columns span the given ones (Gram-Schmidt)."""
-    first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
-    second = second - (first * second).sum(axis=-1, keepdims=True) * first
-    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
-    return np.stack([first, second, np.cross(first, second)], axis=-1)
+    length = np.linalg.norm(first, axis=-1, keepdims=True)
+    first = first / np.maximum(length, 1e-12)
+    across = second - (first * second).sum(axis=-1, keepdims=True) * first
+    width = np.linalg.norm(across, axis=-1, keepdims=True)
+    if min(length.min(initial=1.0), width.min(initial=1.0)) < _NO_DIRECTION:
+        raise InputFileError(
+            source,
+            "",
+            expected="two directions a rotation",
+            found="two directions that lie along one another, or none",
+            remedy="Is it another of the 6d forms?",
+        )
+    across = across / width
+    return np.stack([first, across, np.cross(first, across)], axis=-1)
 
 
 _READ: Mapping[str, Callable[[np.ndarray, Path | str], np.ndarray]] = MappingProxyType(
@@ -114,8 +125,8 @@ _READ: Mapping[str, Callable[[np.ndarray, Path | str], np.ndarray]] = MappingPro
         "matrix": _matrix,
         "quaternion-wxyz": lambda values, source: _quaternion(values, source, scalar_first=True),
         "quaternion-xyzw": lambda values, source: _quaternion(values, source, scalar_first=False),
-        "6d-columns": lambda values, _: _orthonormal(values[:, :3], values[:, 3:]),
-        "6d-rows": lambda values, _: np.swapaxes(_orthonormal(values[:, :3], values[:, 3:]), -1, -2),
-        "6d-interleaved": lambda values, _: _orthonormal(values[:, ::2], values[:, 1::2]),
+        "6d-columns": lambda values, source: _orthonormal(values[:, :3], values[:, 3:], source),
+        "6d-rows": lambda values, source: np.swapaxes(_orthonormal(values[:, :3], values[:, 3:], source), -1, -2),
+        "6d-interleaved": lambda values, source: _orthonormal(values[:, ::2], values[:, 1::2], source),
     }
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import io
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ from prbench.skeleton import N_JOINTS
 _BODY = (REGRESSOR, TEMPLATE, SHAPES, "posedirs", "weights", "f", "kintree_table")
 _HANDS = ("hands_componentsl", "hands_componentsr", "hands_meanl", "hands_meanr")
 _FACE = ("lmk_faces_idx", "lmk_bary_coords")
-_ROWS_AT_ONCE = 64  # frames whose surface is held in memory
+_AT_ONCE = 64  # frames whose surface is held in memory
+_MOST_SHAPES = 300  # the package takes as many of them as the model has
 _SURFACE_POINTS = (
     "nose",
     "reye",
@@ -52,55 +54,81 @@ _ANY_VERTEX = dict.fromkeys((*_SURFACE_POINTS, *_FINGERS), 0)
 """Surface points that the package appends to the joints; they come behind the 22 and are cut away."""
 
 
-def joints_by_smplx(parameters: SmplParameters, model: Path) -> Float[np.ndarray, "frames 22 3"]:
-    """Joints as the package computes them, in double precision.
+@dataclass(frozen=True, eq=False)
+class SmplxModel:
+    """One body model as the package holds it; read it once, it is large."""
 
-    Args:
-        parameters: The motion; hands and face rest.
-        model: SMPL (24 joints), SMPL-H (52) or SMPL-X (55) as ``.npz`` of plain arrays; which one, the file tells.
+    layer: Any
+    """``SMPLLayer``, ``SMPLHLayer`` or ``SMPLXLayer``, double precision."""
 
-    Returns:
-        World of the parameters, metres, at their rate.
+    @classmethod
+    def read(cls, model: Path) -> SmplxModel:
+        """The user's own model.
 
-    Raises:
-        MissingExtraError: if ``smplx`` is not installed.
-        InputFileError: if the model cannot be read without unpickling, is another one, or has fewer shape numbers
-            than the package would use.
-    """
-    try:
-        import smplx
+        Args:
+            model: SMPL (24 joints), SMPL-H (52) or SMPL-X (55) as ``.npz`` of plain arrays; which one, the file tells.
+
+        Raises:
+            MissingExtraError: if ``smplx`` is not installed.
+            InputFileError: if the model cannot be read without unpickling, or is another one.
+        """
+        try:
+            import smplx
+            import torch
+        except ImportError as error:
+            raise MissingExtraError("smplx", "smplx", "the SMPL converter through smplx") from error
+        arrays = _model_arrays(model)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints warnings, and stdout may belong to a protocol
+            return cls(_layer(smplx, torch, arrays))
+
+    def joints(self, parameters: SmplParameters) -> Float[np.ndarray, "frames 22 3"]:
+        """Joints as the package computes them; hands and face rest.
+
+        Returns:
+            World of the parameters, metres, at their rate.
+
+        Raises:
+            InputFileError: if there are more shape numbers than the package takes from this model: 10, or 300 where
+                the file has as many.
+        """
         import torch
-    except ImportError as error:
-        raise MissingExtraError("smplx", "smplx", "the SMPL converter through smplx") from error
 
-    arrays = _model_arrays(model)
-    betas = np.zeros(10) if parameters.betas is None else parameters.betas
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints warnings, and stdout may belong to a protocol
-        layer = _layer(smplx, torch, arrays, n_betas=len(betas))
-    if np.any(betas[layer.num_betas :]):
-        raise InputFileError(
-            "betas",
-            "",
-            expected=f"at most {layer.num_betas} shape numbers: smplx takes no more from this model",
-            found=str(len(betas)),
-            remedy="smpl_joints takes all that the model has.",
+        known = self.layer.num_betas
+        betas = np.zeros(known)
+        given = np.zeros(0) if parameters.betas is None else parameters.betas
+        if np.any(given[known:]):
+            raise InputFileError(
+                "betas",
+                "",
+                expected=f"at most {known} shape numbers: the package smplx takes no more from this model",
+                found=str(len(given)),
+                remedy="smpl_joints takes all that the model has.",
+            )
+        betas[: len(given[:known])] = given[:known]
+        rotations = _with_resting_hands(parameters.rotations, self.layer.NUM_BODY_JOINTS)
+        return np.concatenate(
+            [
+                self._posed(
+                    torch, betas, rotations[first : first + _AT_ONCE], parameters.transl[first : first + _AT_ONCE]
+                )
+                for first in range(0, len(rotations), _AT_ONCE)
+            ]
         )
-    shape = torch.from_numpy(betas[None, : layer.num_betas].copy())
-    rotations = _with_resting_hands(parameters.rotations, layer.NUM_BODY_JOINTS)
-    joints = []
-    for start in range(0, len(rotations), _ROWS_AT_ONCE):
-        turned = torch.from_numpy(rotations[start : start + _ROWS_AT_ONCE])
-        moved = torch.from_numpy(parameters.transl[start : start + _ROWS_AT_ONCE])
+
+    def _posed(self, torch: Any, betas: np.ndarray, rotations: np.ndarray, transl: np.ndarray) -> np.ndarray:
+        frames = len(rotations)
+        expressions = getattr(self.layer, "num_expression_coeffs", 0)
+        face = {"expression": torch.zeros((frames, expressions), dtype=torch.float64)} if expressions else {}
+        turned = torch.from_numpy(rotations)
         with torch.no_grad():
-            posed = layer(
-                betas=shape.expand(len(turned), -1),
+            posed = self.layer(
+                betas=torch.from_numpy(np.tile(betas, (frames, 1))),
                 global_orient=turned[:, :1],
                 body_pose=turned[:, 1:],
-                transl=moved,
-                **_resting(torch, arrays, len(turned), layer),
+                transl=torch.from_numpy(transl),
+                **face,
             )
-        joints.append(posed.joints[:, :N_JOINTS].numpy())
-    return np.concatenate(joints)
+        return posed.joints[:, :N_JOINTS].numpy()
 
 
 def _model_arrays(model: Path) -> dict[str, np.ndarray]:
@@ -126,12 +154,12 @@ def _model_arrays(model: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _layer(smplx: Any, torch: Any, arrays: dict[str, np.ndarray], *, n_betas: int) -> Any:
+def _layer(smplx: Any, torch: Any, arrays: dict[str, np.ndarray]) -> Any:
     """The package's own model, from numbers alone."""
     from smplx.utils import Struct
 
     joints = arrays[REGRESSOR].shape[0]
-    common = {"dtype": torch.float64, "num_betas": n_betas}
+    common = {"dtype": torch.float64, "num_betas": _MOST_SHAPES}
     if joints == SMPLX_JOINTS:  # this class takes no arrays, only a file: one that holds nothing but numbers
         with tempfile.TemporaryDirectory() as folder:
             plain = Path(folder) / "numbers.npz"
@@ -148,10 +176,3 @@ def _with_resting_hands(rotations: np.ndarray, body_joints: int) -> np.ndarray:
     turned = np.tile(np.eye(3), (len(rotations), body_joints + 1, 1, 1))
     turned[:, :N_JOINTS] = rotations
     return turned
-
-
-def _resting(torch: Any, arrays: dict[str, np.ndarray], frames: int, layer: Any) -> dict[str, Any]:
-    """Arguments that the package would otherwise make in another precision."""
-    if arrays[REGRESSOR].shape[0] != SMPLX_JOINTS:
-        return {}
-    return {"expression": torch.zeros((frames, layer.num_expression_coeffs), dtype=torch.float64)}

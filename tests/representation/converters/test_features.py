@@ -1,0 +1,181 @@
+"""From the output of a HumanML3D model to joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.errors import InputFileError
+from prbench.representation import Statistics, canonicalise, encode, rest_offsets
+from prbench.representation.converters import (
+    check_features,
+    feature_rows,
+    joints_from_features,
+    on_body_of,
+    placed_on,
+    read_feature_statistics,
+    relative_root,
+)
+from prbench.representation.uniform_skeleton import retarget
+from prbench.skeleton import bone_lengths
+from tests.representation.converters.bodies import person
+
+FEATURES = encode(person())
+
+
+def test_as_many_rows_as_frames_decode_to_the_motion() -> None:
+    assert np.allclose(joints_from_features(FEATURES), person()[:-1], atol=1e-5)
+
+
+def test_the_frame_that_encoding_loses_comes_back_from_the_last_row_s_velocities() -> None:
+    assert len(FEATURES) == len(person()) - 1
+    whole = joints_from_features(FEATURES, len(person()))
+    assert np.allclose(whole, person(), atol=1e-5)
+    assert np.linalg.norm(whole[-1] - whole[-2]) > 1e-4  # it is no copy
+
+
+def test_rows_behind_the_sequence_are_padding() -> None:
+    padded = np.concatenate([FEATURES[:60], np.full((30, 263), np.nan, dtype=np.float32)])
+    assert np.array_equal(joints_from_features(padded, 60), joints_from_features(FEATURES[:60]))
+
+
+@pytest.mark.parametrize("wanted", [len(FEATURES) + 2, 0])
+def test_another_number_of_rows_is_refused(wanted) -> None:
+    with pytest.raises(InputFileError, match=f"for {wanted} frames, found {len(FEATURES)}"):
+        joints_from_features(FEATURES, wanted)
+
+
+def test_rotations_on_the_person_s_own_bones_keep_their_lengths() -> None:
+    offsets = rest_offsets(person()[0].astype(np.float64))
+    joints = joints_from_features(FEATURES, bones="rotations", offsets=offsets)
+    assert np.allclose(bone_lengths(joints), bone_lengths(person()[0]), atol=1e-5)
+    assert np.allclose(joints, person()[:-1], atol=1e-4)
+
+
+def test_a_model_of_the_uniform_skeleton_comes_back_to_the_person_s_body() -> None:
+    uniform = canonicalise(retarget(person()))
+    decoded = joints_from_features(encode(uniform), len(uniform))
+    own = placed_on(on_body_of(decoded, person()[0]), person()[0])
+    assert np.abs(decoded - person()).max() > 0.04  # without the change of body joints are off by centimetres
+    assert np.abs(own - person()).max() < 2e-4
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        lambda rows: rows[None],
+        lambda rows: rows,
+        lambda rows: rows.T[None, :, None, :],  # MDM
+        lambda rows: rows.T[None],
+    ],
+)
+def test_every_common_layout_is_understood(layout) -> None:
+    assert np.array_equal(feature_rows(layout(FEATURES)), FEATURES[None])
+
+
+def test_another_width_is_refused_and_kit_is_named() -> None:
+    with pytest.raises(InputFileError, match="KIT skeleton of 21 joints"):
+        feature_rows(np.zeros((10, 251)))
+    with pytest.raises(InputFileError, match=r"expected \(batch, rows, 263\)"):
+        feature_rows(np.zeros((10, 66)))
+
+
+def test_not_a_number_is_named_with_its_place() -> None:
+    broken = FEATURES.copy()
+    broken[7, 30] = np.nan
+    with pytest.raises(InputFileError, match="features, row 7, column 30"):
+        joints_from_features(broken)
+
+
+def absolute(features: np.ndarray) -> np.ndarray:
+    """Heading and place of each row, as GMD has them, by a loop over the definition."""
+    rows = features.astype(np.float64)
+    heading, place = 0.0, np.zeros(2)
+    out = rows.copy()
+    for index in range(len(rows)):
+        out[index, :3] = heading, *place
+        heading += rows[index, 0]
+        c, s = np.cos(2 * heading), np.sin(2 * heading)
+        x, z = rows[index, 1:3]  # seen from the next heading: turned back by it
+        place = place + np.array([c * x - s * z, s * x + c * z])
+    return out
+
+
+def test_absolute_roots_decode_to_the_same_motion() -> None:
+    joints = joints_from_features(absolute(FEATURES).astype(np.float32), root="absolute")
+    assert np.allclose(joints, person()[:-1], atol=1e-4)
+
+
+def test_an_absolute_root_that_starts_elsewhere_is_moved_to_the_origin() -> None:
+    shifted = absolute(FEATURES)
+    turn, there = 0.4, np.array([2.0, -1.0])  # half angle, metres
+    c, s = np.cos(2 * turn), np.sin(2 * turn)
+    x, z = shifted[:, 1].copy(), shifted[:, 2].copy()
+    shifted[:, 0] += turn
+    shifted[:, 1], shifted[:, 2] = c * x - s * z + there[0], s * x + c * z + there[1]
+    assert np.allclose(relative_root(shifted)[:-1, :3], FEATURES[:-1, :3], atol=1e-6)
+
+
+def test_absolute_taken_for_relative_is_noticed() -> None:
+    with pytest.raises(InputFileError, match="root='absolute'"):
+        joints_from_features(absolute(FEATURES).astype(np.float32))
+
+
+def test_statistics_are_read_and_zeros_become_one(tmp_path) -> None:
+    mean, std = np.arange(263, dtype=np.float64), np.ones(263)
+    std[4] = 0.0
+    np.save(tmp_path / "Mean.npy", mean)
+    np.save(tmp_path / "Std.npy", std)
+    statistics = read_feature_statistics(tmp_path / "Mean.npy", tmp_path / "Std.npy")
+    assert statistics.mean.dtype == np.float32
+    assert statistics.std[4] == 1.0
+    restored = statistics.restore(np.full((2, 263), 2.0, dtype=np.float32))
+    assert np.allclose(restored, mean + 2)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.ones(251), r"263 numbers, found \(251,\)"),
+        (np.full(263, np.nan), "column 0: expected a finite number"),
+        (-np.ones(263), "0 or more, found -1. Is this Mean.npy"),
+        (np.array([None] * 263, dtype=object), "an .npy file of numbers"),
+    ],
+)
+def test_other_statistics_files_are_refused(tmp_path, values, message) -> None:
+    np.save(tmp_path / "Mean.npy", np.zeros(263))
+    np.save(tmp_path / "Std.npy", values, allow_pickle=True)
+    with pytest.raises(InputFileError, match=message):
+        read_feature_statistics(tmp_path / "Mean.npy", tmp_path / "Std.npy")
+
+
+def test_a_missing_statistics_file_is_named(tmp_path) -> None:
+    with pytest.raises(InputFileError, match=r"Mean\.npy: expected this file"):
+        read_feature_statistics(tmp_path / "Mean.npy", tmp_path / "Std.npy")
+
+
+@pytest.fixture(scope="module")
+def released(samples) -> Statistics:
+    """The statistics that the dataset publishes."""
+    folder = samples / "humanml3d"
+    return read_feature_statistics(folder / "Mean.npy", folder / "Std.npy")
+
+
+def test_statistics_of_the_evaluator_are_noticed_both_ways(released) -> None:
+    evaluator = released.for_evaluator()
+    check_features(released.restore(released.standardise(FEATURES)))
+    with pytest.raises(InputFileError, match="with the statistics of another model"):
+        joints_from_features(evaluator.restore(released.standardise(FEATURES)))
+    with pytest.raises(InputFileError, match="with the statistics of another model"):
+        joints_from_features(released.restore(evaluator.standardise(FEATURES)))
+
+
+def test_features_that_were_never_restored_are_noticed(released) -> None:
+    for start in (300, 700, 1100, 1500):  # standing and walking
+        with pytest.raises(InputFileError, match="never restored"):
+            joints_from_features(released.standardise(encode(person(120, start))))
+
+
+def test_a_body_that_stands_still_is_no_reason_to_complain() -> None:
+    still = np.repeat(person()[:1], 40, axis=0)
+    assert np.allclose(joints_from_features(encode(still), 40), still, atol=1e-5)

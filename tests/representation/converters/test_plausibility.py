@@ -1,0 +1,67 @@
+"""Numbers that pass every check of shapes and are no person: exchanged sides, wrong units, wrong order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.errors import InputFileError
+from prbench.representation.clips import MIRRORED_JOINTS
+from prbench.representation.converters import check_limbs, check_sides, front_of_legs, to_canonical
+from tests.fakes import STANDING
+from tests.representation.converters.bodies import person
+from tests.representation.motions import golden, turned
+
+
+def test_a_person_in_order_points_to_the_front_and_is_let_through() -> None:
+    assert front_of_legs(person()) > 0.9
+    assert front_of_legs(person(), feet=False) > 0.9
+    check_sides(person())
+    check_limbs(person())
+
+
+@pytest.mark.parametrize("feet", [True, False])
+def test_exchanged_sides_are_named(feet) -> None:
+    with pytest.raises(InputFileError, match=r"left and right.*mean cosine of -0\.9.*left_handed=True"):
+        check_sides(person()[:, MIRRORED_JOINTS], feet=feet)
+
+
+def test_a_left_handed_world_is_named_and_left_handed_repairs_it() -> None:
+    unity = person() * np.array([1, 1, -1], dtype=np.float32)
+    with pytest.raises(InputFileError, match="left and right"):
+        to_canonical(unity, 20.0)
+    assert np.allclose(to_canonical(unity, 20.0, left_handed=True), person(), atol=1e-5)
+
+
+def test_the_front_does_not_depend_on_the_heading() -> None:
+    for yaw in (0.5, 2.0, -2.9):
+        assert front_of_legs(turned(person(), yaw)) == pytest.approx(front_of_legs(person()), abs=1e-6)
+
+
+def test_straight_legs_without_feet_say_nothing() -> None:
+    straight = STANDING.copy()
+    for knee, hip, ankle in ((4, 1, 7), (5, 2, 8)):
+        straight[knee] = (straight[hip] + straight[ankle]) / 2
+    assert front_of_legs(straight[None], feet=False) is None
+    check_sides(straight[None], feet=False)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100.0, "cm"), (1000.0, "mm"), (1 / 0.0254, "inch")])
+def test_another_unit_is_named(factor, unit) -> None:
+    with pytest.raises(InputFileError, match=f"This looks like {unit}: say unit='{unit}'"):
+        to_canonical(person() * np.float32(factor), 20.0)
+
+
+def test_normalised_bodies_are_told_the_factor() -> None:
+    with pytest.raises(InputFileError, match=r"unit=9\.\d+ \(metres a unit\)|unit=10"):
+        check_limbs(person() / np.float32(10.0))
+
+
+def test_another_order_of_joints_is_named() -> None:
+    chains = [0, 2, 5, 8, 11, 1, 4, 7, 10, 3, 6, 9, 12, 15, 14, 17, 19, 21, 13, 16, 18, 20]
+    with pytest.raises(InputFileError, match="The order of the joints is another one"):
+        check_limbs(person()[:, chains])
+
+
+def test_a_child_is_a_person(samples) -> None:
+    check_limbs(golden(samples, "child")["joints_in"])
