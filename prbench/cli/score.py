@@ -40,7 +40,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--seed", type=int, help="behind the opaque ids, if the predictions have those (default 0)")
     parser.add_argument("--condition", choices=_CONDITIONS, help="what the method was given; leaderboards need it")
     parser.add_argument("--control", choices=["shuffled-goal"], help="the method was given other sequences' goals")
-    parser.add_argument("--max-frames", type=positive, metavar="N", help="the method makes no more; longer ones count")
+    parser.add_argument("--max-frames", type=positive, metavar="N", help="longer sequences count as unsupported")
     parser.add_argument("--native-fps", type=float, metavar="F", help="rate of the motions, if not the table's")
     parser.add_argument(
         "--allow-length-mismatch", action="store_true", help="score motions of another length than the recorded one"

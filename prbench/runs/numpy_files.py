@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import IO
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,19 @@ from prbench.errors import InputFileError
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
+
+
+@runtime_checkable
+class ByteStream(Protocol):
+    """A file that is open for reading, in an archive or not."""
+
+    def read(self, size: int = ..., /) -> bytes:
+        """The next bytes; none at the end."""
+        ...
+
+    def tell(self) -> int:
+        """How many were read."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -47,7 +60,7 @@ class ArrayHeader:
         return values.reshape(self.shape, order="F" if self.fortran_order else "C")
 
 
-def read_header(stream: IO[bytes], path: Path, where: str) -> ArrayHeader:
+def read_header(stream: ByteStream, path: Path, where: str) -> ArrayHeader:
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
@@ -209,7 +222,7 @@ class Archive:
         header = self.header(name)
         return map_array(target, replace(header, offset=0))
 
-    def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
+    def _header(self, name: str, stream: ByteStream) -> ArrayHeader:
         header, info = read_header(stream, self.path, f"'{name}'"), self.members[name]
         if header.offset + header.nbytes != info.file_size:
             raise InputFileError(
