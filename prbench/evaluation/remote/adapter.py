@@ -97,7 +97,10 @@ class RemoteAdapter:
             raise AdapterError(f"{origin}: asked for motions after its program was closed.")
         if self._process.over and self._launch(origin) != self._introduction:
             self._process.close()
-            raise AdapterError(f"{origin}: its program introduced itself differently after it was started again.")
+            raise AdapterError(
+                f"{origin}: expected its program to introduce itself as before it was started again after a crash,"
+                " found another name, version or declaration. Make its hello depend on its settings alone."
+            )
         number, self._batches = self._batches, self._batches + 1
         header: Header = {
             "message": "generate",

@@ -5,6 +5,7 @@ A message is one header line, a JSON object in UTF-8, followed by exactly ``byte
 
 from __future__ import annotations
 
+import io
 import json
 from typing import Any, BinaryIO
 
@@ -68,7 +69,7 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is no JSON")
 
 
-def write_message(stream: BinaryIO, header: Header, payload: bytes | None = None) -> None:
+def write_message(stream: BinaryIO | io.BufferedIOBase, header: Header, payload: bytes | None = None) -> None:
     """Write one message and flush.
 
     Raises:
@@ -79,7 +80,7 @@ def write_message(stream: BinaryIO, header: Header, payload: bytes | None = None
     stream.flush()
 
 
-def read_message(stream: BinaryIO) -> tuple[Header, bytes | None] | None:
+def read_message(stream: BinaryIO | io.BufferedIOBase) -> tuple[Header, bytes | None] | None:
     """Read one message; waits for it.
 
     Returns:

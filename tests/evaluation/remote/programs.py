@@ -38,9 +38,11 @@ def write(header, payload=None):
     stdout.write(json.dumps(header).encode() + b"\\n" + (payload or b""))
     stdout.flush()
 
+INTRODUCTION = {"message": "hello", "wire": 1, "name": "made", "version": "1.0", "conditions": ["goal-loc"]}
+
 def hello(**changes):
     read()
-    write({"message": "hello", "wire": 1, "name": "made", "version": "1.0", "conditions": ["goal-loc"], **changes})
+    write({**INTRODUCTION, **changes})
 
 def motions(header, payload=GOOD, **changes):
     write({"message": "motions", "batch": header["batch"], **changes}, payload)
