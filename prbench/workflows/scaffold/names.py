@@ -62,15 +62,15 @@ def method_names(name: str) -> MethodNames:
     proposal = re.sub(r"[-_.\s]+", "-", name.strip()).strip("-").lower()
     shortened = proposal.removeprefix("prbench-")
     if shortened != proposal and _NAME.fullmatch(shortened):
-        raise UsageError(f"'{name}': the package is called prbench-NAME by itself. Give '{shortened}'.")
+        raise UsageError(f"{name!r}: the package is called prbench-NAME by itself. Give '{shortened}'.")
     if not _NAME.fullmatch(name):
         hint = f" Would '{proposal}' do?" if _NAME.fullmatch(proposal) else ""
         raise UsageError(
-            f"'{name}': expected the name of a method in small letters and digits, its words joined by hyphens,"
+            f"{name!r}: expected the name of a method in small letters and digits, its words joined by hyphens,"
             f" beginning with a letter.{hint}"
         )
     if len(name) > _LONGEST:
-        raise UsageError(f"'{name}': expected at most {_LONGEST} characters, found {len(name)}.")
+        raise UsageError(f"{name!r}: expected at most {_LONGEST} characters, found {len(name)}.")
     _refuse_reserved(name)
     return MethodNames(name)
 
@@ -83,12 +83,12 @@ def _refuse_reserved(name: str) -> None:
     """
     if name in {control.name for control in CONTROLS}:
         raise UsageError(
-            f"'{name}' is a control of prbench, which would be run in place of your method. Choose another."
+            f"{name!r} is a control of prbench, which would be run in place of your method. Choose another."
         )
     if name in _OURS | _WORDS | _WINDOWS:
-        raise UsageError(f"'{name}' is a reserved name. Choose another.")
+        raise UsageError(f"{name!r} is a reserved name. Choose another.")
     if any(adapter.name == name and adapter.package == "prbench" for adapter in list_adapters()):
-        raise UsageError(f"'{name}' is a method of prbench itself. Choose another name, such as 'my-{name}'.")
+        raise UsageError(f"{name!r} is a method of prbench itself. Choose another name, such as 'my-{name}'.")
 
 
 def taken_by(names: MethodNames) -> str | None:

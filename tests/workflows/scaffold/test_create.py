@@ -1,0 +1,207 @@
+"""A new method's folder: complete, clean, whole or not there at all, and working as generated."""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from prbench.cli import main
+from prbench.errors import StorageError, UsageError
+from prbench.workflows import scaffold
+from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
+from tests.fakes import fake_dataset
+
+CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+CHOICES = [
+    (conditions, kind)
+    for size in (1, 2, 4)
+    for conditions in itertools.combinations(CONDITIONS, size)
+    for kind in ("package", "trainable", "program")
+]
+
+
+@pytest.fixture(scope="module")
+def all_kinds(tmp_path_factory) -> Path:
+    """A folder of every kind of package and program."""
+    root = tmp_path_factory.mktemp("kinds")
+    for number, (conditions, kind) in enumerate(CHOICES):
+        trainable, program = kind == "trainable", kind == "program"
+        new_adapter(ScaffoldRequest(f"made-{number}", conditions, root / f"{kind}{number}", trainable, program))
+    return root
+
+
+def _run(*command: str, cwd: Path, path: Path | None = None) -> subprocess.CompletedProcess[str]:
+    python_path = [str(path)] if path else []
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(python_path), "PRBENCH_CACHE": str(cwd / "cache")}
+    return subprocess.run([sys.executable, *command], cwd=cwd, env=environment, capture_output=True, text=True)
+
+
+def test_no_template_leaves_a_mark_and_all_python_parses(all_kinds):
+    for path in all_kinds.rglob("*"):
+        if path.is_file():
+            text = path.read_text(encoding="utf-8")
+            assert "<<" not in text, path
+            assert "\n%" not in text, path
+            if path.suffix == ".py":
+                version = (3, 8) if path.parent.parent == all_kinds else None
+                ast.parse(text, feature_version=version)
+            if path.suffix == ".toml":
+                tomllib.loads(text)
+
+
+def test_everything_is_clean_under_ruff(all_kinds):
+    ruff = shutil.which("ruff")
+    if ruff is None:
+        pytest.skip("ruff is not installed")
+    for command in (["check"], ["format", "--check"]):
+        done = subprocess.run([ruff, *command, "--no-cache", "."], cwd=all_kinds, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout[-2000:]
+
+
+def test_packages_of_every_kind_keep_what_they_promise_themselves(all_kinds):
+    chosen = [all_kinds / "package0", all_kinds / "trainable31"]
+    sources = os.pathsep.join(str(folder / "src") for folder in chosen)
+    tests = [str(folder / "tests" / "test_method.py") for folder in chosen]
+    environment = {**os.environ, "PYTHONPATH": sources}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", *tests]
+    done = subprocess.run(command, cwd=all_kinds, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "15 passed" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory) -> Path:
+    """A generated package, installed by pip as a user would, in a folder of its own."""
+    root = tmp_path_factory.mktemp("new")
+    report = new_adapter(ScaffoldRequest("newcomer", out=root / "prbench-newcomer"))
+    options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--disable-pip-version-check"]
+    done = _run("-m", "pip", "install", *options, "--target", str(root / "site"), str(report.folder), cwd=root)
+    assert done.returncode == 0, done.stderr
+    return root
+
+
+def test_an_installed_package_is_listed_without_being_imported(installed):
+    done = _run("-m", "prbench", "adapters", "list", cwd=installed, path=installed / "site")
+    line = next(line for line in done.stdout.splitlines() if "newcomer" in line)
+    assert line.split() == ["newcomer", "prbench-newcomer", "0.1.0", "prbench_newcomer:load"]
+    done = _run("-m", "prbench", "adapters", "list", "--details", "newcomer", cwd=installed, path=installed / "site")
+    assert "newcomer  prbench-newcomer 0.1.0  goal-loc    no      any     any   none" in done.stdout, done.stdout
+
+
+def test_an_installed_package_passes_its_own_tests(installed):
+    tests = str(installed / "prbench-newcomer" / "tests")
+    done = _run("-m", "pytest", "-q", "-p", "no:cacheprovider", tests, cwd=installed, path=installed / "site")
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "failed" not in done.stdout
+
+
+def test_an_installed_package_is_run_and_scored(installed):
+    data = fake_dataset(installed / "table", 24).folder
+    command = ["run", "--method", "newcomer", "--condition", "goal-loc", "--data", str(data), "--out", "out"]
+    done = _run("-m", "prbench", *command, cwd=installed, path=installed / "site")
+    assert done.returncode == 0, done.stderr
+    assert "newcomer, condition goal-loc; 6 sequences" in done.stdout
+
+
+def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    data = fake_dataset(tmp_path / "table", 12).folder
+    assert (
+        main(["adapters", "new", "slider", "--program", "--condition", "text", "--out", str(tmp_path / "slider")]) == 0
+    )
+    toml = tmp_path / "slider" / "slider.toml"
+    toml.write_text(toml.read_text().replace('"python"', repr(sys.executable)))
+    out = tmp_path / "out"
+    arguments = ["run", "--method", str(toml), "--condition", "text", "--data", str(data), "--out", str(out)]
+    assert main(arguments) == 0
+    assert "slider, condition text" in capsys.readouterr().out
+
+
+def test_new_says_what_to_do_next(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["adapters", "new", "glide", "--condition", "text", "--condition", "goal-loc", "--trainable"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:] == [
+        "  cd prbench-glide",
+        '  pip install -e ".[test]"',
+        "  python -m pytest",
+        "  prbench adapters check glide",
+        "  prbench run --method glide --condition text",
+    ]
+    assert (tmp_path / "prbench-glide" / "src" / "prbench_glide" / "standing.py").is_file()
+
+
+def test_the_readme_shows_the_same_commands(tmp_path):
+    report = new_adapter(ScaffoldRequest("glide", out=tmp_path / "glide"))
+    readme = (report.folder / "README.md").read_text()
+    for step in report.next_steps[1:]:
+        assert step in readme
+
+
+@pytest.mark.parametrize("what", ["a file", "a folder with a file", "a link", "the current folder"])
+def test_nothing_is_ever_overwritten(what, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    if what == "a file":
+        out.write_text("mine")
+    elif what == "a link":
+        out.symlink_to(tmp_path / "nowhere")
+    else:
+        out.mkdir()
+        if what == "the current folder":
+            monkeypatch.chdir(out)
+        else:
+            (out / "mine.txt").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(StorageError, match=r"exists already; nothing was written\. Name a new folder with --out DIR"):
+        new_adapter(ScaffoldRequest("glide", out=out))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_empty_folder_is_filled(tmp_path):
+    (tmp_path / "out").mkdir()
+    report = new_adapter(ScaffoldRequest("glide", out=tmp_path / "out"))
+    found = {path.relative_to(report.folder) for path in report.folder.rglob("*") if path.is_file()}
+    assert found == set(report.files)
+
+
+def test_an_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
+    written: list[Path] = []
+
+    def fail(self: Path, *arguments, **keywords) -> None:
+        if written:
+            raise KeyboardInterrupt
+        written.append(self)
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    with pytest.raises(KeyboardInterrupt):
+        new_adapter(ScaffoldRequest("glide", out=tmp_path / "out"))
+    assert written
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_is_not_fitted_by_a_run(tmp_path):
+    with pytest.raises(UsageError, match="a program is not fitted by a run"):
+        new_adapter(ScaffoldRequest("glide", out=tmp_path / "out", trainable=True, program=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "message"), [("static", 2, "my-static"), ("No Good", 2, "Would 'no-good' do?")]
+)
+def test_a_bad_name_is_one_line_on_the_screen(name, code, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["adapters", "new", name]) == code
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_templates_ship_beside_the_code():
+    folder = Path(scaffold.__file__).parent / "templates"
+    assert {path.suffix for path in folder.iterdir() if path.is_file()} == {".template", ".py"}
