@@ -16,11 +16,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, StorageError
 
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
@@ -118,10 +118,16 @@ class Archive:
         """By the name of the array.
 
         Raises:
-            InputFileError: if the file is missing or no ZIP archive.
+            InputFileError: if the file is missing or no ZIP archive, or holds an array twice.
         """
+        found: dict[str, zipfile.ZipInfo] = {}
         with self._opened() as archive:
-            return {info.filename.removesuffix(".npy"): info for info in archive.infolist() if not info.is_dir()}
+            for info in archive.infolist():
+                name = info.filename.removesuffix(".npy")
+                if name in found:
+                    raise InputFileError(self.path, f"'{name}'", expected="an array once", found="it again")
+                found[name] = info
+        return found
 
     def header(self, name: str) -> ArrayHeader:
         """Shape and kind of an array; its values are not read.
@@ -211,11 +217,18 @@ class Archive:
 
         Raises:
             InputFileError: if the archive is damaged.
+            StorageError: if there is no space for them.
         """
         with self._opened() as archive, archive.open(self.members[name]) as stream, open(target, "wb") as file:
             self._header(name, stream)
             while part := stream.read(_PIECE):
-                file.write(part)
+                try:
+                    _write_piece(file, part)
+                except OSError as error:
+                    raise StorageError(
+                        f"{self.path}, '{name}': cannot be unpacked to {target} ({error.strerror}). Save it with"
+                        " np.savez, which does not compress, or let TMPDIR name a folder with more space."
+                    ) from error
 
     def unpacked(self, name: str, target: Path) -> np.ndarray:
         """A read-only view of what :meth:`unpack` wrote; the file has to stay as long as the view."""
@@ -250,3 +263,7 @@ class Archive:
                 found=f"another form or a damaged one ({str(error) or type(error).__name__})",
                 remedy="Write it with np.savez or np.savez_compressed.",
             ) from error
+
+
+def _write_piece(file: BinaryIO, part: bytes) -> None:
+    file.write(part)

@@ -264,3 +264,48 @@ def test_results_are_not_written_over_those_of_a_run(table, tmp_path):
     run_method(request(table, tmp_path / "run", "scripted"))
     with pytest.raises(StorageError, match=r"is a run folder with scores of its own"):
         score(table, tmp_path / "run", out=tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("shorter", "message"),
+    [
+        (lambda motion: motion[:-1], "one frame too few"),
+        (lambda motion: np.concatenate([motion[:1], motion]), "one frame too many: .*previous_joints"),
+        (lambda motion: motion[np.arange(0, len(motion) - 1 + 1e-9, 20 / 30).astype(int)], "30 frames per second"),
+    ],
+)
+def test_the_cause_of_wrong_lengths_is_named_whatever_the_format(table, recorded, tmp_path, shorter, message):
+    wrong = {name: shorter(motion) for name, motion in recorded.items()}
+    np.savez(tmp_path / "p.npz", **wrong)
+    for path in (write(tmp_path / "p.parquet", wrong), tmp_path / "p.npz"):
+        with pytest.raises(PredictionsError, match=message) as caught:
+            score(table, path)
+        assert f"{next(iter(recorded))}: expected" in str(caught.value)
+        assert "and 14 other motions of 15" in str(caught.value)
+
+
+def test_nan_in_an_npz_is_named_with_row_sequence_and_frame(table, recorded, tmp_path):
+    name = list(recorded)[6]
+    joints = np.concatenate(list(recorded.values()))
+    joints[sum(len(motion) for motion in list(recorded.values())[:6]) + 17, 3, 1] = np.inf
+    lengths = np.array([len(motion) for motion in recorded.values()])
+    np.savez(tmp_path / "p.npz", sequence_id=np.array(list(recorded)), n_frames=lengths, joints=joints)
+    with pytest.raises(PredictionsError, match=rf"p.npz, row 6, {name}, frame 17: expected finite"):
+        score(table, tmp_path / "p.npz")
+
+
+def test_numbers_too_large_for_float32_are_not_finite(table, recorded, tmp_path):
+    name = next(iter(recorded))
+    np.savez(tmp_path / "p.npz", **(recorded | {name: recorded[name].astype(np.float64) + 1e300}))
+    with pytest.raises(PredictionsError, match=rf"p.npz, '{name}', {name}, frame 0: expected finite"):
+        score(table, tmp_path / "p.npz")
+
+
+def test_flat_lists_are_read_and_odd_ones_refused_by_row(table, recorded, tmp_path):
+    rows = {"sequence_id": list(recorded), "joints": [motion.ravel().tolist() for motion in recorded.values()]}
+    pq.write_table(pa.table(rows), tmp_path / "p.parquet")
+    assert mean(score(table, tmp_path / "p.parquet"), "mpjpe") == 0.0
+    rows["joints"][4].pop()
+    pq.write_table(pa.table(rows), tmp_path / "p.parquet")
+    with pytest.raises(PredictionsError, match=r"column 'joints', row 4: expected .* all frames after one another"):
+        score(table, tmp_path / "p.parquet")

@@ -24,6 +24,7 @@ from prbench.skeleton import N_JOINTS
 
 _ID_COLUMNS = ("sequence_id", "opaque_id")
 _LARGEST_COLUMN = 1024**3  # bytes of ids or lengths, many times what any table needs
+_PADDED_FRAMES = 1000  # to which any motion may be padded; wider arrays are refused before they are unpacked
 _OPAQUE = re.compile(r"[0-9a-f]{64}")
 _FORMS = "(n, N, 22, 3) padded, or (total, 22, 3) after one another, of float32 or float64"
 
@@ -193,6 +194,12 @@ def _is_padded(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> bool:
         return False
     if leading[0] != len(n_frames):
         raise PredictionsError(f"{path}, 'joints': expected {len(n_frames)} motions, one an id, found {leading[0]}.")
+    widest = max(_PADDED_FRAMES, 4 * int(n_frames.max(initial=0)))
+    if leading[1] > widest:
+        raise PredictionsError(
+            f"{path}, 'joints': expected at most {widest} frames, as n_frames needs {n_frames.max(initial=0)}, found"
+            f" {leading[1]}. Save joints[:, :n_frames.max()]."
+        )
     longer = np.flatnonzero(n_frames > leading[1])
     if longer.size:
         raise PredictionsError(
