@@ -13,6 +13,7 @@ COMMANDS = [
     ["explain"],
     ["synthesize"],
     ["score"],
+    ["export-conditions"],
     ["leaderboard"],
     ["leaderboard", "export"],
     ["leaderboard", "compare"],
