@@ -15,6 +15,7 @@ from prbench.representation.clips import canonicalise
 from prbench.representation.converters.axes import to_y_up
 from prbench.representation.converters.plausibility import check_limbs, check_sides
 from prbench.representation.converters.timing import at_rate
+from prbench.representation.features import FRAME_RATE
 from prbench.representation.uniform_skeleton import rest_offsets, retarget
 from prbench.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points
 
@@ -26,6 +27,7 @@ def to_canonical(
     fps: float,
     *,
     n_frames: int | None = None,
+    wanted_fps: float = FRAME_RATE,
     up: str = "y",
     left_handed: bool = False,
     unit: str | float = "m",
@@ -36,12 +38,13 @@ def to_canonical(
     """A motion of the 22 joints as the benchmark wants one of which no initial pose is known.
 
     Axes and unit, then 20 frames a second by time, then the canonical frame: first pelvis over the origin, facing +Z,
-    lowest joint of the whole motion at Y = 0.
+    lowest joint of the whole motion at Y = 0. Where an initial pose is known, :func:`placed_on` follows.
 
     Args:
         joints: In the world of the source.
         fps: Frames a second.
-        n_frames: Frames to give back at 20 fps; None for as many as the motion covers.
+        n_frames: Frames to give back; None for as many as the motion covers.
+        wanted_fps: Their rate: ``batch.fps``.
         up: See :func:`to_y_up`.
         left_handed: Likewise.
         unit: Likewise.
@@ -50,7 +53,7 @@ def to_canonical(
         source: File or name that messages begin with.
 
     Returns:
-        Canonical frame, metres, 20 fps, float32.
+        Canonical frame, metres, float32.
 
     Raises:
         InputFileError: if positions are missing, not finite, in another unit, in another order or with another axis
@@ -60,7 +63,7 @@ def to_canonical(
     check_limbs(turned, source=source)
     check_joints(turned, source=source, min_frames=1, upright=upright)
     check_sides(turned, feet=feet, source=source)
-    resampled = at_rate(turned, fps, n_frames=n_frames, source=source)
+    resampled = at_rate(turned, fps, n_frames=n_frames, wanted_fps=wanted_fps, source=source)
     return canonicalise(resampled, source=source, upright=upright).astype(np.float32)
 
 

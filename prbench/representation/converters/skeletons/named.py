@@ -73,7 +73,7 @@ _LIMBS = _paired(
     hip="{side}_hip", knee="{side}_knee", ankle="{side}_ankle", shoulder="{side}_shoulder", elbow="{side}_elbow",
     wrist="{side}_wrist",
 )  # fmt: skip
-_EARS = "0.5 left_ear + 0.5 right_ear - 0.08 @up + 0.01 @forward"
+_EARS = "0.5 left_ear + 0.5 right_ear - 0.05 @up"
 _COCO = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
     "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
@@ -142,7 +142,7 @@ def _maps() -> dict[str, JointMap]:
             _BODY_25,
             {
                 **_LIMBS,
-                **_paired(foot="0.4 {side}_ankle + 0.3 {side}_big_toe + 0.3 {side}_small_toe"),
+                **_paired(foot="0.35 {side}_ankle + 0.4 {side}_big_toe + 0.25 {side}_small_toe"),
                 "head": _EARS,
             },
         ),
@@ -159,12 +159,12 @@ def _maps() -> dict[str, JointMap]:
         JointMap.of(
             "h36m-17",
             _H36M_17,
-            {**_LIMBS, "head": "0.35 thorax + 0.65 neck"},
+            {**_LIMBS, "neck": "0.35 thorax + 0.65 neck", "head": "0.9 neck + 0.1 head + 0.08 @forward"},
         ),
         JointMap.of(
             "h36m-32",
             _H36M_32,
-            {**_ANIMATION_LIMBS, "head": "0.35 Neck + 0.65 Head"},
+            {**_ANIMATION_LIMBS, "neck": "0.35 Neck + 0.65 Head", "head": "0.9 Head + 0.1 HeadSite + 0.08 @forward"},
         ),
         JointMap.of(
             "xsens-23",

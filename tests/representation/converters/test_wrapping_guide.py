@@ -1,0 +1,222 @@
+"""The guide's adapters, run as they are printed, on invented models that know the motion which must come out."""
+
+from __future__ import annotations
+
+import re
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.axes import z_up
+from prbench.contract import Adapter, Condition, ConditionBatch, Motions
+from prbench.evaluation.native_rate import at_native_rate, at_table_rate
+from prbench.representation import canonicalise, encode
+from prbench.representation.converters import JointMap, RestJoints, SmplParameters, read_rest_joints, smpl_joints
+from prbench.representation.uniform_skeleton import retarget
+from prbench.skeleton import Joint
+from prbench.timelines import interpolate
+from tests.representation.converters.bodies import mean_error, person_rotations, write_body_model
+from tests.representation.converters.foreign import known_motion, seen_as
+from tests.representation.converters.test_smpl import written
+from tests.representation.motions import turned
+
+GUIDE = (Path(__file__).parents[3] / "docs" / "wrapping.md").read_text(encoding="utf-8")
+LENGTHS = (80, 121)
+
+
+def block(heading: str, language: str = "python") -> str:
+    """The first code block below a heading of the guide."""
+    found = re.search(rf"^## {heading}.*?^```{language}\n(.*?)^```", GUIDE, re.MULTILINE | re.DOTALL)
+    assert found is not None, heading
+    return found[1]
+
+
+def load(heading: str, model: object, monkeypatch, **settings) -> Adapter:
+    """The adapter of a section, with an invented model under the name that the guide imports."""
+    module = types.ModuleType("glide_model")
+    setattr(module, type(model).__name__, lambda folder, device: model)
+    monkeypatch.setitem(sys.modules, "glide_model", module)
+    names: dict = {"__name__": "guide"}
+    exec(compile(block(heading), "docs/wrapping.md", "exec"), names)
+    return names["load"](settings.get("weights"), options=settings.get("options", {}), device="cpu")
+
+
+def batch_of(motions: list[np.ndarray]) -> ConditionBatch:
+    """Conditions of canonical motions; the text tells the invented model which one is meant."""
+    return ConditionBatch(
+        condition=Condition.GOAL_LOCATION,
+        n_frames=np.array([len(motion) for motion in motions]),
+        fps=20.0,
+        opaque_id=tuple("ab"),
+        noise_seed=(1, 2),
+        text=("0", "1"),
+        initial_joints=np.stack([motion[0] for motion in motions]),
+        previous_joints=np.stack([motion[0] for motion in motions]),
+        goal_location=np.stack([motion[-1, Joint.RIGHT_WRIST] for motion in motions]).astype(np.float64),
+    )
+
+
+def errors(found: Motions, motions: list[np.ndarray]) -> list[float]:
+    assert found.joints.dtype == np.float32
+    return [mean_error(found.joints[row, : len(motion)], motion) for row, motion in enumerate(motions)]
+
+
+def two_motions() -> list[np.ndarray]:
+    joints, _ = known_motion()
+    return [canonicalise(joints[:80].astype(np.float32)), canonicalise(joints[100:221].astype(np.float32))]
+
+
+class FeatureModel:
+    """Knows the motions on HumanML3D's skeleton, as standardised features in MDM's layout."""
+
+    def __init__(self, motions, mean, std) -> None:
+        self.motions, self.mean, self.std, self.goals = motions, mean, std, None
+
+    def sample(self, text, goals, n_frames, seeds) -> np.ndarray:
+        self.goals = goals
+        output = np.full((len(text), 263, 1, int(n_frames.max())), 9.9, dtype=np.float32)
+        for row, name in enumerate(text):
+            own = canonicalise(retarget(self.motions[int(name)]))
+            features = (encode(own, next_joints=own[-1]) - self.mean) / self.std
+            output[row, :, 0, : n_frames[row]] = features.T
+        return output
+
+
+def test_situation_1_features(tmp_path, monkeypatch) -> None:
+    motions = two_motions()
+    rng = np.random.default_rng(0)
+    mean, std = rng.normal(size=263).astype(np.float32), rng.uniform(0.01, 0.5, size=263).astype(np.float32)
+    np.save(tmp_path / "Mean.npy", mean)
+    np.save(tmp_path / "Std.npy", std)
+    model = FeatureModel(motions, mean, std)
+    adapter = load("1. HumanML3D", model, monkeypatch, weights=tmp_path)
+    assert isinstance(adapter, Adapter)
+    assert max(errors(adapter.generate(batch_of(motions), seed=0), motions)) < 1e-3
+    uniform = [retarget(motion)[-1, Joint.PELVIS] for motion in motions]
+    ratio = [np.linalg.norm(a) / np.linalg.norm(m[-1, Joint.PELVIS]) for a, m in zip(uniform, motions, strict=True)]
+    assert np.allclose(model.goals, batch_of(motions).goal_location * np.array(ratio)[:, None], rtol=1e-3)
+
+
+BETAS = np.linspace(-1, 1, 10)
+
+
+class SmplxParameterModel:
+    """Knows rotations at 30 fps; its world has Z up, and every sample stands and faces elsewhere."""
+
+    def __init__(self, rotations, pelvis, rest) -> None:
+        self.rotations, self.pelvis, self.rest, self.goals = rotations, pelvis, rest, None
+
+    def sample(self, text, goals, n_frames, seeds) -> list[dict]:
+        self.goals = goals
+        samples = []
+        for row, name in enumerate(text):
+            first = 60 * int(name)
+            part = slice(first, first + int(n_frames[row]))
+            world = self.rotations[part].copy()
+            turn = _z_up_and_turned(0.9)
+            world[:, 0] = turn @ world[:, 0]
+            numbers = written(world, "6d-rows").reshape(len(world), 22, 6)
+            transl = self.pelvis[part] @ turn.T + np.array([4.0, -2.0, 0.3]) - self.rest
+            samples.append(
+                {"global_orient": numbers[:, 0], "body_pose": numbers[:, 1:], "transl": transl, "betas": BETAS}
+            )
+        return samples
+
+
+def _z_up_and_turned(yaw: float) -> np.ndarray:
+    """Rotation from Y up to Z up, about the vertical too."""
+    return np.stack([z_up(turned(axis[None], yaw))[0] for axis in np.eye(3)], axis=1)
+
+
+@pytest.fixture
+def smplx_motions(tmp_path):
+    """Known motions at 30 fps, the invented model of them, and its body model file."""
+    path = tmp_path / "SMPLX_NEUTRAL.npz"
+    write_body_model(path, joints=55, shapes=20)
+    rest = read_rest_joints(path).of(BETAS)
+    joints, rotations = person_rotations(400, 300)
+    body = smpl_joints(SmplParameters(rotations, joints[:, 0] - rest[0]), RestJoints.fixed(rest))
+    model = SmplxParameterModel(rotations, joints[:, 0], rest[0])
+    return body, model, path
+
+
+def test_situation_2_smpl_parameters(smplx_motions, monkeypatch) -> None:
+    body, model, path = smplx_motions
+    motions = []
+    for row, n in enumerate(LENGTHS):
+        native = body[60 * row : 60 * row + int(np.ceil((n - 1) * 1.5)) + 1]
+        at_20 = interpolate(np.arange(len(native)) / 30, native, np.arange(n) / 20)
+        frame = canonicalise(np.concatenate([at_20, native]))  # one canonical frame for both rates
+        motions.append(frame[:n].astype(np.float32))
+    adapter = load("2. SMPL", model, monkeypatch, weights=path.parent, options={"smplx_model": str(path)})
+    batch = batch_of(motions)
+    native = adapter.generate(at_native_rate(batch, adapter.native_fps), seed=0)
+    found = at_table_rate(native, batch, native_fps=adapter.native_fps)
+    assert max(errors(found, motions)) < 1e-4
+    assert np.allclose(model.goals, z_up(batch.goal_location))
+
+
+def test_situation_2_through_smplx_is_the_same(smplx_motions, monkeypatch) -> None:
+    package = pytest.importorskip("smplx", reason="pip install 'prbench[smplx]'")
+    small = {name: dict.fromkeys(points, 0) for name, points in package.body_models.VERTEX_IDS.items()}
+    monkeypatch.setattr(package.body_models, "VERTEX_IDS", small)
+    _, model, path = smplx_motions
+    sample = model.sample(("0",), None, np.array([30]), (0,))[0]
+    names = {"BODY_MODEL": path, "parameters": SmplParameters.from_arrays(**sample, form="6d-rows")}
+    snippet = re.search(r"^  ```python\n(.*?)^  ```", GUIDE, re.MULTILINE | re.DOTALL)
+    exec(re.sub("^  ", "", snippet[1], flags=re.MULTILINE), names)
+    assert np.allclose(names["joints"], smpl_joints(names["parameters"], read_rest_joints(path)), atol=1e-6)
+
+
+class JointModel:
+    """Knows the motions as Human3.6M's joints, in millimetres of a camera, at 60 fps."""
+
+    def __init__(self, starts) -> None:
+        self.seen, self.starts = seen_as("h36m-17"), starts
+
+    def sample(self, text, n_frames, seed) -> np.ndarray:
+        times = self.starts[int(text)] / 20 + np.arange(n_frames) / 60
+        world = interpolate(np.arange(len(self.seen)) / 20, self.seen, times)
+        return (world * np.array([1, -1, -1]) + np.array([0.3, 1.4, 5.0])) * 1000
+
+
+def test_situation_3_joints_of_another_skeleton(monkeypatch) -> None:
+    motions = two_motions()
+    adapter = load("3. Joints", JointModel((0, 100)), monkeypatch)
+    found = adapter.generate(batch_of(motions), seed=0)
+    assert max(errors(found, motions)) < 0.025
+    for row, motion in enumerate(motions):
+        wrists = found.joints[row, : len(motion), 20:22] - motion[:, 20:22]
+        assert np.linalg.norm(wrists, axis=-1).mean() < 0.04
+
+
+@pytest.mark.parametrize(
+    ("heading", "message"), [("1. HumanML3D", "needs --weights DIR"), ("2. SMPL", "needs --weights DIR and --option")]
+)
+def test_what_an_adapter_needs_it_says(heading, message, monkeypatch) -> None:
+    with pytest.raises(ValueError, match=message):
+        load(heading, object(), monkeypatch)
+
+
+def test_the_map_of_the_guide_is_a_map(tmp_path) -> None:
+    path = tmp_path / "my-rig.toml"
+    path.write_text(block("3. Joints", "toml"))
+    own = JointMap.from_toml(path)
+    assert own.name == "my-rig"
+    assert str(own.expressions[Joint.HEAD]) == "skull - 0.1 @up"
+    assert set(own.completed) == {
+        Joint.SPINE1, Joint.SPINE2, Joint.LEFT_COLLAR, Joint.RIGHT_COLLAR, Joint.LEFT_FOOT, Joint.RIGHT_FOOT,
+    }  # fmt: skip
+
+
+def test_every_function_that_the_guide_names_exists() -> None:
+    from prbench.representation import converters
+
+    imported = re.findall(r"^    (\w+),$", GUIDE, re.MULTILINE)
+    assert len(imported) > 10
+    spoken = set(re.findall(r"`(\w+)\(", GUIDE)) - {"load"}
+    known = {*converters.__all__, "rest_offsets", "generate"}
+    assert spoken <= known
