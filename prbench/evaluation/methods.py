@@ -21,12 +21,9 @@ from prbench.evaluation.isolation.training_copy import temporary_training_copy
 from prbench.evaluation.programs import MethodProgram, is_program, own_environment, program_of
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
-from prbench.evaluation.training_split import TrainingSplit
+from prbench.evaluation.training_split import FIT_SEED, TrainingSplit
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
-
-FIT_SEED = 0  # of baselines that a run fits by itself; the run's own seed varies what is generated, not what is learnt
-
 
 @dataclass
 class LoadedMethod:

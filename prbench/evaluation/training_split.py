@@ -12,6 +12,8 @@ from prbench.errors import AdapterError
 from prbench.sequences import SequenceTable
 from prbench.sequences.chunk import SequenceChunk
 
+FIT_SEED = 0
+"""Of methods that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
 _SPLIT = "train"
 
 

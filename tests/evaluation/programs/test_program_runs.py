@@ -58,14 +58,16 @@ def test_the_record_holds_what_the_program_says_and_no_path_of_the_machine(own, 
     assert report.summaries[0].method == "drawn"
     assert DatasetSummary.read(tmp_path / "out").method == "drawn"
     written = (tmp_path / "out/run.json").read_text() + (tmp_path / "out/summary.json").read_text()
-    assert str(tmp_path) not in written and "cmd:" not in written
+    assert str(tmp_path) not in written
+    assert "cmd:" not in written
 
 
 def test_what_a_program_declares_is_honoured(own, table, tmp_path):
     own.write(hello="introduction.update(max_frames=80, motionless=True)")
     run_method(request(table, tmp_path / "out", own.method))
     record = RunRecord.read(tmp_path / "out")
-    assert record.method.max_frames == 80 and record.method.motionless
+    assert record.method.max_frames == 80
+    assert record.method.motionless
     assert record.tables[0].unsupported > 0
 
 
@@ -137,9 +139,8 @@ def test_another_version_of_the_program_does_not_go_on_in_the_folder(own, table,
 
 
 def test_an_error_of_a_program_names_the_sequence(own, table, tmp_path):
-    own.write(
-        body='answer = {"message": "error", "batch": header["batch"], "text": f"no way to {rows[\'opaque_id\'][0]}"}\nwrite(answer)\ncontinue'
-    )
+    refusal = '{"message": "error", "batch": header["batch"], "text": "no way to " + rows["opaque_id"][0]}'
+    own.write(body=f"write({refusal})\ncontinue")
     with pytest.raises(AdapterError, match=r"adapter 'drawn' on .*: no way to synthetic-adt/rec"):
         run_method(request(table, tmp_path / "out", own.method))
     assert not (tmp_path / "out").exists()

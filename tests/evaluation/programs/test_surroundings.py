@@ -123,7 +123,8 @@ def test_docker_runs_as_the_user_with_gpus_volumes_weights_and_variables(folder)
 def test_podman_takes_gpus_by_their_device_and_a_user_if_one_is_named(folder):
     words = started(folder, 'container = "i"\ngpus = true\nuser = "7:8"').program.words
     assert words[-9:-4] + words[-4:] == (
-        f"{folder / 'm'}:/method:ro", "--user", "7:8", "--device", "nvidia.com/gpu=all", "i", "python", "glide.py", "-x",
+        f"{folder / 'm'}:/method:ro", "--user", "7:8", "--device", "nvidia.com/gpu=all",
+        "i", "python", "glide.py", "-x",
     )  # fmt: skip
 
 

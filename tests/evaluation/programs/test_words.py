@@ -38,7 +38,7 @@ def test_a_command_of_nothing_is_refused_with_an_example(text):
 
 @pytest.mark.parametrize("windows", [False, True])
 def test_a_quotation_that_is_not_closed_is_refused(windows):
-    with pytest.raises(UsageError, match='every quotation to be closed, found: python "glide.py'):
+    with pytest.raises(UsageError, match=r'every quotation to be closed, found: python "glide\.py'):
         split_command('python "glide.py', where="here", windows=windows)
 
 

@@ -1,0 +1,154 @@
+"""The same method in process and isolated: the same bytes, the same errors."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+
+import pytest
+
+from prbench.contract import Condition
+from prbench.engine import ProcessPool
+from prbench.errors import AdapterError, RunError
+from prbench.evaluation.run import run_method
+from prbench.runs.record import RunRecord
+from tests.evaluation.conftest import adapter_source
+from tests.evaluation.test_run import reproducible_bytes, request
+
+KILLED = """
+import os, sys
+from pathlib import Path
+sys.path[:0] = [sys.argv[3]]
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+run_method(
+    RunRequest(method="made", data=(Path(sys.argv[1]),), out=Path(sys.argv[2]), batch_size=4, samples=2, isolate=True),
+    progress=lambda step: step.done == 2 and os.kill(os.getpid(), 9),
+)
+"""
+
+
+def results(folder) -> dict[str, bytes]:
+    """Everything but the record, which says how the method was kept."""
+    return {name: content for name, content in reproducible_bytes(folder).items() if name != "run.json"}
+
+
+def test_a_method_that_draws_gives_the_same_bytes_in_process_isolated_with_workers_and_resumed(
+    fence, table, tmp_path, install
+):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "here", "made", samples=2))
+    run_method(request(table, tmp_path / "apart", "made", samples=2, isolate=True))
+    run_method(request(table, tmp_path / "two", "made", samples=2, isolate=True), engine=ProcessPool(2))
+    words = [sys.executable, "-c", KILLED, str(table.folder), str(tmp_path / "killed"), str(tmp_path / "site")]
+    if fence == "bubblewrap":
+        assert subprocess.run(words, check=False, capture_output=True).returncode == -9
+        shutil.rmtree(tmp_path / "killed/.costs")
+    report = run_method(request(table, tmp_path / "killed", "made", samples=2, isolate=True))
+    assert report.batches_found == (2 if fence == "bubblewrap" else 0)
+    expected = results(tmp_path / "here")
+    assert len(expected) == 6
+    for name in ("apart", "two", "killed"):
+        assert results(tmp_path / name) == expected
+    record = RunRecord.read(tmp_path / "apart").method
+    assert (record.name, record.kind, record.package, record.version) == ("made", "adapter", "prbench_made", "1.2")
+    assert record.isolation == fence
+
+
+def test_a_method_that_is_fitted_learns_the_same_from_a_copy_of_the_training_rows(fence, table, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    fits, folders = {}, {}
+    for name, isolate in (("here", False), ("apart", True)):
+        monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / f"cache-{name}"))
+        run_method(request(table, tmp_path / name, "static", isolate=isolate))
+        [fits[name]] = (tmp_path / f"cache-{name}/fits").glob("*/mean_pose.json")
+        folders[name] = fits[name].parent.name
+    assert fits["here"].read_bytes() == fits["apart"].read_bytes()
+    assert folders["here"] == folders["apart"]
+    assert results(tmp_path / "here") == results(tmp_path / "apart")
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_a_fit_gets_no_path_to_the_table(fence, table, tmp_path, install):
+    body = "raise ValueError([str(train.folder), type(train).__mro__[1].__name__])"
+    source = adapter_source(attributes=f"def fit(self, train, *, validation, run): {body}")
+    install("made", source)
+    with pytest.raises(AdapterError) as error:
+        run_method(request(table, tmp_path / "out", "made", isolate=True))
+    assert "prbench-train-" in str(error.value)
+    assert "TrainingSplit" in str(error.value)
+    assert str(table.folder) not in str(error.value)
+
+
+def test_a_run_that_was_isolated_does_not_go_on_in_one_that_was_not(fence, table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    with pytest.raises(RunError, match=rf"method\.isolation: expected {fence} for this run, found nothing"):
+        run_method(request(table, tmp_path / "out", "made", isolate=True))
+
+
+@pytest.mark.parametrize(
+    ("body", "answer"),
+    [
+        ("raise ValueError('no way')", "ValueError: no way"),
+        ("joints = joints[:, :-1]", "expected 68 frames, found 67"),
+        ("joints[0, 1] = np.nan", "frame 1: expected finite positions"),
+        ("n_frames = n_frames - 1", "frames, found"),
+        ("joints = joints.tolist()", "expected joints as a NumPy array, found list"),
+        ("import os; os._exit(3)", "exit status 3"),
+        ("import sys; sys.exit('enough')", "SystemExit: enough"),
+    ],
+)
+def test_errors_are_told_like_those_of_a_method_in_process(no_bubblewrap, table, tmp_path, install, body, answer):
+    install("made", adapter_source(body=body))
+    with pytest.raises(AdapterError) as error:
+        run_method(request(table, tmp_path / "out", "made", isolate=True))
+    assert answer in str(error.value)
+    assert "synthetic-adt/rec" in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_prints_of_a_method_and_of_its_libraries_do_no_harm(no_bubblewrap, table, tmp_path, install):
+    noise = "import os, sys; print('hello'); os.write(1, b'from C'); os.system('echo from a child'); sys.stdin.read()"
+    install("made", adapter_source(body=noise))
+    run_method(request(table, tmp_path / "out", "made", isolate=True))
+    install("quiet", adapter_source())
+    run_method(request(table, tmp_path / "quiet", "quiet"))
+    names = [name for name in results(tmp_path / "out") if name.startswith("predictions")]
+    assert len(names) == 4
+    for name in names:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "quiet" / name).read_bytes()
+
+
+def test_a_batch_that_does_not_fit_in_the_workers_memory_is_run_in_halves(no_bubblewrap, table, tmp_path, install):
+    install("made", adapter_source(body="if len(batch) > 2: raise MemoryError"))
+    run_method(request(table, tmp_path / "out", "made", isolate=True))
+    assert json.loads((tmp_path / "out/cost.json").read_text())["halved_batches"]["00000"] == 1
+
+
+def test_settings_that_the_method_refuses_are_told(no_bubblewrap, table, tmp_path):
+    with pytest.raises(AdapterError, match="unknown option 'pose'; known options: pose-only"):
+        run_method(request(table, tmp_path / "out", options={"pose": "1"}, isolate=True))
+    with pytest.raises(AdapterError, match="does not take the condition 'text'"):
+        run_method(request(table, tmp_path / "out", condition=Condition.TEXT, isolate=True))
+
+
+def test_declared_limits_and_weights_cross_the_border(no_bubblewrap, table, tmp_path, install):
+    attributes = (
+        "max_frames = 200; native_fps = 30.0; motionless = True\n"
+        "        def weights_for(self, condition):\n"
+        "            import pathlib\n"
+        "            return pathlib.Path(__file__)"
+    )
+    install("made", adapter_source(attributes=attributes))
+    run_method(request(table, tmp_path / "here", "made"))
+    run_method(request(table, tmp_path / "apart", "made", isolate=True))
+    here, apart = RunRecord.read(tmp_path / "here").method, RunRecord.read(tmp_path / "apart").method
+    assert apart.weights_digest
+    for name in ("max_frames", "native_fps", "motionless", "weights", "weights_digest"):
+        assert getattr(here, name) == getattr(apart, name)
+    assert results(tmp_path / "here") == results(tmp_path / "apart")
