@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from benchmarks.speed import bench_curation, bench_metrics, bench_reading, bench_trajectory
+from benchmarks.speed import bench_curation, bench_metrics, bench_reading, bench_remote, bench_trajectory
 
 
 def main() -> None:
-    """Reading, long trajectories, curation, metrics."""
+    """Reading, long trajectories, curation, metrics, methods as programs."""
     bench_reading.main()
     bench_trajectory.main()
     bench_curation.main()
     bench_metrics.main()
+    bench_remote.main()
 
 
 if __name__ == "__main__":

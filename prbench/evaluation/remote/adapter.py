@@ -135,6 +135,8 @@ class RemoteAdapter:
         except Fault as fault:
             process.kill()
             raise AdapterError(self._told(f"{origin}, asked to introduce itself", fault)) from fault
+        except ValueError as error:  # options of more than 64 kB
+            raise AdapterError(f"{origin}: its settings cannot be sent: {error}. Put them into a file.") from error
         except AdapterError:
             process.kill()
             raise

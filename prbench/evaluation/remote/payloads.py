@@ -87,9 +87,9 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
         )
     lengths = np.clip(n_frames, 0, joints.shape[1])
     offsets = np.concatenate([[0], np.cumsum(lengths)]) * (N_JOINTS * 3)
-    valid = np.arange(joints.shape[1]) < lengths[:, None]
+    valid = [motion[:length] for motion, length in zip(joints, lengths, strict=True)]
     with np.errstate(over="ignore"):
-        flat = joints[valid].astype(np.float32).reshape(-1)
+        flat = np.concatenate([joints[:0].reshape(0, N_JOINTS, 3), *valid]).astype(np.float32, copy=False).reshape(-1)
     return _stream(
         {
             "opaque_id": pa.array(ids, pa.utf8()),

@@ -46,6 +46,7 @@ class ProgramProcess:
         assert stdout is not None
         assert stderr is not None
         self._owner = os.getpid()
+        self._known_kin: list[psutil.Process] = []
         self.log = ProgramLog(stderr, program.name, self._popen.pid)
         self._outbox = Outbox(stdin)
         self._inbox = Inbox(stdout, self._ended, self._outbox)
@@ -84,6 +85,7 @@ class ProgramProcess:
         """Close stdin, give the program time to end, then end it and what it started. May be called again."""
         if self.over or os.getpid() != self._owner:
             return
+        self._known_kin = list(self._kin())  # once the program is gone, nobody knows whose children they were
         self._outbox.close()
         self._inbox.discard()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -96,8 +98,10 @@ class ProgramProcess:
             return
         self.over = True
         self._inbox.discard()
-        self._signal_all("terminate", TERM_SECONDS)
-        self._signal_all("kill", TERM_SECONDS)
+        try:
+            self._signal_all("terminate", TERM_SECONDS)
+        finally:  # a second Ctrl-C does not leave anything behind either
+            self._signal_all("kill", TERM_SECONDS)
         self._outbox.close()
         self.log.wait_for_end(0.5)
         if self._scratch is not None:
@@ -129,7 +133,7 @@ class ProgramProcess:
     def _signal_all(self, how: str, patience: float) -> None:
         """Send a signal to the program and its kin, and wait until they are gone."""
         until = Deadline(patience)
-        kin = list(self._kin())
+        kin = self._known_kin = list({*self._kin(), *filter(_runs, self._known_kin)})
         if sys.platform != "win32" and (kin or self._popen.poll() is None):
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._popen.pid, signal.SIGTERM if how == "terminate" else signal.SIGKILL)

@@ -86,6 +86,11 @@ class Workshop:
     mark: str
     started: list[RemoteAdapter] = field(default_factory=list)
 
+    @property
+    def cache(self) -> Path:
+        """The cache folder of this test."""
+        return Path(os.environ["PRBENCH_CACHE"])
+
     @classmethod
     def in_folder(cls, folder: Path) -> Workshop:
         """With the right answer to :func:`standard_batch` at hand."""

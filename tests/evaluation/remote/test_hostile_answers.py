@@ -41,6 +41,18 @@ PROTOCOL = [
 ]
 SILENCE = [
     Case("never answers", "read(); time.sleep(60)", "did not answer within 0.4 s. .*lower --batch-size", waits=True),
+    Case(
+        "dribbles",
+        "read()\nwhile True: stdout.write(b' '); stdout.flush(); time.sleep(0.05)",
+        "no message: ' +'\\.",
+        waits=True,
+    ),
+    Case(
+        "dribbles a header",
+        "read(); stdout.write(b'{')\nwhile True: stdout.write(b' '); stdout.flush(); time.sleep(0.05)",
+        "did not answer within 0.4 s, after [0-9]+ bytes of a header",
+        waits=True,
+    ),
     Case("half a payload, then waits", f"{HALF}; time.sleep(60)", "after 500 of [0-9,]+ bytes of its payl", waits=True),
 ]
 CRASHES = [
