@@ -44,7 +44,7 @@ function toLocation(initial, goal, time, fps, chance, settings) {
   const stop = settings.stopBefore + 0.1 * chance[1];
   const end = time[time.length - 1];
   const begin = Math.min(arrive, Math.max(end - 0.5, 0));
-  const turned = time.map((t) => smooth((t - (arrive - 1)) / 1));
+  const turned = time.map((t) => smooth(t / arrive));
   const reached = time.map((t) => smooth((t - begin) / Math.max(end - begin, 1 / fps)));
 
   const pelvis = at(initial, PELVIS);
@@ -69,9 +69,8 @@ function toLocation(initial, goal, time, fps, chance, settings) {
 
 // Carry the pelvis over and turn each bone from its first direction into its last; lengths go along.
 function intoPose(initial, final, time, fps, chance) {
-  const end = time[time.length - 1];
-  const begin = Math.min(0.5 * chance[0], Math.max(end - 0.5, 0));
-  const progress = time.map((t) => smooth((t - begin) / Math.max(end - begin, 1 / fps)));
+  const phases = time.map((t) => t / Math.max(time[time.length - 1], 1 / fps));
+  const progress = phases.map((phase) => smooth(phase + (0.6 * chance[0] - 0.3) * phase * (1 - phase))); // some hurry
   const [cosine, sine] = heading(final);
   const ahead = turnedAboutY(relativeToPelvis(final), 1, cosine, -sine, [1]);
   const start = relativeToPelvis(initial);

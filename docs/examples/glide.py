@@ -64,7 +64,7 @@ def to_location(initial, goal, time, fps, chance, settings):
     stop = settings["stop_before"] + 0.1 * chance[1]
     end = time[-1]
     begin = min(arrive, max(end - 0.5, 0.0))
-    turned = smooth((time - (arrive - 1.0)) / 1.0)
+    turned = smooth(time / arrive)
     reached = smooth((time - begin) / max(end - begin, 1.0 / fps))
 
     to_goal = goal - initial[PELVIS]
@@ -87,9 +87,8 @@ def to_location(initial, goal, time, fps, chance, settings):
 
 def into_pose(initial, final, time, fps, chance):
     """Carry the pelvis over and turn each bone from its first direction into its last; lengths go along."""
-    end = time[-1]
-    begin = min(0.5 * chance[0], max(end - 0.5, 0.0))
-    progress = smooth((time - begin) / max(end - begin, 1.0 / fps))
+    phase = time / max(time[-1], 1.0 / fps)
+    progress = smooth(phase + (0.6 * chance[0] - 0.3) * phase * (1.0 - phase))  # some hurry, some tarry
     cosine, sine = heading(final)
     pelvis = (1.0 - progress)[:, None] * initial[PELVIS] + progress[:, None] * final[PELVIS]
     # the last pose as it would stand if it faced +Z, as the first one does

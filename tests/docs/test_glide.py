@@ -15,6 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.contract import Condition
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
 from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
 from prbench.runs import read_scores
 from prbench.skeleton import WRISTS, bone_lengths
@@ -118,6 +120,26 @@ def test_javascript_gives_the_same_motions_and_scores(glide, batch, condition, t
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
+def test_command_description_and_fence_run_it_alike(table, tmp_path, monkeypatch):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    command = f'cmd:"{sys.executable}" "{EXAMPLES / "glide.py"}"'
+    runs = {"command": (command, False), "description": (str(EXAMPLES / "glide.toml"), False), "fence": (command, True)}
+    found = {}
+    for name, (method, isolate) in runs.items():
+        request = RunRequest(
+            method=method,
+            data=(table.folder,),
+            condition=Condition.GOAL_LOCATION,
+            isolate=isolate,
+            batch_size=4,
+            out=tmp_path / name,
+        )
+        report = run_method(request)
+        assert (report.folder.record.method.name, report.folder.record.method.version) == ("glide", "1.0")
+        found[name] = (report.folder.path / "scores.parquet").read_bytes()
+    assert found["command"] == found["description"] == found["fence"]
+
+
 def _bytes(motions):
     return b"".join(joints.tobytes() for joints in motions)
 
@@ -128,7 +150,7 @@ def _scores(table, ids, motions, folder):
     rows = {"opaque_id": ids, "joints": pa.array([m.reshape(-1, 66).tolist() for m in motions], kind)}
     folder.mkdir()
     pq.write_table(pa.table(rows), folder / "p.parquet")
-    score_predictions(ScoreRequest(predictions=folder / "p.parquet", data=table.folder, out=folder / "scores"))
+    score_predictions(ScoreRequest(predictions=folder / "p.parquet", data=(table.folder,), out=folder / "scores"))
     scores = read_scores(folder / "scores" / "scores.parquet").sort_by(
         [("sequence_id", "ascending"), ("metric", "ascending")]
     )

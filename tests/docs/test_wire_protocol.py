@@ -183,7 +183,7 @@ FAULTS = {
     "answers another batch": f"{ASKED} write(message='motions', batch=7); time.sleep(30)",
     "answers something else": f"{ASKED} write(message='progress', batch=0); time.sleep(30)",
     "answers without a payload": f"{ASKED} write(message='motions', batch=0); time.sleep(30)",
-    "sends what is no Arrow stream": f"{ASKED} write(message='motions', batch=0, bytes=2); os.write(1, b'no'); time.sleep(30)",
+    "sends what is no Arrow stream": f"{ASKED} write(message='motions', batch=0, bytes=2); os.write(1, b'no'); read()",
     "speaks another version": "hello(wire=2); time.sleep(30)",
     "has no name": "hello(name=None); time.sleep(30)",
     "declares an unknown condition": "hello(conditions=['gaze']); time.sleep(30)",
