@@ -1,0 +1,136 @@
+"""Joints in another order than HumanML3D's, or of another skeleton."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from prbench.evaluation.doctor.anatomy import PARTS, left_of_hips, sidedness, sideways_agreement, with_sides
+from prbench.evaluation.doctor.bones import Distances, fit
+from prbench.evaluation.doctor.body import not_positions
+from prbench.evaluation.doctor.orders import ORDERS_OF_22, OTHER_ORDERS, Order
+from prbench.evaluation.doctor.patient import Finding, Patient, healthy
+from prbench.evaluation.doctor.recover_order import recovered_order
+from prbench.evaluation.doctor.types import Diagnosis
+from prbench.skeleton import N_JOINTS, Joint
+
+_OWN = Order("HumanML3D", tuple(joint.name.lower() for joint in Joint))
+_FITS, _IMPOSSIBLE = 0.3, 0.4  # misfit of the bones; right bodies have 0.03 to 0.15, shuffled ones 0.6
+_ALIKE = 0.03  # difference of two orders that only exchange left and right
+_CROSSED, _NOT_CROSSED = -0.3, 0.5  # mean sideways distance of a pair along the hips' axis, as a share of its mean size
+_GAIN, _CLEAR_GAIN = 0.0015, 0.012  # of the bones' misfit: where pairs lie crossed, and where they do not
+_ARMS = np.array([part in ("collar", "shoulder", "elbow", "wrist") for part in PARTS])
+_NOT_HIPS = np.array([part != "hip" for part in PARTS])
+
+
+def examine_joint_order(patient: Patient) -> Finding:
+    """Find the order under which the bones are those of people and keep their lengths."""
+    distances = Distances.of(patient.motions)
+    n_joints = len(distances.median)
+    if n_joints != N_JOINTS:
+        return _another_skeleton(patient, distances)
+    own = fit(distances, _OWN.places())
+    if own.misfit < _IMPOSSIBLE:
+        return _exchanged_pairs(patient, distances)
+    fits = {order: fit(distances, order.places()) for order in ORDERS_OF_22}
+    best = min(fits, key=lambda order: fits[order].badness)
+    if fits[best].misfit < _FITS:
+        alike = [order for order in fits if fits[order].badness < fits[best].badness + _ALIKE]
+        best = max(alike, key=lambda order: _side(patient, order.index()))
+        return _reordered(patient, best.index(), own.misfit, fits[best].misfit, f"joints stand in {best.name}")
+    index = _recovered(patient, distances)
+    if index is not None:
+        misfit = fit(distances, {name: index[place] for place, name in enumerate(_OWN.joints)}).misfit
+        return _reordered(patient, index, own.misfit, misfit, "joints stand in an order of their own")
+    return _no_body(patient, own.misfit)
+
+
+def _recovered(patient: Patient, distances: Distances) -> list[int] | None:
+    """An order of its own, with left and right where the body's front and hips have them."""
+    index = recovered_order(distances)
+    if index is None:
+        return None
+    crossed = sideways_agreement(patient.poses()[:, index]) < 0
+    index = with_sides(index, crossed)
+    return with_sides(index, ~np.zeros_like(crossed)) if _side(patient, index) < 0 else index
+
+
+def _side(patient: Patient, index: Sequence[int]) -> float:
+    """Whether left is left of the front under an order: 1 if so, -1 if not."""
+    poses = patient.poses()[:, list(index)]
+    return float(np.sign(sidedness(poses, left_of_hips(poses)).mean().round(1)))
+
+
+def _reordered(patient: Patient, index: Sequence[int], before: float, after: float, cause: str) -> Finding:
+    evidence = f"as HumanML3D's order, bones miss people's lengths by {before:.0%}; in the order found by {after:.0%}"
+    remedy = f"Put them into HumanML3D's order: joints[:, {list(index)}] (names: prbench.skeleton.Joint)."
+    found = Diagnosis("joint-order", True, evidence, cause, remedy)
+    return Finding((found,), patient.changed(lambda motion: motion[:, list(index)]))
+
+
+def _another_skeleton(patient: Patient, distances: Distances) -> Finding:
+    n_joints = len(distances.median)
+    orders = [order for order in OTHER_ORDERS if len(order.joints) == n_joints]
+    evidence = f"{n_joints} joints a frame instead of 22"
+    fits = {order: fit(distances, order.places()) for order in orders}
+    if fits:
+        best = min(fits, key=lambda order: fits[order].badness)
+        if fits[best].misfit < 2 * _FITS:
+            evidence += f"; bones miss people's lengths by {fits[best].misfit:.0%}"
+            found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {best.name}", best.remedy)
+            if best.holds_all:
+                index = list(best.index())
+                return Finding((found,), patient.changed(lambda motion: motion[:, index]))
+            return Finding((found,), patient, hopeless=True)
+        names = ", ".join(order.name for order in orders)
+        evidence += f"; as {names} bones miss people's lengths by {fits[best].misfit:.0%}"
+    remedy = "Choose the 22 joints of prbench.skeleton.Joint; prbench.representation.converters helps with skeletons."
+    return Finding((Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), patient, hopeless=True)
+
+
+def _exchanged_pairs(patient: Patient, distances: Distances) -> Finding:
+    """Single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
+    agreement = sideways_agreement(patient.poses())
+    before = fit(distances, _OWN.places()).badness
+    crossed, after, gain = agreement < _CROSSED, 0.0, _GAIN
+    if crossed.any() and (crossed == _NOT_HIPS).all():
+        crossed = ~crossed
+    if not crossed.any():
+        crossed, gain = _best_exchange(distances), _CLEAR_GAIN
+        crossed = crossed if (agreement[crossed] < _NOT_CROSSED).all() else np.zeros_like(crossed)
+    if (crossed == _ARMS).all() or (crossed == ~_ARMS).all() or not crossed.any():
+        return healthy(patient)  # whole limbs: left_right.py
+    index = with_sides(range(N_JOINTS), crossed)
+    after = _badness(distances, index)
+    if after > min(before - gain, _FITS):
+        return healthy(patient)
+    names = " and ".join("feet" if part == "foot" else f"{part}s" for part, swap in zip(PARTS, crossed, strict=True) if swap)
+    evidence = (
+        f"left and right {names} lie the other way round than the hips (agreement {agreement[crossed].min():.2f}; 1 is full);"
+        f" exchanged, bones miss people's lengths by {after:.1%} instead of {before:.1%}"
+    )
+    remedy = f"Exchange them: joints[:, {index}]."
+    found = Diagnosis("joint-order", True, evidence, f"left and right {names} are exchanged, the others are not", remedy)
+    return Finding((found,), patient.changed(lambda motion: motion[:, index]))
+
+
+def _best_exchange(distances: Distances) -> np.ndarray:
+    """Of all ways to exchange left and right of some parts, hips kept, the one with the best bones."""
+    choices = [np.array([False, *bits]) for bits in product((False, True), repeat=len(PARTS) - 1)]
+    return min(choices, key=lambda choice: _badness(distances, with_sides(range(N_JOINTS), choice)))
+
+
+def _badness(distances: Distances, index: Sequence[int]) -> float:
+    return fit(distances, {name: index[place] for place, name in enumerate(_OWN.joints)}).badness
+
+
+def _no_body(patient: Patient, misfit: float) -> Finding:
+    evidence = f"bones miss people's lengths by {misfit:.0%}, in every known order by more than {_FITS:.0%}"
+    standardised = not_positions(patient, evidence)
+    if standardised is not None:
+        return Finding((standardised,), patient, hopeless=True)
+    remedy = "Check that joints are positions in space, and their order against prbench.skeleton.Joint."
+    found = Diagnosis("joint-order", True, evidence, "an order or a skeleton that is not known, or no positions", remedy)
+    return Finding((found,), patient, hopeless=True)

@@ -1,0 +1,148 @@
+"""Orders in which other programs write joints, with the names of :class:`prbench.skeleton.Joint`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from prbench.skeleton import CHAINS, Joint
+
+_NAMES = tuple(joint.name.lower() for joint in Joint)
+_LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("collar", "shoulder", "elbow", "wrist")
+_TRUNK = ("spine1", "spine2", "spine3")
+_TOP = ("neck", "head")
+
+
+@dataclass(frozen=True)
+class Order:
+    """One way to write joints one after another."""
+
+    name: str
+    joints: tuple[str, ...]
+    """In the order of the file; a joint that the 22 do not have has a name of its own."""
+    remedy: str = ""
+    """Instead of the index that puts the 22 joints into place."""
+
+    def places(self) -> dict[str, int]:
+        """Where each joint stands."""
+        return {joint: place for place, joint in enumerate(self.joints)}
+
+    @property
+    def holds_all(self) -> bool:
+        """Whether the 22 joints can be taken out of it."""
+        return set(_NAMES) <= set(self.joints)
+
+    def index(self) -> tuple[int, ...]:
+        """``joints[:, index]`` stands in HumanML3D's order."""
+        places = self.places()
+        return tuple(places[name] for name in _NAMES)
+
+
+def _side(side: str, parts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{side}_{part}" for part in parts)
+
+
+def _depth_first(name: str, first: str, second: str, *, trunk_first: bool, arms_before_head: bool) -> Order:
+    legs = _side(first, _LEG) + _side(second, _LEG)
+    arms = _side(first, _ARM) + _side(second, _ARM)
+    upper = _TRUNK + (arms + _TOP if arms_before_head else _TOP + arms)
+    return Order(name, ("pelvis", *(upper + legs if trunk_first else legs + upper)))
+
+
+def _unique(joints: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(joints))
+
+
+def _depth_first_orders() -> tuple[Order, ...]:
+    orders = []
+    for first, second in (("left", "right"), ("right", "left")):
+        for trunk_first in (False, True):
+            for arms_before_head in (False, True):
+                start = "trunk" if trunk_first else "legs"
+                top = "arms before the head" if arms_before_head else "head before the arms"
+                if (first, trunk_first, arms_before_head) == ("right", False, False):
+                    continue  # the chain order of HumanML3D
+                name = f"depth-first order, as in BVH files ({start} first, {first} side first, {top})"
+                orders.append(
+                    _depth_first(name, first, second, trunk_first=trunk_first, arms_before_head=arms_before_head)
+                )
+    return tuple(orders)
+
+
+_CHAIN_ORDER = Order("kinematic chain order of HumanML3D", _unique(tuple(_NAMES[joint] for chain in CHAINS for joint in chain)))
+_HANDS = tuple(
+    f"{side}_{finger}{bone}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for bone in (1, 2, 3)
+)
+_FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
+_SMPL_REMEDY = "The first 22 joints are HumanML3D's: joints[:, :22]."
+_FOREIGN = "prbench.representation.converters turns joints of other skeletons into the 22."
+
+ORDERS_OF_22: tuple[Order, ...] = (
+    _CHAIN_ORDER,
+    *_depth_first_orders(),
+    Order("alphabetical order (left_ankle, left_collar …)", tuple(sorted(_NAMES))),
+    Order("reversed order", _NAMES[::-1]),
+    Order(
+        "all left joints, then all right ones, behind those of the middle",
+        tuple(sorted(_NAMES, key=lambda name: ("left" in name) + 2 * ("right" in name))),
+    ),
+    Order("pelvis at the end", (*_NAMES[1:], "pelvis")),
+)
+"""Full orders of the 22 joints other than HumanML3D's own."""
+
+OTHER_ORDERS: tuple[Order, ...] = (
+    Order("SMPL (24 joints)", (*_NAMES, "left_hand", "right_hand"), _SMPL_REMEDY),
+    Order("SMPL-H (52 joints)", (*_NAMES, *_HANDS), _SMPL_REMEDY),
+    Order("SMPL-X (55 joints)", (*_NAMES, *_FACE, *_HANDS), _SMPL_REMEDY),
+    Order("SMPL-X with landmarks (127 joints)", (*_NAMES, *_FACE, *_HANDS, *(f"landmark{i}" for i in range(72))), _SMPL_REMEDY),
+    Order("SMPL-X with landmarks (144 joints)", (*_NAMES, *_FACE, *_HANDS, *(f"landmark{i}" for i in range(89))), _SMPL_REMEDY),
+    Order("SMPL with vertices of the face, hands and feet (45 joints)", (*_NAMES, "left_hand", "right_hand", *(f"vertex{i}" for i in range(21))), _SMPL_REMEDY),
+    Order(
+        "COCO (17 joints)",
+        ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
+         "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+         "right_ankle"),
+        _FOREIGN,
+    ),
+    Order(
+        "Human3.6M (17 joints)",
+        ("pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "spine", "thorax",
+         "nose", "head_top", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow",
+         "right_wrist"),
+        _FOREIGN,
+    ),
+    Order(
+        "NTU RGB+D, Kinect v2 (25 joints)",
+        ("pelvis", "spine_middle", "neck", "head", "left_shoulder", "left_elbow", "left_wrist", "left_hand",
+         "right_shoulder", "right_elbow", "right_wrist", "right_hand", "left_hip", "left_knee", "left_ankle",
+         "left_foot", "right_hip", "right_knee", "right_ankle", "right_foot", "spine_shoulder", "left_hand_tip",
+         "left_thumb", "right_hand_tip", "right_thumb"),
+        _FOREIGN,
+    ),
+    Order(
+        "OpenPose BODY_25 (25 joints)",
+        ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+         "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
+         "left_eye", "right_ear", "left_ear", "left_big_toe", "left_small_toe", "left_heel", "right_big_toe",
+         "right_small_toe", "right_heel"),
+        _FOREIGN,
+    ),
+    Order(
+        "OpenPose COCO (18 joints)",
+        ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+         "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
+         "right_ear", "left_ear"),
+        _FOREIGN,
+    ),
+    Order(
+        "KIT motion-language (21 joints)",
+        ("pelvis", "spine1", "spine3", "neck", "head", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder",
+         "right_elbow", "right_wrist", "left_hip", "left_knee", "left_ankle", "left_heel", "left_foot", "right_hip",
+         "right_knee", "right_ankle", "right_heel", "right_foot"),
+        _FOREIGN,
+    ),
+    Order("the 22 joints without the pelvis (21 joints)", _NAMES[1:], "Put the pelvis back at place 0."),
+)  # fmt: skip
+"""Orders with another number of joints."""
