@@ -372,11 +372,12 @@ def patch_metrics(_self: Cheater, _batch: ConditionBatch, _seed: int) -> None:
 
 
 def outlive(self: Cheater, _batch: ConditionBatch, _seed: int) -> None:
-    """A process that waits for the end of the run, out of reach of its process group."""
+    """A process whose parent is gone and whose group is its own, so that nothing leads from the harness to it."""
     if not self.batches:
-        words = [sys.executable, "-c", "import time; time.sleep(60)", self.options["mark"]]
+        words = [sys.executable, "-S", "-c", "import time; time.sleep(60)", self.options["mark"]]
+        script = f"import subprocess; subprocess.Popen({words!r}, start_new_session=True)"
         quiet = subprocess.DEVNULL
-        subprocess.Popen(words, start_new_session=True, stdin=quiet, stdout=quiet, stderr=quiet)
+        subprocess.run([sys.executable, "-S", "-c", script], stdin=quiet, stdout=quiet, stderr=quiet)
 
 
 def leave_thread(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
