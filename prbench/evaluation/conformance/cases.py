@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from prbench.evaluation.conditions import ConditionSource
-from prbench.evaluation.conformance.people import DATASET, invented_sequences
 from prbench.evaluation.planning import select
 from prbench.manifests import load_protocol
 from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTable
@@ -37,6 +35,10 @@ class Cases:
 
 def invented_cases() -> Cases:
     """Twelve sequences of people who do not exist; the same in every process."""
+    from prbench.evaluation.conformance.people import (
+        invented_sequences,
+    )  # inventing people takes half a second to import
+
     return Cases(_by_length(_source(invented_sequences("test", SEQUENCES))), None)
 
 
@@ -65,24 +67,26 @@ def rows_of(source: ConditionSource, rows: SequenceOf[int] | np.ndarray) -> Cond
 
 def write_training_table(folder: Path) -> Path:
     """Write a dataset of twelve invented training sequences, for methods that learn before they generate."""
-    sequences = invented_sequences("train", _TO_LEARN_FROM)
-    recordings = [
-        RecordingRecord(name, person, "train", name, 60.0, {"sequence": number}, "read", "")
-        for (name, person), number in _counts((row.recording_id, row.participant_id) for row in sequences).items()
+    from prbench.evaluation.conformance.people import invented_sequences
+
+    return write_sequences(folder, invented_sequences("train", _TO_LEARN_FROM))
+
+
+def write_sequences(folder: Path, sequences: list[Sequence]) -> Path:
+    """Write a dataset of invented sequences, sorted by id."""
+    recordings = {row.recording_id: row for row in sequences}
+    records = [
+        RecordingRecord(name, row.participant_id, row.split, name, 0.0, {}, "read", "")
+        for name, row in sorted(recordings.items())
     ]
     write_dataset(
         folder,
-        _info(len(sequences), len(recordings)),
+        _info(sequences, len(records)),
         sequences=[sequence_batch(sequences)],
         events=[],
-        recordings=[recording_batch(recordings)],
+        recordings=[recording_batch(records)],
     )
     return folder
-
-
-def _counts(names: Iterable[tuple[str, str]]) -> dict[tuple[str, str], int]:
-    listed = list(names)
-    return {name: listed.count(name) for name in sorted(set(listed))}
 
 
 def _source(sequences: list[Sequence]) -> ConditionSource:
@@ -103,13 +107,13 @@ def _by_length(source: ConditionSource) -> ConditionSource:
     return rows_of(source, np.argsort(source.n_frames, kind="stable"))
 
 
-def _info(sequences: int, recordings: int) -> DatasetInfo:
+def _info(sequences: list[Sequence], recordings: int) -> DatasetInfo:
     protocol = load_protocol()
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
-        dataset=DATASET,
+        dataset=sequences[0].dataset,
         title="Invented people (conformance check)",
         synthetic=True,
         prbench_version="",
@@ -121,12 +125,12 @@ def _info(sequences: int, recordings: int) -> DatasetInfo:
             recordings_read=recordings,
             recordings_failed=0,
             recordings_skipped=0,
-            events=sequences,
-            located=sequences,
-            primed=sequences,
-            long_enough=sequences,
-            moved_enough=sequences,
-            sequences=sequences,
+            events=len(sequences),
+            located=len(sequences),
+            primed=len(sequences),
+            long_enough=len(sequences),
+            moved_enough=len(sequences),
+            sequences=len(sequences),
         ),
         outcomes={},
         quarantine=(),

@@ -17,7 +17,7 @@ from prbench.evaluation.conformance.cases import cases_of_table, invented_cases
 from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.examine import examine
 from prbench.evaluation.conformance.finding import Outcome
-from prbench.evaluation.conformance.session import CheckRequest
+from prbench.evaluation.conformance.request import CheckRequest
 from prbench.evaluation.conformance.subject import Subject
 from prbench.evaluation.methods import forget_loaded_methods, method_spec
 from prbench.evaluation.programs import is_program
@@ -29,7 +29,7 @@ def main() -> None:
     """Run the ordered checks and tell what they find."""
     order = json.loads(sys.stdin.readline())
     tell = _teller()
-    subject = _subject(order["request"], Path(order["folder"]))
+    subject = _subject(CheckRequest.of_json(order["request"]), Path(order["folder"]))
     subject.asking = lambda text: tell(event="asking", text=text)
     known = {name: Outcome(value) for name, value in order["known"].items()}
     checks = [one for one in CHECKS if one.name in order["checks"]]
@@ -52,17 +52,7 @@ def _teller() -> Tell:
     return tell
 
 
-def _subject(request: dict, folder: Path) -> Subject:
-    wanted = CheckRequest(
-        request["method"],
-        weights=None if request["weights"] is None else Path(request["weights"]),
-        options=request["options"],
-        device=request["device"],
-        threads=request["threads"],
-        isolate=request["isolate"],
-        data=None if request["data"] is None else Path(request["data"]),
-        time_limit=request["time_limit"],
-    )
+def _subject(wanted: CheckRequest, folder: Path) -> Subject:
     spec = method_spec(
         wanted.method,
         weights=wanted.weights,

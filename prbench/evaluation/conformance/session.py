@@ -7,8 +7,7 @@ fails with that, and another child goes on with those that are left.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 
 from prbench.evaluation.conformance.check import Check
@@ -16,36 +15,20 @@ from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.child_process import ChildProcess, Lost
 from prbench.evaluation.conformance.examine import worst_of
 from prbench.evaluation.conformance.finding import Finding, Outcome, Report, failed, skipped
+from prbench.evaluation.conformance.request import CheckRequest
 from prbench.evaluation.conformance.subject import working_folder
 from prbench.evaluation.methods import method_spec
+from prbench.evaluation.programs import is_program
 from prbench.sequences import SequenceTable
 
 Announce = Callable[[str, int, int], None]
 """Called before each check with its name, its place and how many there are."""
-TIME_LIMIT = 600.0
-"""Seconds for each call of the method."""
+_GRACE = 10.0  # seconds
 _FORM = ("generates", "shapes", "dtype", "finite")  # without these there is nothing to look at
 _LOST = (
     "The end of a run would be the same. Run the method on its own under these inputs (its log is above); a deadlock, a"
     " loop that does not end, sys.exit, and crashes of compiled code do this."
 )
-
-
-@dataclass(frozen=True)
-class CheckRequest:
-    """What to check."""
-
-    method: str
-    """Installed name, ``cmd:`` and a command, or a TOML file."""
-    weights: Path | None = None
-    options: Mapping[str, str] = field(default_factory=dict)
-    device: str = "cpu"
-    threads: int = 1
-    isolate: bool = False
-    data: Path | None = None
-    """A dataset whose test sequences are asked about; None for invented people."""
-    time_limit: float = TIME_LIMIT
-    """Seconds for each call of the method."""
 
 
 def check(request: CheckRequest, announce: Announce | None = None) -> Report:
@@ -100,7 +83,7 @@ class _Session:
         known = {name: outcome.value for name, outcome in self._known().items()}
         with ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
             try:
-                for event in child.events(self.request.time_limit):
+                for event in child.events(self._time_limit()):
                     if event.finding is not None:
                         self.findings.append(event.finding)
                     else:
@@ -111,6 +94,11 @@ class _Session:
                 blamed = under_way or left.pop(0)
                 self.findings.append(failed(str(lost), _LOST).of(blamed.name))
         return left
+
+    def _time_limit(self) -> float:
+        """A program gets a little less: its own time limit says more about what happened."""
+        of_program = self.request.isolate or is_program(self.request.method)
+        return self.request.time_limit + (_GRACE if of_program else 0.0)
 
     def _known(self) -> dict[str, Outcome]:
         names = {finding.check for finding in self.findings}

@@ -106,6 +106,8 @@ class Subject:
     @property
     def working(self) -> tuple[Condition, ...]:
         """Those under which it generated motions that the harness accepts."""
+        if not len(self.source.n_frames):
+            return ()
         return tuple(condition for condition in self.conditions if self.standard(condition).motions is not None)
 
     @property

@@ -17,7 +17,8 @@ from typing import ClassVar
 from prbench.errors import UsageError
 from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.finding import Finding, Outcome, Report
-from prbench.evaluation.conformance.session import CheckRequest, check
+from prbench.evaluation.conformance.request import CheckRequest
+from prbench.evaluation.conformance.session import check
 
 
 class ConformanceWarning(UserWarning):

@@ -38,7 +38,7 @@ def single_row(subject: Subject) -> Iterator[Observation]:
 @check(
     "batch",
     "neither order nor size of the batch changes a motion",
-    needs=("determinism", "global-random", "noise-seed"),
+    needs=("determinism", "global-random", "noise-seed", "single-row"),
     of_motions=True,
 )
 def batch(subject: Subject) -> Iterator[Observation]:

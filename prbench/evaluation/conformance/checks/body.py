@@ -39,8 +39,10 @@ def doctor(subject: Subject) -> Iterator[Observation]:
         answer = subject.standard(condition)
         motions = [answer.motion(row) for row in range(len(answer.batch))]
         for diagnosis in diagnose(motions, _expected(answer), fps=answer.batch.fps):
-            text = f"{diagnosis.kind}, under {condition.value}: {diagnosis.evidence} {diagnosis.cause}"
-            yield (failed if diagnosis.certain else warning)(text, diagnosis.remedy)
+            evidence, cause = diagnosis.evidence.rstrip("."), diagnosis.cause.rstrip(".")
+            text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
+            certain = diagnosis.certain and not subject.declared.motionless  # a mean pose is nobody's pose
+            yield (failed if certain else warning)(text, diagnosis.remedy)
             found += 1
     if not found:
         yield passed("nothing that prbench doctor looks for.")

@@ -38,10 +38,10 @@ def lengths(subject: Subject) -> Iterator[Observation]:
             f"max_frames={subject.declared.max_frames} leaves out sequences of more than {subject.longest} frames; the"
             f" protocol's have up to {wanted}.",
             "They are counted as unsupported, and the method's scores are of the shorter sequences only.",
-            longest_frames=subject.longest,
+            longest_frames=float(subject.longest),
         )
     else:
-        yield passed(f"{shortest} and {subject.longest} frames in one batch.", longest_frames=subject.longest)
+        yield passed(f"{shortest} and {subject.longest} frames in one batch.", longest_frames=float(subject.longest))
 
 
 @check("short", "one frame and two", needs=("lengths",), of_motions=True)
@@ -95,7 +95,8 @@ def text(subject: Subject) -> Iterator[Observation]:
         yield skipped("it takes no text.")
         return
     rows = [subject.rows[0]] * len(_ODD_TEXTS)
-    batch = dataclasses.replace(subject.batch(rows, with_text[-1]), text=tuple(_ODD_TEXTS.values()))
+    own_ids = tuple(f"{place:064x}" for place in range(len(rows)))  # one row many times, which no batch may hold
+    batch = dataclasses.replace(subject.batch(rows, with_text[-1]), text=tuple(_ODD_TEXTS.values()), opaque_id=own_ids)
     if subject.ask(batch).motions is not None:
         yield passed(f"{', '.join(_ODD_TEXTS)}: all work.")
         return

@@ -1,0 +1,81 @@
+"""Every fault is named by the check that it belongs to, and by no other."""
+
+from __future__ import annotations
+
+import pytest
+
+from prbench.evaluation.conformance import Outcome
+
+FAILURES = {
+    "cannotimport": "load",
+    "cannotload": "load",
+    "noconditions": "load",
+    "impossiblemaxframes": "load",
+    "takesanyoption": "settings",
+    "missingweights": "weights",
+    "weightsastext": "weights",
+    "weightsofonecondition": "weights",
+    "raises": "generates",
+    "exits": "generates",
+    "tooshort": "generates",
+    "barearray": "shapes",
+    "frameshort": "shapes",
+    "flatjoints": "shapes",
+    "framesfirst": "shapes",
+    "allaslongasthelongest": "shapes",
+    "wholemillimetres": "dtype",
+    "notanumber": "finite",
+    "systementropy": "determinism",
+    "owngenerator": "determinism",
+    "globalnumpy": "global-random",
+    "runseed": "noise-seed",
+    "opaqueids": "noise-seed",
+    "firstnoiseseed": "batch",
+    "batchmean": "batch",
+    "paceofthelongest": "batch",
+    "squeezes": "single-row",
+    "nolongsequences": "lengths",
+    "spoiltbyotherconditions": "conditions",
+    "needswords": "text",
+    "depthup": "doctor",
+    "centimetres": "doctor",
+    "leftandrightswapped": "doctor",
+    "elsewhere": "doctor",
+    "anyheading": "doctor",
+    "nothingfilledin": "doctor",
+    "leaks": "memory",
+}
+WARNINGS = {
+    "slowimport": "import",
+    "misnamed": "load",
+    "takesanyweights": "settings",
+    "halfprecision": "dtype",
+    "seedsglobalnumpy": "global-random",
+    "amplifiesrounding": "batch",
+    "limited": "lengths",
+    "dividesbyframes": "short",
+    "writesintoitsinput": "inputs",
+    "startsfromastandingpose": "initial-pose",
+    "stretches": "bone-lengths",
+}
+
+
+@pytest.mark.parametrize(("method", "check"), FAILURES.items())
+def test_a_fault_fails_its_check_and_no_other(found, method, check):
+    findings = found(method)
+    failed = [finding for finding in findings if finding.outcome is Outcome.FAILED]
+    assert {finding.check for finding in failed} == {check}, failed
+    assert all(finding.remedy for finding in failed)
+
+
+@pytest.mark.parametrize(("method", "check"), WARNINGS.items())
+def test_what_is_allowed_but_unwise_is_a_warning(found, method, check):
+    findings = found(method)
+    remarks = [finding for finding in findings if finding.outcome in (Outcome.FAILED, Outcome.WARNING)]
+    assert {(finding.check, finding.outcome) for finding in remarks} == {(check, Outcome.WARNING)}, remarks
+
+
+def test_the_right_method_passes_everything(found):
+    findings = found("glide")
+    assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.SKIPPED}, findings
+    assert [finding.check for finding in findings if finding.outcome is Outcome.SKIPPED] == ["weights"]

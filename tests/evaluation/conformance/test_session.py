@@ -1,0 +1,68 @@
+"""Whatever a method does, the report comes to an end; and what only another process shows is seen."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from prbench.cli import main
+from prbench.errors import AdapterError
+from prbench.evaluation.conformance import CheckRequest, Outcome, check
+from prbench.evaluation.conformance.checks import CHECKS
+
+
+def outcomes(report):
+    return {finding.check: finding.outcome for finding in report.findings}
+
+
+def test_a_method_that_ends_its_process_fails_and_is_not_asked_again(site, data):
+    report = check(CheckRequest("dies", data=data))
+    (failed,) = report.failed
+    assert failed.check == "generates"
+    assert "ended with exit status 7" in failed.said
+    assert "while it generated 2 sequences" in failed.said
+    assert "about to die" in failed.said
+    assert outcomes(report)["determinism"] is Outcome.SKIPPED
+    assert list(outcomes(report)) == [one.name for one in CHECKS]
+
+
+def test_after_a_crash_in_one_check_the_others_go_on(site, data):
+    report = check(CheckRequest("diesonblanktext", data=data))
+    (failed,) = report.failed
+    assert failed.check == "text"
+    assert "signal 11" in failed.said
+    assert outcomes(report)["speed"] is Outcome.PASSED
+    assert outcomes(report)["process"] is Outcome.PASSED
+
+
+def test_a_method_that_never_ends_fails_where_it_hangs(site, data):
+    report = check(CheckRequest("neverendsonblanktext", data=data, time_limit=3.0))
+    (failed,) = report.failed
+    assert failed.check == "text"
+    assert "no end after 3 s, while it generated 4 sequences" in failed.said
+    assert outcomes(report)["speed"] is Outcome.PASSED
+
+
+def test_hash_of_text_is_found_out_by_another_process(site, data):
+    (failed,) = check(CheckRequest("hashoftext", data=data)).failed
+    assert failed.check == "process"
+    assert "hash()" in failed.remedy
+
+
+def test_an_unknown_method_is_the_users_error(site, data):
+    with pytest.raises(AdapterError, match="Did you mean 'glide'"):
+        check(CheckRequest("glied"))
+
+
+def test_the_command_prints_what_to_change_and_exits_with_5(site, data, capsys, tmp_path):
+    options = ["--data", str(data), "--json", str(tmp_path / "report.json")]
+    assert main(["adapters", "check", "takesanyoption", *options]) == 5
+    lines = capsys.readouterr().out.splitlines()
+    (failed,) = [line for line in lines if line.startswith("failed")]
+    assert "settings" in failed
+    assert "Raise ValueError in load()" in failed
+    assert lines[-1].startswith("takesanyoption does not keep the contract: ")
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["counts"]["failed"] == 1
+    assert {finding["check"] for finding in report["findings"]} == {one.name for one in CHECKS}
