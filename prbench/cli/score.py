@@ -52,7 +52,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 def _score(arguments: argparse.Namespace) -> int:
     from prbench.contract import Condition
     from prbench.engine import engine_for
-    from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
+    from prbench.evaluation.score_predictions import UNSTATED, ScoreRequest, score_predictions
 
     request = ScoreRequest(
         predictions=arguments.predictions,
@@ -79,4 +79,6 @@ def _score(arguments: argparse.Namespace) -> int:
         print_summary(report.summary, motionless=report.motionless)
     if arguments.out is not None:
         print(f"scores: {arguments.out}")
+        if any(report.summary.condition == UNSTATED for report in reports):
+            print("the condition is not stated (--condition or --conditions): a leaderboard will not rank these scores")
     return 0

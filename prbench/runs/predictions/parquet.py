@@ -6,6 +6,7 @@ import contextlib
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from prbench.errors import PredictionsError
 from prbench.runs.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
 from prbench.skeleton import N_JOINTS
 
-_CACHED_BYTES = 256 * 1024**2
+_CACHED_BYTES = 512 * 1024**2
 _JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
 
 
@@ -68,9 +69,10 @@ class ParquetMotions:
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
         """See :class:`MotionStore`; every row group is read once, whatever the order of the rows."""
         found: list[np.ndarray] = [np.empty(0)] * len(rows)
+        opened: dict[Path, pq.ParquetFile] = {}
         for place in sorted(range(len(rows)), key=lambda i: rows[i]):
             group = self._group_of(rows[place])
-            motions, row = self._read(group), rows[place] - group.start
+            motions, row = self._read(group, opened), rows[place] - group.start
             found[place] = motions.values[motions.offsets[row] : motions.offsets[row + 1]]
         return found
 
@@ -78,15 +80,19 @@ class ParquetMotions:
         """See :class:`MotionStore`."""
         return str(self._group_of(row).path)
 
-    def _group_of(self, row: int) -> _RowGroup:
-        starts = [group.start for group in self.groups]
-        return self.groups[int(np.searchsorted(starts, row, side="right")) - 1]
+    @cached_property
+    def _starts(self) -> np.ndarray:
+        return np.array([group.start for group in self.groups])
 
-    def _read(self, group: _RowGroup) -> PredictionRows:
+    def _group_of(self, row: int) -> _RowGroup:
+        return self.groups[int(np.searchsorted(self._starts, row, side="right")) - 1]
+
+    def _read(self, group: _RowGroup, opened: dict[Path, pq.ParquetFile]) -> PredictionRows:
         if group not in self._cache:
-            opened = _open(group.path)
+            if group.path not in opened:
+                opened[group.path] = _open(group.path)
             with _naming(group.path):
-                column = opened.read_row_group(group.number, columns=["joints"])["joints"].combine_chunks()
+                column = opened[group.path].read_row_group(group.number, columns=["joints"])["joints"].combine_chunks()
             self._cache[group] = _as_rows(column, group.path, first_row=group.start_in_file)
             while len(self._cache) > 1 and sum(rows.values.nbytes for rows in self._cache.values()) > _CACHED_BYTES:
                 self._cache.popitem(last=False)

@@ -18,9 +18,9 @@ from prbench.evaluation.offline import ExportRequest, export_conditions, read_co
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
+from prbench.leaderboard import tables as tables_of_board
 from prbench.leaderboard.collect import collect_runs
 from prbench.leaderboard.export import export as export_board
-from prbench.leaderboard.tables import make_leaderboard
 from prbench.runs import RunFolder, read_scores
 from tests.evaluation.offline import method
 from tests.fakes import fake_dataset
@@ -272,7 +272,22 @@ def test_offline_scores_stand_in_a_leaderboard_beside_runs(tables, tmp_path):
         if inside.summary.dataset == outside.summary.dataset:
             assert inside.summary.metrics == outside.summary.metrics
             assert inside.table.selection_digest == outside.table.selection_digest
-    assert all("drifted" in export_board(make_leaderboard(collected), kind) for kind in ("md", "csv", "json"))
+    assert all(
+        "drifted" in export_board(tables_of_board.make_leaderboard(collected), kind) for kind in ("md", "csv", "json")
+    )
+
+
+def test_scores_of_an_unstated_condition_are_shown_without_rank(table, tmp_path, monkeypatch):
+    monkeypatch.setattr(tables_of_board, "FEWEST_RANKED", 1)
+    conditions = export([table], tmp_path / "c.npz", condition="text")
+    motions = method.generated(conditions)
+    for name, condition, off in (("one", Condition.TEXT, 0), ("two", Condition.TEXT, 1), ("three", None, 2)):
+        path = method.write_padded(tmp_path / f"{name}.npz", conditions, [motion + off for motion in motions])
+        score([table], path, out=tmp_path / "scores" / name, condition=condition)
+    board = tables_of_board.make_leaderboard(collect_runs([tmp_path / "scores"]))
+    ranked = {row.entry.method: (row.entry.record.condition, bool(row.ranks)) for row in board.tables[0].rows}
+    assert ranked == {"one": ("text", True), "two": ("text", True), "three": ("unstated", False)}
+    assert all("unstated" in export_board(board, kind) for kind in ("md", "csv", "json"))
 
 
 def test_another_submission_does_not_replace_scores(table, tmp_path):
