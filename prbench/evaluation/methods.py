@@ -25,6 +25,7 @@ from prbench.evaluation.training_split import FIT_SEED, TrainingSplit
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
+
 @dataclass
 class LoadedMethod:
     """A method in this process, or the program that this process has started for it."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
+import os
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -18,13 +20,14 @@ def bubblewrap() -> None:
 
 
 @pytest.fixture
-def no_bubblewrap(monkeypatch: pytest.MonkeyPatch):
-    """A machine without bubblewrap."""
+def no_bubblewrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A machine, and all processes that a test starts on it, where bubblewrap is installed and does not work."""
+    (tmp_path / "broken").mkdir()
+    broken = tmp_path / "broken/bwrap"
+    broken.write_text("#!/bin/sh\necho 'setting up uid map: Permission denied' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{broken.parent}{os.pathsep}{os.environ['PATH']}")
     available_fence.cache_clear()
-    which = shutil.which
-    monkeypatch.setattr(
-        shutil, "which", lambda name, *args, **kwargs: None if name == "bwrap" else which(name, *args, **kwargs)
-    )
     yield
     available_fence.cache_clear()
 

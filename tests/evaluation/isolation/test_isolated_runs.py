@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
 
+import numpy as np
 import pytest
 
-from prbench.contract import Condition
+from prbench.contract import Condition, ConditionBatch
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, RunError
+from prbench.evaluation.methods import forget_loaded_methods, method_spec
+from prbench.evaluation.motions import generate_checked
 from prbench.evaluation.run import run_method
 from prbench.runs.record import RunRecord
 from tests.evaluation.conftest import adapter_source
@@ -26,7 +28,7 @@ from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 run_method(
     RunRequest(method="made", data=(Path(sys.argv[1]),), out=Path(sys.argv[2]), batch_size=4, samples=2, isolate=True),
-    progress=lambda step: step.done == 2 and os.kill(os.getpid(), 9),
+    progress=lambda step: step.done == 2 and os.kill(os.getpid(), 9),  # as a machine that loses power
 )
 """
 
@@ -36,23 +38,17 @@ def results(folder) -> dict[str, bytes]:
     return {name: content for name, content in reproducible_bytes(folder).items() if name != "run.json"}
 
 
-def test_a_method_that_draws_gives_the_same_bytes_in_process_isolated_with_workers_and_resumed(
+def test_a_method_that_draws_gives_the_same_bytes_in_process_and_isolated_killed_and_resumed_by_two_workers(
     fence, table, tmp_path, install
 ):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "here", "made", samples=2))
-    run_method(request(table, tmp_path / "apart", "made", samples=2, isolate=True))
-    run_method(request(table, tmp_path / "two", "made", samples=2, isolate=True), engine=ProcessPool(2))
-    words = [sys.executable, "-c", KILLED, str(table.folder), str(tmp_path / "killed"), str(tmp_path / "site")]
-    if fence == "bubblewrap":
-        assert subprocess.run(words, check=False, capture_output=True).returncode == -9
-        shutil.rmtree(tmp_path / "killed/.costs")
-    report = run_method(request(table, tmp_path / "killed", "made", samples=2, isolate=True))
-    assert report.batches_found == (2 if fence == "bubblewrap" else 0)
-    expected = results(tmp_path / "here")
-    assert len(expected) == 6
-    for name in ("apart", "two", "killed"):
-        assert results(tmp_path / name) == expected
+    words = [sys.executable, "-c", KILLED, str(table.folder), str(tmp_path / "apart"), str(tmp_path / "site")]
+    assert subprocess.run(words, check=False, capture_output=True).returncode == -9
+    report = run_method(request(table, tmp_path / "apart", "made", samples=2, isolate=True), engine=ProcessPool(2))
+    assert (report.batches_found, report.batches_made) == (2, 2)
+    assert len(results(tmp_path / "apart")) == 6
+    assert results(tmp_path / "apart") == results(tmp_path / "here")
     record = RunRecord.read(tmp_path / "apart").method
     assert (record.name, record.kind, record.package, record.version) == ("made", "adapter", "prbench_made", "1.2")
     assert record.isolation == fence
@@ -91,25 +87,37 @@ def test_a_run_that_was_isolated_does_not_go_on_in_one_that_was_not(fence, table
         run_method(request(table, tmp_path / "out", "made", isolate=True))
 
 
-@pytest.mark.parametrize(
-    ("body", "answer"),
-    [
-        ("raise ValueError('no way')", "ValueError: no way"),
-        ("joints = joints[:, :-1]", "expected 68 frames, found 67"),
-        ("joints[0, 1] = np.nan", "frame 1: expected finite positions"),
-        ("n_frames = n_frames - 1", "frames, found"),
-        ("joints = joints.tolist()", "expected joints as a NumPy array, found list"),
-        ("import os; os._exit(3)", "exit status 3"),
-        ("import sys; sys.exit('enough')", "SystemExit: enough"),
-    ],
+WRONG = """
+            if seed == 0: raise ValueError("no way")
+            if seed == 1: joints = joints[:, :-1]
+            if seed == 2: joints[0, 1] = np.nan
+            if seed == 3: n_frames = n_frames - 1
+            if seed == 4: joints = joints.tolist()
+            if seed == 5: import sys; sys.exit("enough")
+            if seed == 6: import os; os._exit(3)"""
+ANSWERS = (
+    "ValueError: no way (",
+    "expected 60 frames, found 59 in joints",
+    "sequence a/b, frame 1: expected finite positions",
+    "sequence a/b: expected 60 frames, found 59",
+    "expected joints as a NumPy array, found list",
+    "SystemExit: enough",
+    "exit status 3",
 )
-def test_errors_are_told_like_those_of_a_method_in_process(no_bubblewrap, table, tmp_path, install, body, answer):
-    install("made", adapter_source(body=body))
-    with pytest.raises(AdapterError) as error:
-        run_method(request(table, tmp_path / "out", "made", isolate=True))
-    assert answer in str(error.value)
-    assert "synthetic-adt/rec" in str(error.value)
-    assert not (tmp_path / "out").exists()
+
+
+def test_errors_are_told_like_those_of_a_method_in_process(no_bubblewrap, install):
+    install("made", adapter_source(body=WRONG.strip()))
+    adapter = method_spec("made", isolate=True).load().adapter
+    batch = ConditionBatch(
+        condition=Condition.NONE, n_frames=np.array([60, 9]), fps=20.0, opaque_id=("0f", "f0"), noise_seed=(1, 2)
+    )
+    for seed, answer in enumerate(ANSWERS):
+        with pytest.raises(AdapterError) as error:
+            generate_checked(adapter, batch, seed=seed, method="made", sequence_ids=("a/b", "c/d"))
+        assert answer in str(error.value)
+        assert "a/b" in str(error.value)
+    forget_loaded_methods()
 
 
 def test_prints_of_a_method_and_of_its_libraries_do_no_harm(no_bubblewrap, table, tmp_path, install):
