@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -71,6 +72,16 @@ def batch() -> ConditionBatch:
         previous_joints=poses,
         goal_location=np.array([[0.3, 1.0, 0.5], [-0.25, 1.125, 0.75]]),
     )
+
+
+def decoded(stream: bytes) -> list[tuple[dict, dict | None]]:
+    """Headers without sizes, payloads as values."""
+    found = []
+    for line, payload in _messages(stream):
+        header = json.loads(line)
+        values = None if payload is None else pa.ipc.open_stream(payload).read_all().to_pydict()
+        found.append(({**header, "bytes": 0} if "bytes" in header else header, values))
+    return found
 
 
 def _messages(stream: bytes) -> list[tuple[bytes, bytes | None]]:

@@ -8,6 +8,7 @@ import io
 import json
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +22,7 @@ from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
 from prbench.runs import read_scores
 from prbench.skeleton import WRISTS, bone_lengths
 from tests.docs.by_hand import ByHand
+from tests.docs.exchange import Exchange, decoded
 from tests.docs.interpreters import EXAMPLES, javascript, older_python
 from tests.fakes import STANDING
 
@@ -198,6 +200,33 @@ def test_a_batch_that_fails_is_told_and_the_next_message_awaited(command):
     assert answers[1]["out_of_memory"] is False
     assert log
     assert status == 0
+
+
+def test_a_request_that_comes_in_pieces_is_read_whole(command, tmp_path):
+    shown = Exchange.shown()
+    with (tmp_path / "answer").open("wb") as answer:
+        program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=answer)
+        assert program.stdin is not None
+        for start in range(0, len(shown.stdin), 500):
+            program.stdin.write(shown.stdin[start : start + 500])
+            program.stdin.flush()
+            time.sleep(0.01)
+        program.stdin.close()
+        assert program.wait(20) == 0
+    assert decoded((tmp_path / "answer").read_bytes()) == decoded(shown.stdout)
+
+
+def test_requests_and_answers_larger_than_a_pipe_go_through(command, batch, tmp_path):
+    rows = list(range(10)) * 20
+    asked = batch(Condition.GOAL_LOCATION, rows)
+    asked = dataclasses.replace(
+        asked, n_frames=np.full(len(rows), 241), opaque_id=tuple(f"{place:064x}" for place in range(len(rows)))
+    )
+    with ByHand(command, tmp_path / "log") as program:
+        motions = program.motions(asked)
+    assert len(program.sent[-1]) > 100_000
+    assert len(program.got[-1]) > 10_000_000
+    assert all(joints.shape == (241, 22, 3) for joints in motions)
 
 
 def test_what_a_library_prints_ends_in_the_log(tmp_path):

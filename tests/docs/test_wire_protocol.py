@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import subprocess
@@ -18,7 +17,7 @@ from prbench.evaluation.remote import messages, process
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
 from prbench.skeleton import PARENTS, Joint
-from tests.docs.exchange import PAGE, Exchange, batch, page_with
+from tests.docs.exchange import PAGE, Exchange, batch, decoded, page_with
 from tests.docs.interpreters import javascript
 from tests.fakes import STANDING
 
@@ -132,28 +131,18 @@ def test_the_exchange_on_the_page_is_that_of_the_files():
 def test_the_harness_and_the_example_still_make_the_exchange():
     shown, made = Exchange.shown(), Exchange.made()
     for ours, theirs in ((made.stdin, shown.stdin), (made.stdout, shown.stdout)):
-        assert _read(ours) == _read(theirs)
-    assert {key for key, *_ in _read(shown.stdin)[0][0].items()} == {
+        assert decoded(ours) == decoded(theirs)
+    assert {key for key, *_ in decoded(shown.stdin)[0][0].items()} == {
         words(row[0])[0] for row in table("1. `hello`, harness to program")
     }
-    assert set(_read(shown.stdin)[1][0]) == {words(row[0])[0] for row in table("3. `generate`, harness to program")}
-
-
-def _read(stream: bytes) -> list[tuple[dict, dict | None]]:
-    """Headers without sizes, payloads as values."""
-    found, source = [], io.BytesIO(stream)
-    while (message := messages.read_message(source)) is not None:
-        header, payload = message
-        values = None if payload is None else pa.ipc.open_stream(payload).read_all().to_pydict()
-        found.append(({**header, "bytes": 0} if "bytes" in header else header, values))
-    return found
+    assert set(decoded(shown.stdin)[1][0]) == {words(row[0])[0] for row in table("3. `generate`, harness to program")}
 
 
 def test_javascript_answers_the_exchange_alike(tmp_path):
     shown = Exchange.shown()
     done = subprocess.run(javascript(tmp_path), input=shown.stdin, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert _read(done.stdout) == _read(shown.stdout)
+    assert decoded(done.stdout) == decoded(shown.stdout)
 
 
 # ---------------------------------------------------------------- what the harness says
