@@ -20,6 +20,11 @@ from prbench.skeleton import N_JOINTS
 __all__ = ["RemoteAdapter", "RemoteWeights"]
 
 _MEGABYTE = 1 << 20
+_SLOW_BATCH = " Let it answer faster, lower --batch-size, or raise the limit with --timeout."
+_SLOW_START = (
+    " Let it load its weights with the first batch, or raise start_s under [limits] in a TOML file for it"
+    " (docs/environments.md)."
+)
 
 
 class RemoteAdapter:
@@ -134,18 +139,18 @@ class RemoteAdapter:
             return Introduction.read(answer, origin=origin)
         except Fault as fault:
             process.kill()
-            raise AdapterError(self._told(f"{origin}, asked to introduce itself", fault)) from fault
+            raise AdapterError(self._told(f"{origin}, asked to introduce itself", fault, _SLOW_START)) from fault
         except ValueError as error:  # options of more than 64 kB
             raise AdapterError(f"{origin}: its settings cannot be sent: {error}. Put them into a file.") from error
         except AdapterError:
             process.kill()
             raise
 
-    def _told(self, origin: str, fault: Fault) -> str:
+    def _told(self, origin: str, fault: Fault, if_late: str = _SLOW_BATCH) -> str:
         """A fault, what to do about it, and the end of the log."""
         text = f"{origin}: its program {fault}.".replace("..", ".")
         if isinstance(fault, TimedOut):
-            text += " Let it answer faster, lower --batch-size, or raise the limit with --timeout."
+            text += if_late
         if isinstance(fault, Ended) and self._program.fence is not None:
             text += (
                 f" It ran apart (--isolate, {self._program.fence}): paths and variables of this machine may be hidden."

@@ -49,7 +49,7 @@ def exit_story(status: int) -> str:
         return f"ended with exit status 0x{status:08X}"
     if status < 0:
         return f"was ended by signal {-status} ({_signal_name(-status)})"
-    if 128 < status < 160:  # how shells, fences and containers pass a signal on
+    if 128 < status < 160 and sys.platform != "win32":  # how shells, fences and containers pass a signal on
         return f"ended with exit status {status} (128 + {status - 128}: {_signal_name(status - 128)})"
     return f"ended with exit status {status}"
 

@@ -25,7 +25,7 @@ class ProgramLog:
     """
 
     def __init__(self, stderr: IO[bytes], name: str, pid: int) -> None:
-        self._path = cache_folder() / "logs" / f"{re.sub(r'[^A-Za-z0-9._-]+', '-', name)[:60] or 'program'}-{pid}.log"
+        self._path = cache_folder() / "logs" / f"{_file_name(name)}-{pid}.log"
         self._tail = b""
         self._written = False
         self._ended = threading.Event()
@@ -97,6 +97,16 @@ class _BoundedFile:
         note = f"\n[… {self._cut:,} bytes cut here by prbench …]\n".encode()
         file.write(note)
         self._size = kept
+
+
+def _file_name(name: str) -> str:
+    """What messages call a program, fit for a file: folders and odd characters left out.
+
+    >>> _file_name("/opt/envs/glide/bin/python '/home/me/my glide.py' --fast")
+    'python-my-glide.py---fast'
+    """
+    without_folders = re.sub(r"[^\s'\"]*[/\\]", "", name)
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", without_folders).strip("-.")[:60] or "program"
 
 
 def _prune(folder: Path) -> None:

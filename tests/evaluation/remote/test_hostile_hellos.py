@@ -41,7 +41,7 @@ LETTERS = [
     Case(
         "half a header", RAW.format("b'{\"mess'"), "did not answer within 0.4 s, after 6 bytes of a header", waits=True
     ),
-    Case("never says hello", "time.sleep(60)", "did not answer within 0.4 s", waits=True),
+    Case("never says hello", "time.sleep(60)", "did not answer within 0.4 s. Let it load its weights with", waits=True),
     Case(
         "exits at once", "sys.exit('no module named jax')", r"ended with exit status 1.*\.log:\n +no module named jax"
     ),
