@@ -28,7 +28,7 @@ from prbench.representation.converters.skeletons.named import JOINT_MAPS, joint_
 from prbench.representation.converters.smpl.body_model import RestJoints, read_rest_joints
 from prbench.representation.converters.smpl.joints import smpl_joints
 from prbench.representation.converters.smpl.parameters import SmplParameters, read_amass
-from prbench.representation.converters.smpl.rotations import RotationForm, rotation_matrices
+from prbench.representation.converters.smpl.rotations import RotationForm, quaternions_of
 from prbench.representation.converters.smpl.through_smplx import SmplxModel
 from prbench.representation.converters.timing import at_rate, at_times, frames_needed
 
@@ -55,11 +55,11 @@ __all__ = [
     "on_floor",
     "padded",
     "placed_on",
+    "quaternions_of",
     "read_amass",
     "read_feature_statistics",
     "read_rest_joints",
     "relative_root",
-    "rotation_matrices",
     "smpl_joints",
     "to_canonical",
     "to_y_up",

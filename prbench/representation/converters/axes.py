@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prbench.errors import UsageError, did_you_mean
 
@@ -27,7 +27,7 @@ UNITS: Mapping[str, float] = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001
 
 
 def to_y_up(
-    points: Float[np.ndarray, "*batch 3"], *, up: str = "y", left_handed: bool = False, unit: str | float = "m"
+    points: Num[np.ndarray, "*batch 3"], *, up: str = "y", left_handed: bool = False, unit: str | float = "m"
 ) -> Float[np.ndarray, "*batch 3"]:
     """Positions with Y up, right-handed, in metres.
 
@@ -48,7 +48,8 @@ def to_y_up(
     if up not in _TURNS:
         raise UsageError(f"unknown up axis '{up}'.{did_you_mean(up, _TURNS)} Choose one of: {', '.join(_TURNS)}.")
     columns, signs = np.transpose(_TURNS[up])
-    turned = points[..., columns] * (signs * metres_of(unit)).astype(points.dtype)
+    exact = np.float64 if not np.issubdtype(points.dtype, np.floating) else points.dtype  # millimetres come as integers
+    turned = points[..., columns].astype(exact) * (signs * metres_of(unit)).astype(exact)
     if left_handed:
         turned[..., 0] = -turned[..., 0]
     return turned

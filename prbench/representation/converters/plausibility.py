@@ -30,9 +30,11 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
         source: File or name that the message begins with.
 
     Raises:
-        InputFileError: if one is shorter than 12 cm or longer than 75 cm in the median frame (with the unit that would
-            explain it), or left and right differ by more than a factor of 1.6.
+        InputFileError: if a position is not finite, or there is none; if a limb is shorter than 12 cm or longer than
+            75 cm in the median frame (with the unit that would explain it), or left and right differ by more than a
+            factor of 1.6.
     """
+    _require_positions(joints, source)
     lengths = {limb: _median_length(joints, limb) for pair in _LIMB_PAIRS for limb in pair}
     _check_unit(lengths, source)
     for left, right in _LIMB_PAIRS:
@@ -47,6 +49,20 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
 
 _LIMB_PAIRS = tuple((Joint[f"LEFT_{end}"], Joint[f"RIGHT_{end}"]) for end in ("KNEE", "ANKLE", "ELBOW", "WRIST"))
 """Joints in which thighs, shins, upper arms and forearms end."""
+
+
+def _require_positions(joints: np.ndarray, source: Path | str) -> None:
+    bad = np.argwhere(~np.isfinite(joints).all(axis=-1))
+    if bad.size:
+        frame, joint = bad[0]
+        raise InputFileError(
+            source,
+            f"frame {frame}, {Joint(joint).name.lower()}",
+            expected="a finite position",
+            found=str(joints[frame, joint].tolist()),
+        )
+    if not len(joints):
+        raise InputFileError(source, "", expected="one frame or more", found="none")
 
 
 def _check_unit(lengths: dict[Joint, float], source: Path | str) -> None:

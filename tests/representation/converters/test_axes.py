@@ -40,6 +40,10 @@ def test_units_become_metres(unit, metres) -> None:
     assert to_y_up(np.ones((1, 3)), unit=unit) == pytest.approx(metres)
 
 
+def test_millimetres_in_whole_numbers_are_not_cut_to_metres() -> None:
+    assert to_y_up(np.array([[1, 1450, 3]]), unit="mm").tolist() == [[0.001, 1.45, 0.003]]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -63,5 +63,14 @@ def test_another_order_of_joints_is_named() -> None:
         check_limbs(person()[:, chains])
 
 
+def test_a_missing_position_is_named_and_not_taken_for_another_unit() -> None:
+    holed = person().copy()
+    holed[3, 20] = np.nan
+    with pytest.raises(InputFileError, match="frame 3, left_wrist: expected a finite position"):
+        to_canonical(holed, 20.0)
+    with pytest.raises(InputFileError, match="one frame or more"):
+        to_canonical(person()[:0], 20.0)
+
+
 def test_a_child_is_a_person(samples) -> None:
     check_limbs(golden(samples, "child")["joints_in"])

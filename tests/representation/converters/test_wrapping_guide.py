@@ -138,7 +138,8 @@ def smplx_motions(tmp_path):
     write_body_model(path, joints=55, shapes=20)
     rest = read_rest_joints(path).of(BETAS)
     joints, rotations = person_rotations(400, 300)
-    body = smpl_joints(SmplParameters(rotations, joints[:, 0] - rest[0]), RestJoints.fixed(rest))
+    pose = SmplParameters.from_poses(written(rotations, "matrix"), joints[:, 0] - rest[0], form="matrix")
+    body = smpl_joints(pose, RestJoints.fixed(rest))
     model = SmplxParameterModel(rotations, joints[:, 0], rest[0])
     return body, model, path
 
@@ -183,9 +184,9 @@ class JointModel:
         return (world * np.array([1, -1, -1]) + np.array([0.3, 1.4, 5.0])) * 1000
 
 
-def test_situation_3_joints_of_another_skeleton(monkeypatch) -> None:
+def test_situation_3_joints_of_another_skeleton(tmp_path, monkeypatch) -> None:
     motions = two_motions()
-    adapter = load("3. Joints", JointModel((0, 100)), monkeypatch)
+    adapter = load("3. Joints", JointModel((0, 100)), monkeypatch, weights=tmp_path)
     found = adapter.generate(batch_of(motions), seed=0)
     assert max(errors(found, motions)) < 0.025
     for row, motion in enumerate(motions):

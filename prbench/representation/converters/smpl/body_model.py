@@ -23,8 +23,8 @@ SMPL_JOINTS, SMPLH_JOINTS, SMPLX_JOINTS = 24, 52, 55
 """Rows of the regressor, by which the three models are told apart."""
 
 HOW_TO_CONVERT = (
-    "prbench never unpickles. Convert the licensed file once, in the environment of its own tools (a .pkl of SMPL needs"
-    " chumpy there): python -c \"import numpy, pickle, sys; m = pickle.load(open(sys.argv[1], 'rb'),"
+    "prbench opens no pickles. Convert the licensed file once, in the environment of its own tools (a .pkl of SMPL"
+    " needs chumpy there): python -c \"import numpy, pickle, sys; m = pickle.load(open(sys.argv[1], 'rb'),"
     " encoding='latin1'); numpy.savez(sys.argv[2], **{k: numpy.asarray(v.todense() if hasattr(v, 'todense') else v)"
     " for k, v in m.items() if k in ('J_regressor', 'v_template', 'shapedirs', 'posedirs', 'weights', 'f',"
     " 'kintree_table', 'hands_componentsl', 'hands_componentsr', 'hands_meanl', 'hands_meanr', 'lmk_faces_idx',"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from prbench.formats.egoallo import forward_kinematics
 from prbench.representation.converters.smpl.body_model import RestJoints
 from prbench.representation.converters.smpl.parameters import SmplParameters
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.skeleton import Joint
 
 
 def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarray, "frames 22 3"]:
@@ -29,8 +28,5 @@ def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarra
         InputFileError: if there are more shape numbers than the model knows.
     """
     body = rest.of(parameters.betas)
-    frames = len(parameters.transl)
-    quats = Rotation.from_matrix(parameters.rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    quats = quats.reshape(frames, N_JOINTS, 4)
     pelvis = parameters.transl + body[Joint.PELVIS]
-    return forward_kinematics(body, pelvis, quats[:, Joint.PELVIS], quats[:, 1:])
+    return forward_kinematics(body, pelvis, parameters.rotations[:, Joint.PELVIS], parameters.rotations[:, 1:])

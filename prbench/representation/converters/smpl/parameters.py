@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.converters.smpl.rotations import RotationForm, numbers_of, rotation_matrices
+from prbench.representation.converters.smpl.rotations import RotationForm, numbers_of, quaternions_of
 from prbench.skeleton import N_JOINTS
 
 PARAMETERS = "parameters"
@@ -23,7 +23,8 @@ _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 class SmplParameters:
     """One motion. Rotations of the 22 body joints, of the pelvis in the world and of the others in their parents."""
 
-    rotations: Float[np.ndarray, "frames 22 3 3"]
+    rotations: Float[np.ndarray, "frames 22 4"]
+    """Unit quaternions, w x y z."""
     transl: Float[np.ndarray, "frames 3"]
     """The model's translation, metres: the pelvis lies at this plus the *rest pelvis*, which is not the origin."""
     betas: Float[np.ndarray, " shapes"] | None = None
@@ -103,7 +104,7 @@ class SmplParameters:
             )
         if not len(transl) or transl.shape[1:] != (3,) or not np.isfinite(transl).all():
             raise InputFileError(source, "transl", expected="finite (frames, 3)", found=str(transl.shape))
-        rotations = rotation_matrices(flat[:, : N_JOINTS * numbers], form, source=source)
+        rotations = quaternions_of(flat[:, : N_JOINTS * numbers], form, source=source)
         return cls(rotations, transl.astype(np.float64), _one_shape(betas, source), gender)
 
 
@@ -121,7 +122,7 @@ def read_amass(path: Path) -> SmplParameters:
                 raise InputFileError(path, "", expected=f"an array '{missing[0]}'", found=found)
             arrays = {key: archive[key] for key in ("poses", "trans")}
             betas = archive["betas"] if "betas" in archive.files else None
-            gender = str(archive["gender"]) if "gender" in archive.files else None
+            gender = _text(archive["gender"]) if "gender" in archive.files else None
             rates = [float(archive[key]) for key in _RATE_KEYS if key in archive.files]
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="this file", found="no such file") from error
@@ -129,6 +130,11 @@ def read_amass(path: Path) -> SmplParameters:
         raise InputFileError(path, "", expected="an .npz of plain arrays", found=str(error)[:160]) from error
     parameters = SmplParameters.from_poses(arrays["poses"], arrays["trans"], betas=betas, gender=gender, source=path)
     return replace(parameters, fps=rates[0] if rates else None)
+
+
+def _text(value: np.ndarray) -> str:
+    """A word that NumPy holds as text or as bytes."""
+    return value.item().decode("ascii", "replace") if value.dtype.kind == "S" else str(value)
 
 
 def _flat(values: np.ndarray, frames: int, name: str, source: Path | str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Rotations in every form in which models put them out, as matrices."""
+"""Rotations in every form in which models put them out, as quaternions."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def numbers_of(form: str) -> int:
     return _NUMBERS[form]
 
 
-def rotation_matrices(
+def quaternions_of(
     values: Float[np.ndarray, "frames numbers"], form: RotationForm, *, source: Path | str = "rotations"
-) -> Float[np.ndarray, "frames joints 3 3"]:
-    """Rotation matrices of each frame from its numbers, joint after joint.
+) -> Float[np.ndarray, "frames joints 4"]:
+    """Unit quaternions (w x y z) of each frame from its numbers, joint after joint.
 
     Args:
         values: As many numbers as ``joints`` rotations take.
@@ -66,10 +66,10 @@ def rotation_matrices(
         frame = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise InputFileError(source, f"frame {frame}", expected="finite numbers", found="NaN or infinity")
     each = values.astype(np.float64).reshape(-1, size)
-    return _READ[form](each, source).reshape(len(values), -1, 3, 3)
+    return _READ[form](each, source).as_quat(scalar_first=True).reshape(len(values), -1, 4)
 
 
-def _axis_angle(values: np.ndarray, source: Path | str) -> np.ndarray:
+def _axis_angle(values: np.ndarray, source: Path | str) -> Rotation:
     largest = float(np.linalg.norm(values, axis=-1).max(initial=0.0))
     if largest > 4 * np.pi:
         raise InputFileError(
@@ -79,18 +79,18 @@ def _axis_angle(values: np.ndarray, source: Path | str) -> np.ndarray:
             found=f"an angle of {largest:.0f}",
             remedy="These look like degrees, or like another form of rotations.",
         )
-    return Rotation.from_rotvec(values).as_matrix()
+    return Rotation.from_rotvec(values)
 
 
-def _quaternion(values: np.ndarray, source: Path | str, *, scalar_first: bool) -> np.ndarray:
+def _quaternion(values: np.ndarray, source: Path | str, *, scalar_first: bool) -> Rotation:
     lengths = np.linalg.norm(values, axis=-1)
     if np.abs(lengths - 1).max(initial=0.0) > _UNIT_TOLERANCE:
         wrong = float(lengths[np.abs(lengths - 1).argmax()])
         raise InputFileError(source, "", expected="unit quaternions", found=f"one of the length {wrong:.3g}")
-    return Rotation.from_quat(values, scalar_first=scalar_first).as_matrix()
+    return Rotation.from_quat(values, scalar_first=scalar_first)
 
 
-def _matrix(values: np.ndarray, source: Path | str) -> np.ndarray:
+def _matrix(values: np.ndarray, source: Path | str) -> Rotation:
     matrices = values.reshape(-1, 3, 3)
     determinants = np.linalg.det(matrices)
     if np.abs(determinants - 1).max(initial=0.0) > 3 * _UNIT_TOLERANCE:
@@ -101,8 +101,8 @@ def _matrix(values: np.ndarray, source: Path | str) -> np.ndarray:
     return _orthonormal(matrices[..., 0], matrices[..., 1], source)
 
 
-def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> np.ndarray:
-    """Matrices whose first two columns span the given ones (Gram-Schmidt)."""
+def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> Rotation:
+    """Rotations whose first two columns span the given ones (Gram-Schmidt)."""
     length = np.linalg.norm(first, axis=-1, keepdims=True)
     first = first / np.maximum(length, 1e-12)
     across = second - (first * second).sum(axis=-1, keepdims=True) * first
@@ -116,17 +116,17 @@ def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> n
             remedy="Is it another of the 6d forms?",
         )
     across = across / width
-    return np.stack([first, across, np.cross(first, across)], axis=-1)
+    return Rotation.from_matrix(np.stack([first, across, np.cross(first, across)], axis=-1))
 
 
-_READ: Mapping[str, Callable[[np.ndarray, Path | str], np.ndarray]] = MappingProxyType(
+_READ: Mapping[str, Callable[[np.ndarray, Path | str], Rotation]] = MappingProxyType(
     {
         "axis-angle": _axis_angle,
         "matrix": _matrix,
         "quaternion-wxyz": lambda values, source: _quaternion(values, source, scalar_first=True),
         "quaternion-xyzw": lambda values, source: _quaternion(values, source, scalar_first=False),
         "6d-columns": lambda values, source: _orthonormal(values[:, :3], values[:, 3:], source),
-        "6d-rows": lambda values, source: np.swapaxes(_orthonormal(values[:, :3], values[:, 3:], source), -1, -2),
+        "6d-rows": lambda values, source: _orthonormal(values[:, :3], values[:, 3:], source).inv(),
         "6d-interleaved": lambda values, source: _orthonormal(values[:, ::2], values[:, 1::2], source),
     }
 )

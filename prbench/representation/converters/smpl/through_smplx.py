@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, MissingExtraError
 from prbench.representation.converters.smpl.body_model import (
@@ -105,13 +106,10 @@ class SmplxModel:
                 remedy="smpl_joints takes all that the model has.",
             )
         betas[: len(given[:known])] = given[:known]
-        rotations = _with_resting_hands(parameters.rotations, self.layer.NUM_BODY_JOINTS)
         return np.concatenate(
             [
-                self._posed(
-                    torch, betas, rotations[first : first + _AT_ONCE], parameters.transl[first : first + _AT_ONCE]
-                )
-                for first in range(0, len(rotations), _AT_ONCE)
+                self._posed(torch, betas, parameters.rotations[first:stop], parameters.transl[first:stop])
+                for first, stop in ((first, first + _AT_ONCE) for first in range(0, len(parameters.transl), _AT_ONCE))
             ]
         )
 
@@ -119,7 +117,7 @@ class SmplxModel:
         frames = len(rotations)
         expressions = getattr(self.layer, "num_expression_coeffs", 0)
         face = {"expression": torch.zeros((frames, expressions), dtype=torch.float64)} if expressions else {}
-        turned = torch.from_numpy(rotations)
+        turned = torch.from_numpy(_with_resting_hands(rotations, self.layer.NUM_BODY_JOINTS))
         with torch.no_grad():
             posed = self.layer(
                 betas=torch.from_numpy(np.tile(betas, (frames, 1))),
@@ -172,7 +170,8 @@ def _layer(smplx: Any, torch: Any, arrays: dict[str, np.ndarray]) -> Any:
 
 
 def _with_resting_hands(rotations: np.ndarray, body_joints: int) -> np.ndarray:
-    """Rotations of the pelvis and as many body joints as the model has; the hands of SMPL rest."""
+    """Rotation matrices of the pelvis and as many body joints as the model has; the hands of SMPL rest."""
     turned = np.tile(np.eye(3), (len(rotations), body_joints + 1, 1, 1))
-    turned[:, :N_JOINTS] = rotations
+    matrices = Rotation.from_quat(rotations.reshape(-1, 4), scalar_first=True).as_matrix()
+    turned[:, :N_JOINTS] = matrices.reshape(-1, N_JOINTS, 3, 3)
     return turned
