@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import pickle
+import shlex
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_matrix
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import z_up
@@ -21,6 +25,7 @@ from prbench.representation.converters import (
     smpl_joints,
     to_canonical,
 )
+from prbench.representation.converters.smpl.body_model import HOW_TO_CONVERT
 from prbench.representation.converters.smpl.rotations import numbers_of
 from prbench.synthetic.sensors.smplh import invented_smplh
 from tests.representation.converters.bodies import person_rotations, write_body_model
@@ -161,6 +166,20 @@ def test_a_pickle_is_refused_unread_with_the_way_to_convert_it(tmp_path) -> None
     (tmp_path / "renamed.npz").write_bytes(pickle.dumps(_Bomb()))
     with pytest.raises(InputFileError, match=r"an \.npz archive of plain arrays"):
         read_rest_joints(tmp_path / "renamed.npz")
+
+
+def test_the_line_that_converts_a_pickle_does(tmp_path) -> None:
+    """As SMPL's licensed file: a sparse regressor, and words among the arrays."""
+    model = {
+        "J_regressor": csc_matrix(np.eye(24, 60)),
+        "v_template": np.ones((60, 3)),
+        "shapedirs": np.zeros((60, 3, 10)),
+        "bs_type": "lrotmin",
+    }
+    (tmp_path / "MODEL.pkl").write_bytes(pickle.dumps(model))
+    line = shlex.split(HOW_TO_CONVERT[HOW_TO_CONVERT.index("python -c") :])
+    subprocess.run([sys.executable, *line[1:]], cwd=tmp_path, check=True)
+    assert np.allclose(read_rest_joints(tmp_path / "MODEL.npz").of(None), 1.0)
 
 
 def test_an_array_of_objects_is_refused_unread(tmp_path) -> None:

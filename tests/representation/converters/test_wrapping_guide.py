@@ -202,6 +202,31 @@ def test_what_an_adapter_needs_it_says(heading, message, monkeypatch) -> None:
         load(heading, object(), monkeypatch)
 
 
+def test_features_are_converted_offline(tmp_path, monkeypatch) -> None:
+    motions = two_motions()
+    mean, std = np.zeros(263, dtype=np.float32), np.full(263, 0.1, dtype=np.float32)
+    (tmp_path / "model").mkdir()
+    (tmp_path / "features").mkdir()
+    np.save(tmp_path / "model" / "Mean.npy", mean)
+    np.save(tmp_path / "model" / "Std.npy", std)
+    batch = batch_of(motions)
+    output = FeatureModel(motions, mean, std).sample(batch.text, None, batch.n_frames, batch.noise_seed)
+    for row, frames in enumerate(batch.n_frames):
+        np.save(tmp_path / "features" / f"{row:010d}.npy", output[row, :, 0, :frames].T)
+    np.savez(
+        tmp_path / "conditions.npz",
+        opaque_id=np.array(["a", "b"]),
+        sample=np.zeros(2, dtype=np.int32),
+        n_frames=batch.n_frames,
+        initial_joints=batch.initial_joints,
+    )
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block("A model that lives"), "docs/wrapping.md", "exec"), {})
+    with np.load("predictions.npz") as file:
+        assert file["opaque_id"].tolist() == ["a", "b"]
+        assert max(errors(Motions(file["joints"], file["n_frames"]), motions)) < 1e-3
+
+
 def test_the_map_of_the_guide_is_a_map(tmp_path) -> None:
     path = tmp_path / "my-rig.toml"
     path.write_text(block("3. Joints", "toml"))
