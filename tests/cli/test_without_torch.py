@@ -84,7 +84,6 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "ground truth": run("ground-truth", "ground-truth", "goal-loc"),
         "through features": run("features", "ground-truth-resampled", "goal-loc"),
         "scripted": run("scripted", "scripted", "goal-loc"),
-        "shuffled goal": run("shuffled", program, "goal-loc", "--control", "shuffled-goal"),
         "export": ["export-conditions", *data, "--condition", "goal-loc", "--out", str(folder / "asked.parquet")],
         "score a run": ["score", str(folder / "runs" / "program"), *data],
         "score a file": ["score", str(folder / "recorded.parquet"), *data],
