@@ -88,6 +88,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "score a run": ["score", str(folder / "runs" / "program"), *data],
         "score a file": ["score", str(folder / "recorded.parquet"), *data],
         "check": ["adapters", "check", "static", *data],
+        "doctor": ["doctor", str(folder / "recorded.parquet")],
         "leaderboard": ["leaderboard", "export", str(folder / "runs" / "program"), "--format", "md"],
     }
 
