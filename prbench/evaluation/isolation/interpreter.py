@@ -33,7 +33,7 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
     actual = program.resolve()
     found = [program, actual]
     for folder in (program.parent, actual.parent, *_virtual_environment_home(program)):
-        if folder.name in ("bin", "Scripts", "shims") and not _is_personal(folder.parent):
+        if folder.name in ("bin", "condabin", "Scripts", "shims") and not _is_personal(folder.parent):
             found.append(folder.parent)
     return tuple(dict.fromkeys(found))
 

@@ -73,10 +73,18 @@ def _without_nested(mounts: list[Mount], secrets: Sequence[Path]) -> list[Mount]
 def _masks(mounts: Sequence[Mount], secrets: Sequence[Path]) -> Iterator[Mask]:
     for mount in mounts:
         for secret in secrets:
-            if mount.source.is_dir() and secret.is_relative_to(mount.source):
-                if not secret.exists():
-                    secret.mkdir(parents=True)
+            if mount.source.is_dir() and secret.is_relative_to(mount.source) and _made(secret):
                 yield Mask(mount.place / secret.relative_to(mount.source), secret.is_file())
+
+
+def _made(folder: Path) -> bool:
+    """Whether a folder is there to be covered; one that cannot be made now will not appear later either."""
+    try:
+        if not folder.exists():
+            folder.mkdir(parents=True)
+    except OSError:
+        return False
+    return True
 
 
 def _of_system() -> list[Mount]:

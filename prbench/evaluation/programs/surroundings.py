@@ -31,7 +31,7 @@ class Surroundings:
     """Kind and name of the environment, for the record."""
 
     def found(self) -> Surroundings:
-        """With the program's absolute path.
+        """With the program's absolute path; words that begin with ``~/`` are those of the user's home.
 
         Raises:
             UsageError: if the program, or the script that it is to run, does not exist.
@@ -39,7 +39,8 @@ class Surroundings:
         path = self.environment.get("PATH", os.defpath)
         program = find_executable(self.words[0], directory=self.directory, path=path, where=self.where)
         require_script(self.words, directory=self.directory, where=self.where)
-        return replace(self, words=(program, *self.words[1:]))
+        arguments = (str(Path(word).expanduser()) if word.startswith("~/") else word for word in self.words[1:])
+        return replace(self, words=(program, *arguments))
 
 
 def inside_environment(

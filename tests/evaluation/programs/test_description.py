@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from prbench.errors import InputFileError
@@ -69,6 +72,14 @@ def test_a_mistake_is_named_with_file_and_key(tmp_path, text, where, answer):
     assert str(error.value).startswith(str(path))
     assert where in error.value.where
     assert answer in str(error.value)
+
+
+def test_the_files_that_the_page_shows_are_read(tmp_path):
+    page = (Path(__file__).parents[3] / "docs/environments.md").read_text(encoding="utf-8")
+    shown = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert len(shown) == 5
+    for text in shown:
+        read_description(written(tmp_path, text if "[method]" in text else COMMAND + text))
 
 
 def test_a_file_that_is_not_there_is_answered_with_the_nearest_one(tmp_path):

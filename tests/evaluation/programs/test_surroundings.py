@@ -160,6 +160,13 @@ def test_python_of_a_command_is_that_of_the_users_shell_not_the_harness(folder, 
     assert method.package == "python glide.py"
 
 
+def test_words_may_begin_at_home_as_in_a_shell(folder, monkeypatch):
+    monkeypatch.setenv("HOME", str(folder))
+    method = program_of("cmd:sh ~/m/glide.py --n ~ a~/b", environment={"PATH": "/bin"})
+    assert method.program.words[1:] == (str(folder / "m/glide.py"), "--n", "~", "a~/b")
+    assert method.package == "sh glide.py --n '~' 'a~/b'"
+
+
 def test_limits_come_from_the_file_and_the_users_timeout_comes_before_them(folder):
     file = folder / "m/glide.toml"
     file.write_text('[method]\ncommand = "./glide.py"\n[limits]\nstart_s = 3\nbatch_s = 4\n')
