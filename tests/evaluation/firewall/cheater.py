@@ -21,7 +21,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from types import FrameType, FunctionType, ModuleType
+from types import CellType, FrameType, FunctionType, GeneratorType, ModuleType
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -182,6 +182,22 @@ def paths_of(value: object, depth: int = 4) -> Iterator[Path]:
     elif depth and hasattr(value, "__dict__") and type(value).__module__.startswith("prbench"):
         for item in list(vars(value).values()):
             yield from paths_of(item, depth - 1)
+
+
+def closures(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """What functions have closed over, and variables of generators that wait."""
+    things = gc.get_objects()
+    values = [cell.cell_contents for thing in things if isinstance(thing, FunctionType) for cell in filled_cells(thing)]
+    frames = [thing.gi_frame for thing in things if isinstance(thing, GeneratorType)]
+    values += [value for frame in frames if frame is not None for value in frame.f_locals.values()]
+    return first_table(path for value in values for path in paths_of(value))
+
+
+def filled_cells(function: FunctionType) -> Iterator[CellType]:
+    for cell in function.__closure__ or ():
+        with contextlib.suppress(ValueError):  # an empty one
+            _ = cell.cell_contents
+            yield cell
 
 
 def collector_ids(_self: Cheater, batch: ConditionBatch, _seed: int) -> Claims | None:
@@ -418,7 +434,7 @@ def fit_events(train: object) -> str | None:
 GENERATING: dict[str, Callable] = {
     attempt.__name__: attempt
     for attempt in (
-        descriptors, attributes, call_stack_ids, call_stack_table, collector_ids, collector_table, caches,
+        descriptors, attributes, call_stack_ids, call_stack_table, closures, collector_ids, collector_table, caches,
         memory_of_the_harness, command_line, command_line_of_parents, environment, environment_of_parents,
         working_directory, home, cache_folder, weights_neighbours, network,
         opaque_ids, noise_seeds, initial_pose, goal, length, order, floor, state,
