@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Mapping, Sequence
 
-from prbench import __version__
+import prbench
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
 from prbench.evaluation.remote.answers import error_text, motions_in
@@ -66,7 +66,7 @@ class RemoteAdapter:
                 the protocol asks for.
         """
         settings = {"device": device, "threads": threads, "options": dict(options), "weights": weights}
-        return cls(program, {"message": "hello", "wire": WIRE_VERSION, "prbench": __version__, **settings})
+        return cls(program, {"message": "hello", "wire": WIRE_VERSION, "prbench": prbench.__version__, **settings})
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
         """Ask the program for the motions of a batch; messages name sequences by their opaque ids.
