@@ -15,6 +15,7 @@ from prbench.cli import (
     candidates,
     datasets,
     diff,
+    doctor,
     evaluate_text,
     explain,
     export_conditions,
@@ -52,6 +53,7 @@ _COMMANDS = (
     leaderboard,
     release,
     adapters,
+    doctor,
     validate,
 )
 

@@ -40,7 +40,7 @@ def left_of_shoulders(poses: np.ndarray) -> np.ndarray:
 
 
 def front(poses: np.ndarray) -> np.ndarray:
-    """Where toes point, knees bend and the head lies before the neck; elbows bend the other way. (poses, 3)
+    """Where toes point, knees bend and the head lies before the neck; elbows bend the other way; (poses, 3).
 
     Names of left and right do not matter, nor does the handedness of the world.
     """
@@ -58,7 +58,7 @@ def front(poses: np.ndarray) -> np.ndarray:
 
 
 def sideways_agreement(poses: np.ndarray) -> np.ndarray:
-    """For hips, knees … wrists whether left lies on the side of the left hip: 1 always, -1 never. (8 parts,)"""
+    """For hips, knees … wrists whether left lies on the side of the left hip: 1 always, -1 never; (8 parts,)."""
     hips = left_of_hips(poses)
     sideways = ((poses[:, LEFTS] - poses[:, RIGHTS]) * hips[:, None]).sum(axis=-1)
     return sideways.mean(axis=0) / np.maximum(np.abs(sideways).mean(axis=0), _NEGLIGIBLE)

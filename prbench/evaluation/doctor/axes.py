@@ -51,7 +51,9 @@ class Exchange:
 
 
 EXCHANGES = tuple(
-    Exchange(axes, signs) for axes in permutations(range(3)) for signs in product((1, -1), repeat=3)
+    Exchange((first, second, third), (one, two, three))
+    for first, second, third in permutations(range(3))
+    for one, two, three in product((1, -1), repeat=3)
 )
 
 

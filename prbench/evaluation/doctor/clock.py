@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.evaluation.doctor.patient import Finding, Patient, of_motions
+from prbench.evaluation.doctor.remedies import AT_RATE
 from prbench.evaluation.doctor.steps import Steps, examine_steps
 from prbench.evaluation.doctor.types import Diagnosis
 
@@ -44,9 +45,8 @@ def _repeats(patient: Patient) -> Finding:
     cause = "another frame rate was reached by repeating the nearest frame"
     if regular > 0.5 and period > 1:
         cause += f" (as from {patient.fps * (period - 1) / period:.3g} to {patient.fps:g} frames a second)"
-    remedy = "Interpolate on a time axis instead: prbench.timelines.interpolate, or declare native_fps in the adapter."
     undone = [_filled_in(motion, found[row]) if row in found else motion for row, motion in enumerate(patient.motions)]
-    return Finding((Diagnosis("clock", True, evidence, cause, remedy),), patient.with_motions(undone))
+    return Finding((Diagnosis("clock", True, evidence, cause, AT_RATE),), patient.with_motions(undone))
 
 
 def _short_holds(steps: Steps) -> np.ndarray:
@@ -55,7 +55,7 @@ def _short_holds(steps: Steps) -> np.ndarray:
     edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
     chosen = np.zeros_like(still)
     for start, stop in edges.reshape(-1, 2):
-        if 0 < start and stop < len(still) and stop - start < _SHORTEST_HOLD * 3:
+        if start > 0 and stop < len(still) and stop - start < _SHORTEST_HOLD * 3:
             chosen[start:stop] = True
     return chosen
 
@@ -77,7 +77,7 @@ def _holds(patient: Patient) -> Finding:
         frames = int(np.median([count for count, _ in ends.values()]))
         evidence = (
             f"the last {frames} frames (median) of {of_motions(len(ends), patient)} are one and the same;"
-            f" in {abrupt} the body stops from {np.median([speed for _, speed in ends.values()]):.2f} m/s (median) at once"
+            f" in {abrupt} the body stops from {_median_speed(ends):.2f} m/s (median) at once"
         )
         cause = "the end was padded with the last frame: the motion is shorter than was asked for"
         remedy = "Generate the asked number of frames, or let the motion take the asked time by interpolation."
@@ -87,13 +87,17 @@ def _holds(patient: Patient) -> Finding:
         frames = int(np.median([count for count, _ in starts.values()]))
         evidence = (
             f"the first {frames + 1} frames (median) of {of_motions(len(starts), patient)} are one and the same;"
-            f" in {abrupt} the body then starts at {np.median([speed for _, speed in starts.values()]):.2f} m/s (median)"
+            f" in {abrupt} the body then starts at {_median_speed(starts):.2f} m/s (median)"
         )
         cause = "the motion comes too late: the first frame was repeated, or the clock starts before the motion"
         remedy = "Begin with the motion's own first frame; frame 0 is 2 s before the prime."
         diagnoses.append(Diagnosis("clock", abrupt * 2 > len(starts), evidence, cause, remedy))
     held = [_without_holds(motion) for motion in patient.motions]
     return Finding(tuple(diagnoses), patient.with_motions(held) if diagnoses else patient)
+
+
+def _median_speed(held: dict[int, tuple[int, float]]) -> float:
+    return float(np.median([speed for _, speed in held.values()]))
 
 
 def _held(patient: Patient, *, at_end: bool) -> dict[int, tuple[int, float]]:

@@ -7,17 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from prbench.evaluation.doctor.body import examine_body
-from prbench.evaluation.doctor.clock import examine_clock
 from prbench.evaluation.doctor.facing import examine_facing
 from prbench.evaluation.doctor.finite import examine_finite
 from prbench.evaluation.doctor.first_frame import examine_first_frame
 from prbench.evaluation.doctor.floor import examine_floor
 from prbench.evaluation.doctor.joint_order import examine_joint_order
 from prbench.evaluation.doctor.left_right import examine_left_right
+from prbench.evaluation.doctor.length import examine_length
 from prbench.evaluation.doctor.patient import Examination, Patient
 from prbench.evaluation.doctor.position import examine_position
+from prbench.evaluation.doctor.quality import examine_quality
 from prbench.evaluation.doctor.root import examine_root
 from prbench.evaluation.doctor.shape import examine_shape
+from prbench.evaluation.doctor.time import examine_time
 from prbench.evaluation.doctor.types import NOTHING_KNOWN, Diagnosis, Expected
 from prbench.evaluation.doctor.unit import examine_scale, examine_unit
 from prbench.evaluation.doctor.up_axis import examine_up_axis
@@ -36,7 +38,9 @@ _EXAMINATIONS: tuple[Examination, ...] = (
     examine_facing,
     examine_position,
     examine_floor,
-    examine_clock,
+    examine_length,
+    examine_time,
+    examine_quality,
 )
 """In the order in which faults hide one another."""
 

@@ -12,18 +12,27 @@ _POINT = 1e-6  # size of a pose that is nothing but one point, as a share of the
 
 def examine_finite(patient: Patient) -> Finding:
     """Find NaN, infinity and poses whose joints all lie in one point."""
-    broken = [~np.isfinite(motion).all(axis=(1, 2)) for motion in patient.motions]
+    broken = [np.asarray(~np.isfinite(motion).all(axis=(1, 2))) for motion in patient.motions]
     empty = _empty(patient, broken)
     diagnoses = []
     if any(bad.any() for bad in broken):
-        diagnoses.append(_described(patient, broken, "not-finite", "hold NaN or infinity", "a division by zero, a square root of a negative number, or padding", "Leave the padding out; look for the first operation that gives NaN."))  # fmt: skip
+        cause = "a division by zero, a square root of a negative number, or padding"
+        remedy = "Leave the padding out; look for the first operation that gives NaN."
+        diagnoses.append(
+            Diagnosis("not-finite", True, _counted(patient, broken, "hold NaN or infinity"), cause, remedy)
+        )
     if any(bad.any() for bad in empty):
-        diagnoses.append(_described(patient, empty, "empty-frames", "hold a single point instead of a body", "padding with zeros, or frames that were never written", "Return only the frames that were asked for, and all of them."))  # fmt: skip
+        cause = "padding with zeros, or frames that were never written"
+        remedy = "Return only the frames that were asked for, and all of them."
+        evidence = _counted(patient, empty, "hold a single point instead of a body")
+        diagnoses.append(Diagnosis("empty-frames", True, evidence, cause, remedy))
     if not diagnoses:
         return Finding((), patient)
     bad = [one | other for one, other in zip(broken, empty, strict=True)]
     rows = [row for row in range(len(patient)) if (~bad[row]).any()]
     mended = patient.only(rows).with_motions([_mended(patient.motions[row], bad[row]) for row in rows])
+    if any(len(mended.motions[place]) != len(patient.motions[row]) for place, row in enumerate(rows)):
+        mended = mended.without_lengths()
     return Finding(tuple(diagnoses), mended, hopeless=not rows)
 
 
@@ -34,13 +43,12 @@ def _empty(patient: Patient, broken: list[np.ndarray]) -> list[np.ndarray]:
     return [(extent <= _POINT * largest) & ~bad for extent, bad in zip(extents, broken, strict=True)]
 
 
-def _described(patient: Patient, bad: list[np.ndarray], kind: str, what: str, cause: str, remedy: str) -> Diagnosis:
+def _counted(patient: Patient, bad: list[np.ndarray], what: str) -> str:
     rows = [row for row in range(len(patient)) if bad[row].any()]
     frames = sum(int(bad[row].sum()) for row in rows)
     trailing = all(bad[row][int(np.argmax(bad[row])) :].all() for row in rows)
     where = "all of them at the end" if trailing else f"the first is frame {int(np.argmax(bad[rows[0]]))}"
-    evidence = f"{frames} frames of {of_motions(len(rows), patient)} {what}, {where}"
-    return Diagnosis(kind, True, evidence, cause, remedy)
+    return f"{frames} frames of {of_motions(len(rows), patient)} {what}, {where}"
 
 
 def _mended(motion: np.ndarray, bad: np.ndarray) -> np.ndarray:

@@ -36,7 +36,9 @@ def examine_first_frame(patient: Patient) -> Finding:
     remedy = "Give all frames the transform of the first (prbench.representation.canonicalise moves whole motions)."
     found = Diagnosis(kind, True, evidence, cause, remedy)
     joined = {row: _joined(patient.motions[row]) for row, is_broken in zip(long, broken, strict=True) if is_broken}
-    return Finding((found,), patient.with_motions([joined.get(row, motion) for row, motion in enumerate(patient.motions)]))
+    return Finding(
+        (found,), patient.with_motions([joined.get(row, motion) for row, motion in enumerate(patient.motions)])
+    )
 
 
 def _joined(motion: np.ndarray) -> np.ndarray:

@@ -71,9 +71,7 @@ def _examine_drift(patient: Patient) -> Finding:
     remedy = "Take the height itself instead of adding up its changes (column 3 of the 263 features is the height)."
     certain = typical > (_DRIFT if len(strong) >= _ENOUGH else _STRONG_DRIFT)
     found = Diagnosis("floor", certain, evidence, cause, remedy)
-    undone = [
-        _levelled(motion, drifts[row]) if row in strong else motion for row, motion in enumerate(patient.motions)
-    ]
+    undone = [_levelled(motion, drifts[row]) if row in strong else motion for row, motion in enumerate(patient.motions)]
     return Finding((found,), patient.with_motions(undone))
 
 

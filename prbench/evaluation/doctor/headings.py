@@ -15,7 +15,7 @@ def headings(poses: np.ndarray) -> np.ndarray:
         + poses[..., Joint.RIGHT_SHOULDER, :]
         - poses[..., Joint.LEFT_SHOULDER, :]
     )
-    return np.arctan2(across[..., 2], -across[..., 0])
+    return np.asarray(np.arctan2(across[..., 2], -across[..., 0]))
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:

@@ -8,18 +8,19 @@ from itertools import product
 import numpy as np
 
 from prbench.evaluation.doctor.anatomy import PARTS, left_of_hips, sidedness, sideways_agreement, with_sides
-from prbench.evaluation.doctor.bones import Distances, fit
 from prbench.evaluation.doctor.body import not_positions
+from prbench.evaluation.doctor.bones import Distances, fit
 from prbench.evaluation.doctor.orders import ORDERS_OF_22, OTHER_ORDERS, Order
 from prbench.evaluation.doctor.patient import Finding, Patient, healthy
 from prbench.evaluation.doctor.recover_order import recovered_order
 from prbench.evaluation.doctor.types import Diagnosis
+from prbench.representation.converters import JOINT_MAPS
 from prbench.skeleton import N_JOINTS, Joint
 
 _OWN = Order("HumanML3D", tuple(joint.name.lower() for joint in Joint))
 _FITS, _IMPOSSIBLE = 0.3, 0.4  # misfit of the bones; right bodies have 0.03 to 0.15, shuffled ones 0.6
 _ALIKE = 0.03  # difference of two orders that only exchange left and right
-_CROSSED, _NOT_CROSSED = -0.3, 0.5  # mean sideways distance of a pair along the hips' axis, as a share of its mean size
+_CROSSED, _NOT_CROSSED = -0.3, 0.5  # agreement of a pair with the hips (anatomy.sideways_agreement)
 _GAIN, _CLEAR_GAIN = 0.0015, 0.012  # of the bones' misfit: where pairs lie crossed, and where they do not
 _ARMS = np.array([part in ("collar", "shoulder", "elbow", "wrist") for part in PARTS])
 _NOT_HIPS = np.array([part != "hip" for part in PARTS])
@@ -71,22 +72,30 @@ def _reordered(patient: Patient, index: Sequence[int], before: float, after: flo
 
 
 def _another_skeleton(patient: Patient, distances: Distances) -> Finding:
+    """Another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
     n_joints = len(distances.median)
-    orders = [order for order in OTHER_ORDERS if len(order.joints) == n_joints]
     evidence = f"{n_joints} joints a frame instead of 22"
-    fits = {order: fit(distances, order.places()) for order in orders}
-    if fits:
-        best = min(fits, key=lambda order: fits[order].badness)
-        if fits[best].misfit < 2 * _FITS:
-            evidence += f"; bones miss people's lengths by {fits[best].misfit:.0%}"
-            found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {best.name}", best.remedy)
-            if best.holds_all:
-                index = list(best.index())
-                return Finding((found,), patient.changed(lambda motion: motion[:, index]))
-            return Finding((found,), patient, hopeless=True)
-        names = ", ".join(order.name for order in orders)
-        evidence += f"; as {names} bones miss people's lengths by {fits[best].misfit:.0%}"
-    remedy = "Choose the 22 joints of prbench.skeleton.Joint; prbench.representation.converters helps with skeletons."
+    mapped = {
+        name: tuple(each.to_22(motion) for motion in patient.motions)
+        for name, each in JOINT_MAPS.items()
+        if len(each.source_joints) == n_joints
+    }
+    misfits = {name: _badness(Distances.of(motions), range(N_JOINTS)) for name, motions in mapped.items()}
+    best = min(misfits, key=lambda name: misfits[name], default=None)
+    if best is not None and misfits[best] < _FITS:
+        evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
+        remedy = f"Convert them: prbench.representation.converters.joint_map('{best}').to_22(joints)."
+        if best.startswith("smpl"):
+            remedy += " That is joints[:, :22]."
+        found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)
+        return Finding((found,), patient.with_motions(mapped[best]))
+    known = {each: fit(distances, each.places()).misfit for each in OTHER_ORDERS if len(each.joints) == n_joints}
+    order = min(known, key=lambda each: known[each], default=None)
+    if order is not None and known[order] < 2 * _FITS:
+        evidence += f"; as {order.name}, bones miss people's lengths by {known[order]:.0%}"
+        found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {order.name}", order.remedy)
+        return Finding((found,), patient, hopeless=True)
+    remedy = "Write a map of its joints (prbench.representation.converters.JointMap); the 22 are in prbench.skeleton."
     return Finding((Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), patient, hopeless=True)
 
 
@@ -106,13 +115,18 @@ def _exchanged_pairs(patient: Patient, distances: Distances) -> Finding:
     after = _badness(distances, index)
     if after > min(before - gain, _FITS):
         return healthy(patient)
-    names = " and ".join("feet" if part == "foot" else f"{part}s" for part, swap in zip(PARTS, crossed, strict=True) if swap)
+    names = " and ".join(
+        "feet" if part == "foot" else f"{part}s" for part, swap in zip(PARTS, crossed, strict=True) if swap
+    )
     evidence = (
-        f"left and right {names} lie the other way round than the hips (agreement {agreement[crossed].min():.2f}; 1 is full);"
+        f"left and right {names} lie the other way round than the hips"
+        f" (agreement {agreement[crossed].min():.2f}; 1 is full);"
         f" exchanged, bones miss people's lengths by {after:.1%} instead of {before:.1%}"
     )
     remedy = f"Exchange them: joints[:, {index}]."
-    found = Diagnosis("joint-order", True, evidence, f"left and right {names} are exchanged, the others are not", remedy)
+    found = Diagnosis(
+        "joint-order", True, evidence, f"left and right {names} are exchanged, the others are not", remedy
+    )
     return Finding((found,), patient.changed(lambda motion: motion[:, index]))
 
 
@@ -132,5 +146,7 @@ def _no_body(patient: Patient, misfit: float) -> Finding:
     if standardised is not None:
         return Finding((standardised,), patient, hopeless=True)
     remedy = "Check that joints are positions in space, and their order against prbench.skeleton.Joint."
-    found = Diagnosis("joint-order", True, evidence, "an order or a skeleton that is not known, or no positions", remedy)
+    found = Diagnosis(
+        "joint-order", True, evidence, "an order or a skeleton that is not known, or no positions", remedy
+    )
     return Finding((found,), patient, hopeless=True)

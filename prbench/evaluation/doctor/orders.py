@@ -68,16 +68,12 @@ def _depth_first_orders() -> tuple[Order, ...]:
     return tuple(orders)
 
 
-_CHAIN_ORDER = Order("kinematic chain order of HumanML3D", _unique(tuple(_NAMES[joint] for chain in CHAINS for joint in chain)))
-_HANDS = tuple(
-    f"{side}_{finger}{bone}"
-    for side in ("left", "right")
-    for finger in ("index", "middle", "pinky", "ring", "thumb")
-    for bone in (1, 2, 3)
+_CHAIN_ORDER = Order(
+    "kinematic chain order of HumanML3D", _unique(tuple(_NAMES[joint] for chain in CHAINS for joint in chain))
 )
-_FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
-_SMPL_REMEDY = "The first 22 joints are HumanML3D's: joints[:, :22]."
-_FOREIGN = "prbench.representation.converters turns joints of other skeletons into the 22."
+_FOREIGN = (
+    "Write its map for prbench.representation.converters.JointMap, which turns joints of other skeletons into the 22."
+)
 
 ORDERS_OF_22: tuple[Order, ...] = (
     _CHAIN_ORDER,
@@ -93,42 +89,6 @@ ORDERS_OF_22: tuple[Order, ...] = (
 """Full orders of the 22 joints other than HumanML3D's own."""
 
 OTHER_ORDERS: tuple[Order, ...] = (
-    Order("SMPL (24 joints)", (*_NAMES, "left_hand", "right_hand"), _SMPL_REMEDY),
-    Order("SMPL-H (52 joints)", (*_NAMES, *_HANDS), _SMPL_REMEDY),
-    Order("SMPL-X (55 joints)", (*_NAMES, *_FACE, *_HANDS), _SMPL_REMEDY),
-    Order("SMPL-X with landmarks (127 joints)", (*_NAMES, *_FACE, *_HANDS, *(f"landmark{i}" for i in range(72))), _SMPL_REMEDY),
-    Order("SMPL-X with landmarks (144 joints)", (*_NAMES, *_FACE, *_HANDS, *(f"landmark{i}" for i in range(89))), _SMPL_REMEDY),
-    Order("SMPL with vertices of the face, hands and feet (45 joints)", (*_NAMES, "left_hand", "right_hand", *(f"vertex{i}" for i in range(21))), _SMPL_REMEDY),
-    Order(
-        "COCO (17 joints)",
-        ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-         "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
-         "right_ankle"),
-        _FOREIGN,
-    ),
-    Order(
-        "Human3.6M (17 joints)",
-        ("pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "spine", "thorax",
-         "nose", "head_top", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow",
-         "right_wrist"),
-        _FOREIGN,
-    ),
-    Order(
-        "NTU RGB+D, Kinect v2 (25 joints)",
-        ("pelvis", "spine_middle", "neck", "head", "left_shoulder", "left_elbow", "left_wrist", "left_hand",
-         "right_shoulder", "right_elbow", "right_wrist", "right_hand", "left_hip", "left_knee", "left_ankle",
-         "left_foot", "right_hip", "right_knee", "right_ankle", "right_foot", "spine_shoulder", "left_hand_tip",
-         "left_thumb", "right_hand_tip", "right_thumb"),
-        _FOREIGN,
-    ),
-    Order(
-        "OpenPose BODY_25 (25 joints)",
-        ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-         "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
-         "left_eye", "right_ear", "left_ear", "left_big_toe", "left_small_toe", "left_heel", "right_big_toe",
-         "right_small_toe", "right_heel"),
-        _FOREIGN,
-    ),
     Order(
         "OpenPose COCO (18 joints)",
         ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
@@ -145,4 +105,4 @@ OTHER_ORDERS: tuple[Order, ...] = (
     ),
     Order("the 22 joints without the pelvis (21 joints)", _NAMES[1:], "Put the pelvis back at place 0."),
 )  # fmt: skip
-"""Orders with another number of joints."""
+"""Orders with another number of joints that are not among ``prbench.representation.converters.JOINT_MAPS``."""

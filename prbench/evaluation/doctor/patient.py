@@ -42,6 +42,11 @@ class Patient:
             self, motions=tuple(self.motions[row] for row in rows), expected=tuple(self.expected[row] for row in rows)
         )
 
+    def without_lengths(self) -> Patient:
+        """The same, with nothing expected of lengths: a fault that was found has changed them."""
+        expected = tuple(dataclasses.replace(each, n_frames=None) for each in self.expected)
+        return dataclasses.replace(self, expected=expected)
+
     @property
     def motionless(self) -> bool:
         """Whether no motion moves, as those of a baseline that holds one pose."""
@@ -50,7 +55,10 @@ class Patient:
     def poses(self) -> np.ndarray:
         """Some poses of every motion, evenly spread, (poses, joints, 3)."""
         return np.concatenate(
-            [motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_A_MOTION)).astype(int)] for motion in self.motions]
+            [
+                motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_A_MOTION)).astype(int)]
+                for motion in self.motions
+            ]
         )
 
     def first_poses(self) -> np.ndarray:

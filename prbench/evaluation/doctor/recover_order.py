@@ -7,8 +7,8 @@ from itertools import combinations, product
 
 import numpy as np
 
-from prbench.evaluation.doctor.bones import BONE_ENDS, BONE_LENGTHS, Distances
 from prbench.evaluation.doctor.anatomy import PARTS
+from prbench.evaluation.doctor.bones import BONE_ENDS, BONE_LENGTHS, Distances
 from prbench.randomness import named_generator
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.skeleton import N_JOINTS, Joint
@@ -71,4 +71,3 @@ def _sides_exchanged(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]
     """The best of all ways to exchange left and right of single parts, such as both knees."""
     exchanged = np.where(_CHOICES, order[list(MIRRORED_JOINTS)], order)
     return _descended(exchanged[int(cost(exchanged).argmin())], cost)
-

@@ -57,7 +57,9 @@ def _pinned(patient: Patient, moving: list[int]) -> Diagnosis | None:
 
 
 def _one_heading(patient: Patient, moving: list[int]) -> Diagnosis | None:
-    spreads = np.array([np.ptp(wrapped(angles - angles[0])) for angles in (headings(patient.motions[row]) for row in moving)])
+    spreads = np.array(
+        [np.ptp(wrapped(angles - angles[0])) for angles in (headings(patient.motions[row]) for row in moving)]
+    )
     same = spreads < _EXACT
     if same.mean() <= 0.5:
         return None

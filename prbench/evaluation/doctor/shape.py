@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.evaluation.doctor.bones import Distances, fit
-from prbench.evaluation.doctor.orders import OTHER_ORDERS
+from prbench.evaluation.doctor.array_forms import best_reading
 from prbench.evaluation.doctor.patient import Finding, Patient, healthy
 from prbench.evaluation.doctor.types import NOTHING_KNOWN, Diagnosis
 from prbench.representation import N_FEATURES, decode
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.skeleton import N_JOINTS
 
-_KNOWN_JOINTS = frozenset({N_JOINTS} | {len(order.joints) for order in OTHER_ORDERS})
 _BODY_PARAMETERS = {
     72: "SMPL: 24 rotations as axis-angle",
     75: "SMPL: 24 rotations as axis-angle and a translation",
@@ -33,16 +29,6 @@ _BODY_PARAMETERS = {
 _CONVERT = "prbench.representation.converters"
 
 
-@dataclass(frozen=True)
-class _Reading:
-    """One way to understand an array."""
-
-    form: str
-    convert: Callable[[np.ndarray], np.ndarray]
-    """To (frames, joints, 3)."""
-    remedy: str
-
-
 def examine_shape(patient: Patient) -> Finding:
     """Bring motions to (frames, joints, 3) and say what that took."""
     patient = _unbatched(patient)
@@ -52,7 +38,9 @@ def examine_shape(patient: Patient) -> Finding:
     evidence = f"expected (frames, 22, 3), found {_shown(patient)}"
     if any(motion.size == 0 for motion in patient.motions):
         empty = sum(motion.size == 0 for motion in patient.motions)
-        found = Diagnosis("shape", True, f"{empty} of {len(patient)} arrays hold no numbers", "nothing was generated for them", "Leave them out or generate them again.")  # fmt: skip
+        holes = f"{empty} of {len(patient)} arrays hold no numbers"
+        remedy = "Leave them out or generate them again."
+        found = Diagnosis("shape", True, holes, "nothing was generated for them", remedy)
         if empty == len(patient):
             return Finding((found,), patient, hopeless=True)
         rest = examine_shape(patient.only([row for row, motion in enumerate(patient.motions) if motion.size]))
@@ -60,7 +48,7 @@ def examine_shape(patient: Patient) -> Finding:
     squeezed = patient.changed(_squeezed)
     if all(motion.ndim == 2 and N_FEATURES in motion.shape for motion in squeezed.motions):
         return _features(squeezed, evidence)
-    reading = _best_reading(squeezed.motions)
+    reading = best_reading(squeezed.motions)
     if reading is None:
         return Finding((_unknown(squeezed, evidence),), patient, hopeless=True)
     read = squeezed.changed(reading.convert)
@@ -72,11 +60,18 @@ def examine_shape(patient: Patient) -> Finding:
 
 def _unbatched(patient: Patient) -> Patient:
     """Arrays with a batch axis as one motion a row; what was expected then belongs to no row."""
-    if all(motion.ndim < 4 or 1 in motion.shape for motion in patient.motions):
+    if not any(_has_batch_axis(motion.shape) for motion in patient.motions):
         return patient
-    rows = [row for motion in patient.motions for row in (motion if motion.ndim == 4 else motion[None])]
+    rows = [row for motion in patient.motions for row in (motion if _has_batch_axis(motion.shape) else [motion])]
     known = patient.expected if len(rows) == len(patient) else (NOTHING_KNOWN,) * len(rows)
     return dataclasses.replace(patient, motions=tuple(rows), expected=known)
+
+
+def _has_batch_axis(shape: tuple[int, ...]) -> bool:
+    if len(shape) == 4:
+        return 1 not in shape[:2]
+    flat = shape[-1] in (3 * N_JOINTS, N_FEATURES, *_BODY_PARAMETERS) or shape[-2:][0] == N_FEATURES
+    return len(shape) == 3 and flat and 3 not in shape and 1 not in shape
 
 
 def _squeezed(motion: np.ndarray) -> np.ndarray:
@@ -84,73 +79,6 @@ def _squeezed(motion: np.ndarray) -> np.ndarray:
     if motion.ndim <= 3 and (motion.shape[-2:] == (N_JOINTS, 3) or (motion.ndim == 2 and motion.shape[0] == 1)):
         return motion.reshape(-1, *motion.shape[-2:]) if motion.shape[-2:] == (N_JOINTS, 3) else motion
     return np.squeeze(motion)
-
-
-def _best_reading(motions: tuple[np.ndarray, ...]) -> _Reading | None:
-    """The way to understand all arrays in which joints move most smoothly and keep their distances best."""
-    shapes = [motion.shape for motion in motions]
-    if len({len(shape) for shape in shapes}) != 1:
-        return None
-    candidates = _readings_of_planes(shapes) if len(shapes[0]) == 3 else _readings_of_rows(shapes)
-    some = motions[:8]
-    if not candidates:
-        return None
-    read = {reading: tuple(reading.convert(motion) for motion in some) for reading in candidates}
-    restless = {reading: _restlessness(joints) for reading, joints in read.items()}
-    best = min(candidates, key=lambda reading: (not _is_a_body(read[reading]), restless[reading]))
-    return best if len(shapes[0]) == 3 or restless[best] < 0.25 else None
-
-
-def _is_a_body(motions: tuple[np.ndarray, ...]) -> bool:
-    """Whether the bones are people's, in HumanML3D's order."""
-    if motions[0].shape[1] != N_JOINTS:
-        return False
-    finite = tuple(np.nan_to_num(motion) for motion in motions)
-    return fit(Distances.of(finite), {joint.name.lower(): joint.value for joint in Joint}).misfit < 0.3
-
-
-def _readings_of_planes(shapes: list[tuple[int, ...]]) -> list[_Reading]:
-    readings = []
-    for order, form, remedy in (
-        ((0, 1, 2), "", ""),
-        ((0, 2, 1), "(frames, 3, joints)", "Exchange the last two axes: joints.transpose(0, 2, 1)."),
-        ((2, 0, 1), "(joints, 3, frames), as MDM's samples do", "Move the frames to the front: joints.transpose(2, 0, 1)."),
-        ((2, 1, 0), "(3, joints, frames)", "Turn the axes round: joints.transpose(2, 1, 0)."),
-        ((1, 0, 2), "(joints, frames, 3)", "Exchange the first two axes: joints.transpose(1, 0, 2)."),
-        ((1, 2, 0), "(3, frames, joints)", "Move the coordinates to the end: joints.transpose(1, 2, 0)."),
-    ):  # fmt: skip
-        turned = [tuple(shape[axis] for axis in order) for shape in shapes]
-        same = len({shape[1] for shape in turned}) == 1
-        if same and turned[0][1] in _KNOWN_JOINTS and all(shape[2] == 3 for shape in turned):
-            readings.append(_Reading(form, lambda motion, order=order: motion.transpose(order), remedy))
-    if not readings and all(shape[2] == 3 for shape in shapes) and len({shape[1] for shape in shapes}) == 1 and shapes[0][1] > 8:
-        readings.append(_Reading("", lambda motion: motion, ""))
-    return readings
-
-
-def _readings_of_rows(shapes: list[tuple[int, ...]]) -> list[_Reading]:
-    width = shapes[0][-1]
-    if len(shapes[0]) != 2 or any(shape[-1] != width for shape in shapes) or width % 3 or width // 3 not in _KNOWN_JOINTS:
-        return []
-    joints = width // 3
-    by_axis = f"joints.reshape(-1, 3, {joints}).transpose(0, 2, 1)"
-    return [
-        _Reading(f"{joints} joints after one another, x y z each", lambda motion: motion.reshape(-1, joints, 3), f"Give every frame its joints: joints.reshape(-1, {joints}, 3)."),
-        _Reading("all x, then all y, then all z", lambda motion: motion.reshape(-1, 3, joints).transpose(0, 2, 1), f"Give every frame its joints: {by_axis}."),
-    ]  # fmt: skip
-
-
-def _restlessness(motions: tuple[np.ndarray, ...]) -> float:
-    """How much a body's distances change from frame to frame, as a share of its size; little if axes are right."""
-    changes = []
-    for motion in motions:
-        some = np.nan_to_num(motion[: min(len(motion), 64)])
-        apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-        size = np.median(apart.max(axis=(1, 2)))
-        rigid = np.sort((apart.std(axis=0) / np.maximum(apart.mean(axis=0), 1e-9))[np.triu_indices(apart.shape[1], 1)])
-        steps = np.abs(np.diff(some, axis=0)).mean() / max(float(size), 1e-9) if len(some) > 1 else 0.0
-        changes.append(float(rigid[: apart.shape[1]].mean()) + float(steps))
-    return float(np.median(changes))
 
 
 def _features(patient: Patient, evidence: str) -> Finding:
@@ -161,10 +89,14 @@ def _features(patient: Patient, evidence: str) -> Finding:
     off = float(np.median(np.abs(lengths - 1)))
     numbers = f"{evidence}; the 6-D rotations have columns of length {np.median(lengths):.2f} (1 in raw features)"
     if off < 0.1:
-        remedy = f"Decode them: prbench.representation.decode(features), or {_CONVERT} for whole adapters."
+        remedy = f"Decode them: {_CONVERT}.joints_from_features(features, n_frames)."
         found = Diagnosis("features", True, numbers, "these are HumanML3D's 263 features, not joints", remedy)
-        return Finding((found,), rows.changed(lambda motion: decode(motion).astype(np.float64)))
-    remedy = f"Multiply by the training's standard deviation, add its mean, then decode: {_CONVERT}."
+        decoded = rows.changed(lambda motion: decode(motion).astype(np.float64))
+        return Finding((found,), decoded.without_lengths())
+    remedy = (
+        "Multiply by the training's standard deviation and add its mean"
+        f" ({_CONVERT}.read_feature_statistics), then decode: {_CONVERT}.joints_from_features."
+    )
     cause = "these are HumanML3D's 263 features, still standardised"
     return Finding((Diagnosis("features", True, numbers, cause, remedy),), patient, hopeless=True)
 
@@ -172,7 +104,7 @@ def _features(patient: Patient, evidence: str) -> Finding:
 def _unknown(patient: Patient, evidence: str) -> Diagnosis:
     width = patient.motions[0].shape[-1] if patient.motions[0].ndim == 2 else 0
     if width in _BODY_PARAMETERS:
-        remedy = f"Let a body model make joints of them: {_CONVERT} (SMPL and SMPL-X through smplx)."
+        remedy = f"Let a body model make joints of them: {_CONVERT}.smpl_joints, or SmplxModel through smplx."
         return Diagnosis("shape", True, evidence, f"parameters of a body, {_BODY_PARAMETERS[width]}", remedy)
     remedy = f"Give positions of the 22 joints of HumanML3D, (frames, 22, 3); {_CONVERT} holds what helps."
     return Diagnosis("shape", True, evidence, "no known way to write the joints of a body", remedy)

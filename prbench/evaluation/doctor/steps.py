@@ -9,6 +9,7 @@ import numpy as np
 
 from prbench.evaluation.doctor.anatomy import unit
 from prbench.evaluation.doctor.patient import Patient, of_motions
+from prbench.evaluation.doctor.remedies import AT_TIMES
 from prbench.evaluation.doctor.types import Diagnosis
 
 _STILL = 1e-4  # of a motion's usual step: the same frame again
@@ -67,7 +68,9 @@ def examine_steps(patient: Patient) -> tuple[Diagnosis, ...]:
         )
         cause = "frames were picked by rounded indices, so that time passes unevenly"
         if abs(rhythm.stands_out - np.log(2)) < 0.25:
-            cause += f" (as from {patient.fps * (rhythm.period + 1) / rhythm.period:.3g} to {patient.fps:g} frames a second)"
+            cause += (
+                f" (as from {patient.fps * (rhythm.period + 1) / rhythm.period:.3g} to {patient.fps:g} frames a second)"
+            )
     else:
         leaps = [_leaps(each, patient.fps) for each in steps]
         rows = [row for row, count in enumerate(leaps) if count >= 3]
@@ -78,8 +81,7 @@ def examine_steps(patient: Patient) -> tuple[Diagnosis, ...]:
             " their neighbours, which agree with each other"
         )
         cause = "frames are missing: they were dropped while the motion was recorded, cut or resampled"
-    remedy = "Resample on a time axis: prbench.timelines.interpolate with the frames' own times."
-    return (Diagnosis("clock", True, evidence, cause, remedy),)
+    return (Diagnosis("clock", True, evidence, cause, AT_TIMES),)
 
 
 def _common_rhythm(steps: Sequence[Steps], fps: float) -> _Rhythm | None:
@@ -105,10 +107,17 @@ def _standing_out(steps: Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
     return out, (triples.mean(axis=1) > slow) & (np.minimum(steps.straight[1:], steps.straight[:-1]) > _STRAIGHT)
 
 
+def _moving(steps: Steps, fps: float) -> int:
+    """How many steps are fast, in one direction or to and fro."""
+    return int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum())
+
+
 def _rhythm(steps: Steps, period: int, fps: float) -> _Rhythm | None:
     if len(steps.sizes) < 4 * period + 2 or steps.usual == 0:
         return None
     out, fast = _standing_out(steps, fps)
+    if 2 * fast.sum() < _moving(steps, fps):
+        return None  # jitter, not movement
     place = (np.arange(len(out)) % period)[fast]
     counts = np.bincount(place, minlength=period)
     if (counts < 3).any():

@@ -17,7 +17,9 @@ def examine_up_axis(patient: Patient) -> Finding:
     poses = patient.poses()
     up = body_up(poses).mean(axis=0)
     name, axis, angle = nearest_axis(up)
-    evidence = f"bodies (ankles to head) point along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}), {angle:.0f} degrees from {name}"
+    evidence = (
+        f"bodies (ankles to head) point along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}), {angle:.0f} degrees from {name}"
+    )
     if np.linalg.norm(up) < 0.3:
         return healthy(patient)  # no common direction
     if name == "+y":
@@ -32,6 +34,8 @@ def examine_up_axis(patient: Patient) -> Finding:
     remedy = f"Turn the axes, (x, y, z) to {exchange}: {exchange.as_code()}."
     if str(exchange) == "(x, z, -y)":
         remedy += " prbench.axes.y_up does this."
+    elif not mirrored:
+        remedy += f" Or prbench.representation.converters.to_y_up(joints, up='{name.lstrip('+')}'), then canonicalise."
     found = Diagnosis("up-axis", angle < _CLEAR, evidence, cause, remedy)
     return Finding((found,), patient.changed(exchange))
 

@@ -68,6 +68,11 @@ def swapped(*parts: str) -> Change:
     return lambda motion: motion[:, index]
 
 
+def with_hands(motion: np.ndarray) -> np.ndarray:
+    """SMPL's 24 joints: hands in the direction of the forearms."""
+    return np.concatenate([motion, 1.3 * motion[:, 20:22] - 0.3 * motion[:, 18:20]], axis=1)
+
+
 def rising(metres: float) -> Change:
     return lambda motion: motion + np.linspace(0, metres, len(motion))[:, None, None] * [0, 1, 0]
 
@@ -85,17 +90,31 @@ def padded_with_zeros(motion: np.ndarray) -> np.ndarray:
 
 
 def repeated_rows(every: int) -> Change:
-    """As nearest-neighbour resampling to a higher rate does: frame ``every`` is the one before it again."""
-    return lambda motion: motion[np.floor(np.arange(len(motion)) * (every - 1) / every).astype(int)]
+    """As nearest-neighbour resampling to a higher rate does: each ``every``-th frame is the one before it again."""
+
+    def change(motion: np.ndarray) -> np.ndarray:
+        slow = np.floor(np.arange(len(motion)) * (every - 1) / every)
+        return at_indices(motion, slow * every / (every - 1))
+
+    return change
 
 
 def dropped_rows(every: int) -> Change:
-    """As index rounding to a lower rate does: each ``every``-th frame is left out."""
-    return lambda motion: motion[np.arange(len(motion)) % every != every - 1]
+    """As index rounding to a lower rate does: each ``every``-th frame of a faster motion is left out."""
+
+    def change(motion: np.ndarray) -> np.ndarray:
+        fast = np.arange(0, len(motion) - 1, (every - 1) / every)
+        return at_indices(motion, fast[np.arange(len(fast)) % every != every - 1])
+
+    return change
 
 
 def frozen_end(motion: np.ndarray) -> np.ndarray:
-    kept = len(motion) // 2 + int(np.argmax(_speed(motion)[len(motion) // 2 : -6])) if len(motion) > 24 else len(motion) // 2
+    kept = (
+        len(motion) // 2 + int(np.argmax(_speed(motion)[len(motion) // 2 : -6]))
+        if len(motion) > 24
+        else len(motion) // 2
+    )
     return np.concatenate([motion[: kept + 1], np.repeat(motion[kept : kept + 1], len(motion) - kept - 1, axis=0)])
 
 
@@ -161,7 +180,7 @@ SPACE: tuple[Fault, ...] = (
     Fault("left and right wrist exchanged", swapped("wrist"), ("joint-order",)),
     Fault("left and right shoulder exchanged", swapped("shoulder"), ("joint-order",)),
     *(Fault(order.name, in_order(order.joints), ("joint-order",)) for order in ORDERS_OF_22),
-    Fault("24 joints of SMPL", lambda motion: np.concatenate([motion, motion[:, 20:22] * 1.02], axis=1), ("joint-order",)),
+    Fault("24 joints of SMPL", with_hands, ("joint-order",)),
     Fault("turned by 90 degrees", lambda motion: turned(motion, 90), ("facing",)),
     Fault("turned by -45 degrees", lambda motion: turned(motion, -45), ("facing",)),
     Fault("turned by 180 degrees", lambda motion: turned(motion, 180), ("facing",)),
@@ -200,3 +219,44 @@ TIME: tuple[Fault, ...] = (
     Fault("begins 6 frames late in full speed", delayed(6), ("clock",)),
 )
 """Faults of the clock that show in the motion alone."""
+
+
+def played(rate: float) -> Change:
+    """Made at ``rate`` frames a second and handed over as if at 20."""
+    return lambda motion: at_indices(motion, np.arange(0, len(motion) - 1, 20 / rate))
+
+
+def cut_to_length(change: Change) -> Change:
+    """The same number of frames as before, as an adapter that fulfils its contract returns: cut, or held at the end."""
+
+    def cut(motion: np.ndarray) -> np.ndarray:
+        changed = change(motion)[: len(motion)]
+        return np.concatenate([changed, np.repeat(changed[-1:], len(motion) - len(changed), axis=0)])
+
+    return cut
+
+
+def sliding(strength: float) -> Change:
+    """Time that runs ahead in the middle: right at both ends."""
+
+    def change(motion: np.ndarray) -> np.ndarray:
+        share = np.linspace(0, 1, len(motion))
+        return at_indices(motion, (len(motion) - 1) * (share + strength * np.sin(np.pi * share) / np.pi))
+
+    return change
+
+
+RATES: tuple[Fault, ...] = (
+    Fault("30 frames a second as 20, all frames", played(30), ("frame-rate",)),
+    Fault("60 frames a second as 20, all frames", played(60), ("frame-rate",)),
+    Fault("10 frames a second as 20, all frames", played(10), ("frame-rate",)),
+    Fault("30 frames a second as 20, cut", cut_to_length(played(30)), ("frame-rate",)),
+    Fault("60 frames a second as 20, cut", cut_to_length(played(60)), ("frame-rate",)),
+)
+"""Faults of the rate; certain where lengths or initial velocities are known, else suspicious."""
+
+SLIDES: tuple[Fault, ...] = (
+    Fault("clock slides by up to 16 % of the length", sliding(0.5), ("clock",)),
+    Fault("clock slides back by up to 10 %", sliding(-0.3), ("clock",)),
+)
+"""Faults of the clock that show only against the recorded motion."""

@@ -1,0 +1,58 @@
+"""Bodies that tremble or stretch: the fault of a model rather than of its conversion, so never certain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prbench.evaluation.doctor.patient import Finding, Patient
+from prbench.evaluation.doctor.types import Diagnosis
+from prbench.skeleton import BONES, Joint, bone_lengths
+
+_TREMBLING, _TREMOR = 1.2, 0.003  # second over first differences (noise 1.7, movement 0.3); metres
+_STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
+
+
+def examine_quality(patient: Patient) -> Finding:
+    """Look at bones and at how smoothly joints move."""
+    long = [motion for motion in patient.motions if len(motion) > 4]
+    if not long:
+        return Finding((), patient)
+    return Finding((*_stretching(long), *_trembling(long)), patient)
+
+
+def _stretching(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
+    changes = []
+    for motion in motions:
+        lengths = bone_lengths(motion)
+        changes.append(lengths.std(axis=0) / np.maximum(lengths.mean(axis=0), 1e-9))
+    worst = np.max(changes, axis=1)
+    if np.median(worst) < _STRETCHY:
+        return ()
+    bone = int(np.median(changes, axis=0).argmax())
+    parent, child = (Joint(joint).name.lower() for joint in BONES[bone])
+    evidence = (
+        f"lengths of bones change by up to {np.median(worst):.0%} (standard deviation of the worst bone, median of"
+        f" {len(motions)} motions); most from {parent} to {child}"
+    )
+    cause = "joints were generated or interpolated one by one, without a skeleton"
+    remedy = "Decode through rotations (prbench.representation.decode_rotations), or add a loss on bones."
+    return (Diagnosis("bones", False, evidence, cause, remedy),)
+
+
+def _trembling(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
+    ratios, sizes = [], []
+    for motion in motions:
+        limbs = motion - motion[:, :1]
+        first, second = (np.linalg.norm(np.diff(limbs, n, axis=0), axis=-1).mean(axis=-1) for n in (1, 2))
+        ratios.append(float(np.median(second) / max(float(np.median(first)), 1e-9)))
+        sizes.append(float(np.median(second)) / np.sqrt(6))
+    if np.median(ratios) < _TREMBLING or np.median(sizes) < _TREMOR:
+        return ()
+    evidence = (
+        f"joints tremble by about {np.median(sizes) * 1000:.0f} mm: steps change from frame to frame by"
+        f" {np.median(ratios):.2f} of their own size (medians of {len(motions)} motions;"
+        " smooth movement 0.3, noise 1.7)"
+    )
+    cause = "noise of a sampler with few steps, or frames that are generated without their neighbours"
+    remedy = "Sample with more steps or smooth the joints; metrics of the head and of feet suffer from it."
+    return (Diagnosis("jitter", False, evidence, cause, remedy),)
