@@ -47,7 +47,7 @@ def _probed(python: str) -> tuple[tuple[int, int], str] | None:
 
 
 def javascript(folder: Path) -> list[str]:
-    """The command of glide.mjs, copied into ``folder`` beside the packages that it needs."""
+    """The command of glide.mjs, in ``folder`` if the packages that it needs are not beside it."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed")
@@ -57,6 +57,8 @@ def javascript(folder: Path) -> list[str]:
             f"apache-arrow is not in {modules}: run `npm install --no-package-lock` in docs/examples, or name a"
             " node_modules folder in PRBENCH_TEST_NODE_MODULES"
         )
+    if modules == EXAMPLES / "node_modules":
+        return [node, str(EXAMPLES / "glide.mjs")]
     for name in ("glide.mjs", "package.json"):
         shutil.copy(EXAMPLES / name, folder)
     (folder / "node_modules").symlink_to(modules.resolve(), target_is_directory=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -161,6 +162,7 @@ def hello(**changes):
     write(**{"message": "hello", "wire": 1, "name": "made", "version": "1", "conditions": ["goal-loc"], **changes})
 """
 ASKED = "hello(); read();"
+ENVIRONMENT = tuple(os.environ.items())
 FAULTS = {
     "exits, twice at the same batch": f"{ASKED} sys.exit(3)",
     "is ended by the system": f"{ASKED} os.kill(os.getpid(), signal.SIGKILL)",
@@ -199,7 +201,7 @@ def test_the_harness_says_what_the_page_says(fault, said, tmp_path, monkeypatch)
     (tmp_path / "made.py").write_text(f"GOOD = {good!r}\n{BEGINNING}\n{FAULTS[fault]}\n", encoding="utf-8")
     limit = 1.0 if fault == "does not answer" else 30.0
     command = (sys.executable, "-S", "-E", str(tmp_path / "made.py"))
-    program = Program("made", command, tmp_path, (), start_timeout=30.0, batch_timeout=limit)
+    program = Program("made", command, tmp_path, ENVIRONMENT, start_timeout=30.0, batch_timeout=limit)
     with pytest.raises(AdapterError) as caught:
         _asked_twice(program, asked)
     assert words(said)[0] in str(caught.value)
@@ -218,7 +220,7 @@ def test_the_hello_of_the_harness_has_the_keys_of_the_page(tmp_path, monkeypatch
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
     script = "import sys; open('hello', 'wb').write(sys.stdin.buffer.readline())"
     (tmp_path / "made.py").write_text(script, encoding="utf-8")
-    program = Program("made", (sys.executable, "-S", "-E", "made.py"), tmp_path, ())
+    program = Program("made", (sys.executable, "-S", "-E", "made.py"), tmp_path, ENVIRONMENT)
     with pytest.raises(AdapterError):
         RemoteAdapter.start(program, weights="w", options={"a": "b"}, device="cuda:1", threads=3)
     sent = json.loads((tmp_path / "hello").read_text(encoding="utf-8"))
@@ -235,7 +237,7 @@ def test_every_key_of_a_programs_hello_is_honoured(tmp_path, monkeypatch):
     keys |= {"weights": {"goal-loc": {"name": "w", "sha256": "0" * 64}}}
     assert {words(row[0])[0] for row in table("2. `hello`, program to harness") if row[2] == "no"} == set(keys)
     (tmp_path / "made.py").write_text(f"{BEGINNING}\nhello(**{keys!r})\n", encoding="utf-8")
-    program = Program("made", (sys.executable, "-S", "-E", "made.py"), tmp_path, ())
+    program = Program("made", (sys.executable, "-S", "-E", "made.py"), tmp_path, ENVIRONMENT)
     adapter = RemoteAdapter.start(program, weights=None, options={}, device="cpu", threads=1)
     adapter.close()
     assert (adapter.max_frames, adapter.native_fps, adapter.motionless) == (90, 30.0, True)
