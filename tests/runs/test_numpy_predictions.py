@@ -81,6 +81,11 @@ def test_one_array_a_motion_is_read(tmp_path, compressed):
     assert np.array_equal(drawn.motions(["f" * 64], 1).values, (MOTIONS[1] + 1).astype(np.float32))
 
 
+def test_an_array_a_motion_may_be_saved_column_by_column(tmp_path):
+    np.savez(tmp_path / "p.npz", **{name: np.asfortranarray(motion) for name, motion in zip(IDS.tolist(), MOTIONS)})
+    require_motions(tmp_path / "p.npz")
+
+
 def test_slashes_in_the_name_of_an_array_are_part_of_the_id(tmp_path):
     np.savez(tmp_path / "p.npz", **{"adt/rec/cup/pick/1.5/suit": MOTIONS[0]})
     assert Predictions.open(tmp_path / "p.npz").ids == ("adt/rec/cup/pick/1.5/suit",)
