@@ -25,7 +25,7 @@ RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, C
 """The condition that most checks use is the first of these that works."""
 _SALT = run_salt(0, "conformance")
 _FIRST = "first-motions.npy"
-_FEW, _PATIENCE = 3, 12.0  # sequences that even a slow method is asked about; seconds that a batch should take
+_FEW, _PATIENCE = 2, 12.0  # sequences that even a slow method is asked about; seconds that a batch should take
 
 
 class Subject:
@@ -149,14 +149,13 @@ class Subject:
         return limit is None or n_frames <= limit
 
     @cached_property
-    def warm_up(self) -> tuple[Answer, Answer]:
-        """The first call of all, which pays for what loads on first use, and the same once more."""
-        batch = self.batch(range(min(2, len(self.source.n_frames))), self.conditions[0])
-        first = self.ask(batch)
+    def first_answer(self) -> Answer:
+        """The first call of all, which pays for what loads on first use; kept for other processes to compare with."""
+        answer = self.ask(self.batch(range(min(2, len(self.source.n_frames))), self.conditions[0]))
         kept = self.folder / _FIRST
-        if first.motions is not None and not kept.is_file() and self.folder.is_dir():
-            np.save(kept, first.motions.joints)
-        return first, self.ask(batch)
+        if answer.motions is not None and not kept.is_file():
+            np.save(kept, answer.motions.joints)
+        return answer
 
     def first_motions(self) -> Float[np.ndarray, "batch frames 22 3"] | None:
         """Those of the very first batch, of whichever process looked at the method first; None if there are none."""
@@ -165,12 +164,12 @@ class Subject:
 
     @cached_property
     def rows(self) -> tuple[int, ...]:
-        """The sequences of a usual batch: all, or some of each length if the method is slow."""
+        """The sequences of a usual batch: all, or a few of the shorter ones if the method is slow."""
         total = len(self.source.n_frames)
-        second = self.warm_up[1]
-        a_motion = second.seconds / len(second.batch)
-        number = int(np.clip(_PATIENCE / max(a_motion, 1e-9), min(_FEW, total), total))
-        return tuple(int(row) for row in np.unique(np.linspace(0, total - 1, number).round().astype(int)))
+        second = self.ask(self.first_answer.batch)
+        number = int(np.clip(_PATIENCE * len(second.batch) / max(second.seconds, 1e-9), min(_FEW, total), total))
+        last = total - 1 if number == total else total // 2
+        return tuple(int(row) for row in np.unique(np.linspace(0, last, number).round().astype(int)))
 
     def standard(self, condition: Condition) -> Answer:
         """The answer to the usual batch of a condition."""

@@ -349,16 +349,11 @@ class Dies(Glide):
         os._exit(7)
 
 
-class DiesOnBlankText(Glide):
+class DiesOnBlankTextAndHangsOnOneFrame(Glide):
     def sway(self, batch, seed):
         if not all(batch.text):
             os.kill(os.getpid(), 11)
-        return super().sway(batch, seed)
-
-
-class NeverEndsOnBlankText(Glide):
-    def sway(self, batch, seed):
-        if not all(batch.text):
+        if batch.n_frames.max() == 1:
             time.sleep(3600)
         return super().sway(batch, seed)
 

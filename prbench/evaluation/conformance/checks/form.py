@@ -18,9 +18,11 @@ _GENERATE = (
 )
 _SHAPES = (
     "Return prbench.contract.Motions(joints, batch.n_frames): joints is a NumPy array (sequences, frames, 22, 3) with"
-    " at least batch.n_frames.max() frames; behind a shorter motion stands padding."
+    " at least batch.n_frames.max() frames; behind a shorter motion stands padding. A program sends opaque_id and"
+    " joints, n_frames times 66 numbers a row (docs/wire-protocol.md)."
 )
 _DTYPE = "Return decimals: joints.astype(np.float32), in metres."
+_REFUSED_PAYLOAD = "sent motions that cannot be used"
 _FINITE = (
     "Look for a division by zero or by a length that can be zero (an empty step, a single frame) and for weights that"
     " hold NaN. Frames behind n_frames[i] may hold anything."
@@ -38,7 +40,17 @@ def generates(subject: Subject) -> Iterator[Observation]:
         )
         return
     answers = {condition: subject.standard(condition) for condition in subject.conditions}
-    yield from _by_condition(answers, lambda answer: answer.raised, _GENERATE, said="one motion for each sequence")
+    yield from _by_condition(
+        answers,
+        lambda answer: answer.raised and not _program_misshaped(answer),
+        _GENERATE,
+        said="one motion for each sequence",
+    )
+    if restarts := getattr(subject.adapter, "restarts", 0):
+        yield failed(
+            f"the program ended by itself and was started again ({restarts} times); its log says why.",
+            "Repair what ends it: a run starts a program again only once for each batch.",
+        )
     if any(answer.halvings for answer in answers.values()):
         yield warning(
             f"a batch of {len(subject.rows)} sequences did not fit in memory and was halved.",
@@ -79,7 +91,9 @@ def _answered(subject: Subject) -> dict[Condition, Answer]:
     if not len(subject.source.n_frames):
         return {}
     answers = {condition: subject.standard(condition) for condition in subject.conditions}
-    return {condition: answer for condition, answer in answers.items() if not answer.raised}
+    return {
+        condition: answer for condition, answer in answers.items() if not answer.raised or _program_misshaped(answer)
+    }
 
 
 def _by_condition(
@@ -94,9 +108,16 @@ def _by_condition(
         yield passed(f"{said}, under {', '.join(condition.value for condition in answers)}.")
 
 
+def _program_misshaped(answer: Answer) -> bool:
+    """A program's payload is refused before it becomes motions."""
+    return answer.raised and _REFUSED_PAYLOAD in answer.error
+
+
 def _misshapen(answer: Answer) -> bool:
     if answer.motions is not None:
         return False
+    if _program_misshaped(answer):
+        return True
     returned = answer.returned
     if not isinstance(returned, Motions) or not isinstance(returned.joints, np.ndarray):
         return True

@@ -92,7 +92,7 @@ def process(subject: Subject) -> Iterator[Observation]:
     if kept is None:
         yield skipped("there are no motions of the first process to compare with.")
         return
-    answer = subject.warm_up[0]
+    answer = subject.first_answer
     if answer.motions is None:
         yield failed(f"in another process: {answer.error}", "Find out what the first process had that this one lacks.")
         return

@@ -56,7 +56,7 @@ def memory(subject: Subject) -> Iterator[Observation]:
 @check("speed", "how long it takes", of_motions=True)
 def speed(subject: Subject) -> Iterator[Observation]:
     """Seconds of the first batch, which pays for what loads on first use, and of a usual one."""
-    first, usual = subject.warm_up[0], subject.standard(subject.main)
+    first, usual = subject.first_answer, subject.standard(subject.main)
     a_motion = usual.seconds / len(usual.batch)
     yield passed(
         f"first batch ({len(first.batch)}) {first.seconds:.2f} s; then {len(usual.batch)} in {usual.seconds:.2f} s:"

@@ -1,0 +1,91 @@
+"""Programs behind the wire protocol are checked like any other method."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+
+import pytest
+
+from prbench.evaluation.conformance import Outcome
+from prbench.evaluation.conformance.checks import CHECKS
+from prbench.evaluation.conformance.examine import examine
+from prbench.evaluation.conformance.subject import Subject
+from prbench.evaluation.methods import forget_loaded_methods, method_spec
+
+PROGRAM = """
+    import os, sys
+    import numpy as np
+    from prbench.contract import Condition, Motions
+    from prbench.evaluation.remote.messages import batch_of, motions_payload, read_message, write_message
+
+    served = 0
+    hello, _ = read_message(sys.stdin.buffer)
+    if hello["options"]:
+        write_message(sys.stdout.buffer, {"message": "error", "text": "unknown option"})
+        sys.exit()
+    if hello["weights"]:
+        write_message(sys.stdout.buffer, {"message": "error", "text": "no such weights"})
+        sys.exit()
+    answer = {"message": "hello", "wire": 1, "name": "stand", "version": "1.0", "conditions": ["goal-loc"]}
+    write_message(sys.stdout.buffer, answer)
+    while True:
+        try:
+            header, payload = read_message(sys.stdin.buffer)
+        except EOFError:
+            break
+        batch = batch_of(header, payload)
+        joints = np.repeat(batch.initial_joints[:, None], batch.n_frames.max(), axis=1)
+        n_frames = batch.n_frames
+        served += 1
+        FAULT
+        answer = {"message": "motions", "batch": header["batch"]}
+        write_message(sys.stdout.buffer, answer, motions_payload(batch.opaque_id, Motions(joints, n_frames)))
+"""
+
+WANTED = ("load", "settings", "weights", "generates", "shapes", "dtype", "finite", "global-random", "inputs")
+
+
+@pytest.fixture
+def found_in_program(cases, tmp_path):
+    def _found(fault="pass", wanted=("load", "generates", "shapes", "finite", "determinism")):
+        program = tmp_path / "stand.py"
+        program.write_text(textwrap.dedent(PROGRAM).replace("FAULT", fault))
+        forget_loaded_methods()
+        subject = Subject(method_spec(f"cmd:{sys.executable} {program}"), cases, tmp_path)
+        wanted = (
+            "load",
+            "settings",
+            "weights",
+            "generates",
+            "shapes",
+            "finite",
+            "determinism",
+            "global-random",
+            "inputs",
+        )
+        return list(examine(subject, [one for one in CHECKS if one.name in wanted]))
+
+    yield _found
+    forget_loaded_methods()
+
+
+def test_a_right_program_passes_what_can_be_seen_of_it(found_in_program):
+    outcomes = {finding.check: finding.outcome for finding in found_in_program(wanted=WANTED)}
+    skipped = {name for name, outcome in outcomes.items() if outcome is Outcome.SKIPPED}
+    assert skipped == {"weights", "global-random", "inputs"}
+    assert set(outcomes.values()) == {Outcome.SKIPPED, Outcome.PASSED}
+
+
+@pytest.mark.parametrize(
+    ("fault", "check", "told"),
+    [
+        ("n_frames = n_frames - 1", "shapes", "frames"),
+        ("os._exit(3) if served == 2 else None", "generates", "started again"),
+        ("joints[:, :, 5] += served", "determinism", "a second time"),
+    ],
+)
+def test_a_fault_of_a_program_fails_its_check_and_no_other(found_in_program, fault, check, told):
+    failed = [finding for finding in found_in_program(fault) if finding.outcome is Outcome.FAILED]
+    assert {finding.check for finding in failed} == {check}, failed
+    assert told in failed[0].said
