@@ -15,7 +15,7 @@ from prbench.evaluation.describe import Description, describe_adapter, describe_
 from prbench.evaluation.installed import InstalledAdapter
 from tests.evaluation.conftest import adapter_source
 
-_LIMIT = 20.0  # seconds; these take well under one on an idle core
+_LIMIT = 100.0  # seconds; these take well under one on an idle core
 
 ENDINGS = {
     "missing": (
@@ -163,7 +163,7 @@ def test_unusable_metadata_are_said_without_importing_anything():
 def test_the_list_shows_good_and_bad_methods_and_controls(install, capsys):
     install("good", PLAIN)
     install("bad", "import os; os._exit(1)")
-    assert main(["adapters", "list", "--details", "good", "bad", "--time-limit", "20"]) == 0
+    assert main(["adapters", "list", "--details", "good", "bad", "--time-limit", "100"]) == 0
     text = capsys.readouterr().out
     assert "good  prbench_good 1.2  none" in text
     assert "! bad (prbench_bad 1.2): left the process while it was imported, with exit status 1" in text

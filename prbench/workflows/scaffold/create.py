@@ -12,7 +12,7 @@ from prbench.errors import StorageError, UsageError
 from prbench.storage import atomic_folder, remove_leftovers
 from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
 from prbench.workflows.scaffold.templating import filled, read_template
-from prbench.workflows.scaffold.values import template_flags, template_values
+from prbench.workflows.scaffold.values import command_lines, template_flags, template_values
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,8 @@ def _require_new(folder: Path) -> None:
 
 
 def _next_steps(names: MethodNames, request: ScaffoldRequest, folder: Path) -> tuple[str, ...]:
-    condition = request.conditions[0]
-    steps = [f"cd {shlex.quote(str(folder))}"]
-    if request.program:
-        method = f"{names.program}.toml"
-    else:
-        method = names.method
-        steps += ['pip install -e ".[test]"', "python -m pytest"]
-    steps += [f"prbench adapters check {method}", f"prbench run --method {method} --condition {condition}"]
-    return tuple(steps)
+    commands = command_lines(names, request.conditions[0], program=request.program)
+    return (f"cd {shlex.quote(str(folder))}", *(command for command, _ in commands))
 
 
 def _package(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
@@ -128,6 +121,6 @@ def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
 
 
 def _filled(templates: dict[str, str], names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    values = template_values(names, request.conditions, trainable=request.trainable)
+    values = template_values(names, request.conditions, trainable=request.trainable, program=request.program)
     flags = template_flags(request.conditions, trainable=request.trainable)
     return {path: filled(read_template(name), values, flags) for path, name in templates.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import builtins
-import keyword
 import re
 import sys
 from dataclasses import dataclass
@@ -43,7 +42,7 @@ class MethodNames:
     def class_name(self) -> str:
         """Of the adapter."""
         name = "".join(part.capitalize() for part in self.method.split("-"))
-        taken = keyword.iskeyword(name) or hasattr(builtins, name) or name in _IN_TEMPLATES
+        taken = hasattr(builtins, name) or name in _IN_TEMPLATES
         return f"{name}Method" if taken else name
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import prbench
@@ -33,7 +34,9 @@ def template_flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[s
     return frozenset(flags)
 
 
-def template_values(names: MethodNames, conditions: Sequence[str], *, trainable: bool) -> dict[str, str]:
+def template_values(
+    names: MethodNames, conditions: Sequence[str], *, trainable: bool, program: bool = False
+) -> dict[str, str]:
     """The text for every place in the templates."""
     chosen = list(dict.fromkeys(Condition(name) for name in conditions))
     does = _does("goal" in template_flags(conditions, trainable=trainable))
@@ -50,10 +53,33 @@ def template_values(names: MethodNames, conditions: Sequence[str], *, trainable:
         "what": f"{does[0].upper()}{does[1:]}.",
         "does": does,
         "learns": _LEARNS if trainable else "It has learnt nothing and has no weights.",
-        "weights_help": _OWN_WEIGHTS if trainable else _NO_WEIGHTS,
+        "weights": textwrap.fill(f"**Weights.** {_OWN_WEIGHTS if trainable else _NO_WEIGHTS} {_NEVER}", 120),
+        "commands": _aligned(command_lines(names, chosen[0].value, program=program)),
         "row_fields": "\n".join(f"        {_ROW_FIELDS[name]}" for name in _ROW_FIELDS if name in GIVEN[chosen[0]]),
         "standing": _standing_rows(),
     }
+
+
+def command_lines(names: MethodNames, condition: str, *, program: bool) -> list[tuple[str, str]]:
+    """The commands to try in the new folder, in order, each with what it is for."""
+    method = f"{names.program}.toml" if program else names.method
+    if program:
+        first = [("pip install numpy pyarrow", "for the `python` that runs the program")]
+    else:
+        first = [
+            ('pip install -e ".[test]"', "install; prbench finds it by its entry point"),
+            ("python -m pytest", "the contract, and what this method promises itself"),
+        ]
+    return [
+        *first,
+        (f"prbench adapters check {method}", "the contract, with a report to read"),
+        (f"prbench run --method {method} --condition {condition}", "scores, on embedded synthetic data"),
+    ]
+
+
+def _aligned(lines: Sequence[tuple[str, str]]) -> str:
+    width = max(len(command) for command, _ in lines)
+    return "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines)
 
 
 def _does(goal: bool) -> str:
@@ -63,6 +89,7 @@ def _does(goal: bool) -> str:
 
 
 _LEARNS = "It learns one number, how fast people walk: a run fits it to the training split by itself."
+_NEVER = "Never unpickle: safetensors, or `numpy.load(path, allow_pickle=False)`."
 _OWN_WEIGHTS = (
     "The template's weights are one number in `speed.json`, which `fit` writes; `--weights speed.json` uses it again,"
     " and `weights_for` names it, so that run.json records its digest. A real model writes its own files in its place."
