@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.contract import Condition
+from prbench.evaluation.offline import ExportRequest, export_conditions, read_conditions
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
@@ -122,7 +123,7 @@ def test_javascript_gives_the_same_motions_and_scores(glide, batch, condition, t
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
-def test_command_description_and_fence_run_it_alike(table, tmp_path, monkeypatch):
+def test_by_command_by_description_behind_a_fence_and_offline_it_scores_alike(table, glide, tmp_path, monkeypatch):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
     command = f'cmd:"{sys.executable}" "{EXAMPLES / "glide.py"}"'
     runs = {"command": (command, False), "description": (str(EXAMPLES / "glide.toml"), False), "fence": (command, True)}
@@ -140,6 +141,11 @@ def test_command_description_and_fence_run_it_alike(table, tmp_path, monkeypatch
         assert (report.folder.record.method.name, report.folder.record.method.version) == ("glide", "1.0")
         found[name] = (report.folder.path / "scores.parquet").read_bytes()
     assert found["command"] == found["description"] == found["fence"]
+    asked = tmp_path / "asked.parquet"
+    export_conditions(ExportRequest(data=(table.folder,), condition=Condition.GOAL_LOCATION, out=asked))
+    (rows,) = read_conditions(asked)
+    offline = _scores(table, rows.opaque_id, glide.motions(rows), tmp_path / "offline")
+    np.testing.assert_array_equal(offline, _values(tmp_path / "command"))
 
 
 def _bytes(motions):
@@ -153,9 +159,11 @@ def _scores(table, ids, motions, folder):
     folder.mkdir()
     pq.write_table(pa.table(rows), folder / "p.parquet")
     score_predictions(ScoreRequest(predictions=folder / "p.parquet", data=(table.folder,), out=folder / "scores"))
-    scores = read_scores(folder / "scores" / "scores.parquet").sort_by(
-        [("sequence_id", "ascending"), ("metric", "ascending")]
-    )
+    return _values(folder / "scores")
+
+
+def _values(folder):
+    scores = read_scores(folder / "scores.parquet").sort_by([("sequence_id", "ascending"), ("metric", "ascending")])
     return scores["value"].to_numpy(zero_copy_only=False).astype(np.float64)
 
 
