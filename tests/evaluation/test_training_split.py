@@ -33,6 +33,12 @@ def test_all_rows_of_the_view_are_training_rows_and_its_digests_those_of_the_tab
     assert (view.identity, view.content) == (table.identity, table.content)
 
 
+def test_events_and_recordings_of_the_view_are_those_of_training_rows(table):
+    view = TrainingSplit.open(table.folder)
+    assert set(view.recordings()["split"].to_pylist()) == {"train"}
+    assert sorted(view.events()["sequence_id"].to_pylist()) == sorted(ids(table, "train"))
+
+
 @pytest.mark.parametrize("split", ["test", "validation"])
 def test_other_splits_are_refused(table, split):
     view = TrainingSplit.open(table.folder)
