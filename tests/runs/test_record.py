@@ -184,3 +184,14 @@ def test_a_run_without_a_single_batch_is_discarded_and_any_other_is_not(tmp_path
     folder.discard_if_empty()
     assert part.exists()
     assert (tmp_path / "run/run.json").exists()
+
+
+def test_a_record_from_before_methods_could_be_isolated_is_read_and_belongs_to_the_same_run(tmp_path):
+    RECORD.write(tmp_path)
+    old = json.loads((tmp_path / "run.json").read_text())
+    assert old["method"].pop("isolation") is None
+    (tmp_path / "run.json").write_text(json.dumps(old))
+    RECORD.require_same(RunRecord.read(tmp_path), tmp_path)
+    apart = msgspec.structs.replace(RECORD, method=msgspec.structs.replace(METHOD, isolation="process"))
+    with pytest.raises(RunError, match=r"method\.isolation: expected process for this run, found nothing"):
+        apart.require_same(RunRecord.read(tmp_path), tmp_path)

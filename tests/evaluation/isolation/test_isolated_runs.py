@@ -10,6 +10,7 @@ import tempfile
 import numpy as np
 import pytest
 
+from prbench.cli.main import main
 from prbench.contract import Condition, ConditionBatch
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, RunError
@@ -44,7 +45,7 @@ def test_a_method_that_draws_gives_the_same_bytes_in_process_and_isolated_killed
     install("made", adapter_source())
     run_method(request(table, tmp_path / "here", "made", samples=2))
     words = [sys.executable, "-c", KILLED, str(table.folder), str(tmp_path / "apart"), str(tmp_path / "site")]
-    assert subprocess.run(words, check=False, capture_output=True).returncode == -9
+    assert subprocess.run(words, check=False, capture_output=True).returncode != 0
     report = run_method(request(table, tmp_path / "apart", "made", samples=2, isolate=True), engine=ProcessPool(2))
     assert (report.batches_found, report.batches_made) == (2, 2)
     assert len(results(tmp_path / "apart")) == 6
@@ -136,6 +137,15 @@ def test_a_batch_that_does_not_fit_in_the_workers_memory_is_run_in_halves(no_bub
     install("made", adapter_source(body="if len(batch) > 2: raise MemoryError"))
     run_method(request(table, tmp_path / "out", "made", isolate=True))
     assert json.loads((tmp_path / "out/cost.json").read_text())["halved_batches"]["00000"] == 1
+
+
+def test_the_command_line_says_what_is_withheld_and_shows_the_methods_own_name(fence, table, tmp_path, capsys):
+    words = ["run", "--method", "static", "--data", str(table.folder), "--out", str(tmp_path / "out"), "--isolate"]
+    assert main([*words, "--limit", "2", "--timeout", "60"]) == 0
+    shown = capsys.readouterr()
+    told = "THE FILE SYSTEM IS NOT WITHHELD" if fence == "process" else "and the file system are withheld."
+    assert told in shown.err
+    assert "static, condition none" in shown.out
 
 
 def test_settings_that_the_method_refuses_are_told(no_bubblewrap, table, tmp_path):

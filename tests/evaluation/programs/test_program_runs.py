@@ -185,13 +185,13 @@ def test_ctrl_c_ends_the_program_keeps_what_was_finished_and_the_same_command_re
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize(("end", "workers"), [(signal.SIGINT, 2), (signal.SIGKILL, 1)])
+@pytest.mark.parametrize(("end", "workers"), [("SIGINT", 2), ("SIGKILL", 1)])
 def test_no_program_outlives_a_harness_that_was_stopped(own, table, tmp_path, end, workers):
     own.write(body="time.sleep(0.2)")
     run = started_run(own, table, tmp_path / "out", tmp_path, workers=workers)
     _wait_for_a_batch(run)
     assert own.running()
-    os.killpg(run.pid, end)
+    os.killpg(run.pid, getattr(signal, end))
     run.communicate(timeout=20)  # the fixture sees that the programs have ended
 
 
