@@ -328,6 +328,21 @@ def test_numbered_files_that_do_not_fit_are_named(numbered, tmp_path, spoil, mes
         Predictions.open(numbered, numbering=numbering(tmp_path)).motions(["a"], 0)
 
 
+@pytest.mark.parametrize("name", ["made.pkl", "made.pt", "made.npy", "made"])
+def test_other_formats_are_refused_with_the_ones_there_are(tmp_path, name):
+    (tmp_path / name).write_bytes(pickle.dumps(MOTIONS))
+    with pytest.raises(
+        PredictionsError, match=rf"{name}: expected Parquet, .npz, or a folder .*save the arrays with np"
+    ):
+        Predictions.open(tmp_path / name)
+
+
+def test_the_conditions_file_itself_is_recognised(tmp_path):
+    np.savez(tmp_path / "c.npz", opaque_id=IDS, n_frames=LENGTHS, noise_seed=LENGTHS)
+    with pytest.raises(PredictionsError, match="These look like conditions, not motions"):
+        Predictions.open(tmp_path / "c.npz")
+
+
 def test_a_missing_or_empty_file_is_named(tmp_path):
     with pytest.raises(PredictionsError, match=r"gone.npz: expected an .npz file, found no file"):
         Predictions.open(tmp_path / "gone.npz")

@@ -141,9 +141,10 @@ def _index_columns(archive: Archive) -> IndexedRows:
     id_column = next((name for name in _ID_COLUMNS if name in present), None)
     absent = [name for name in ("joints", "n_frames") if name not in present]
     if id_column is None or absent:
+        itself = " These look like conditions, not motions." if "noise_seed" in present and "joints" in absent else ""
         raise PredictionsError(
             f"{path}: expected the arrays opaque_id (or sequence_id), joints and n_frames, found"
-            f" {', '.join(sorted(present)[:10])}. Copy opaque_id, sample and n_frames from the conditions file."
+            f" {', '.join(sorted(present)[:10])}.{itself} Copy opaque_id, sample and n_frames from the conditions file."
         )
     ids = _ids(archive, id_column)
     n_frames = _whole_numbers(archive, "n_frames", len(ids), smallest=1)

@@ -79,11 +79,27 @@ class Predictions:
 
 
 def _indexed(path: Path, numbering: Numbering | None) -> IndexedRows:
+    if path.suffix.lower() == ".npz" and not path.is_dir():
+        return index_npz(path)
     if not path.is_dir():
-        return index_npz(path) if path.suffix.lower() == ".npz" else index_parquet((path,))
+        _require_parquet(path)
+        return index_parquet((path,))
     if folder := numbered_folder(path):
         return index_numbered(folder, numbering)
     parts = tuple(sorted(part for part in path.glob("*.parquet") if part.name[0] != "."))
     if not parts:
         raise PredictionsError(f"{path}: expected predictions (*.parquet), found none.")
     return index_parquet(parts)
+
+
+def _require_parquet(path: Path) -> None:
+    """Name the formats where a file with another suffix than Parquet's is not Parquet, either."""
+    if path.suffix.lower() == ".parquet" or not path.is_file():
+        return  # said by what reads it
+    with open(path, "rb") as file:
+        if file.read(4) == b"PAR1":
+            return
+    raise PredictionsError(
+        f"{path}: expected Parquet, .npz, or a folder of motions/0000000000.npy …, found a file of another kind. Pickles"
+        " and torch files are never loaded: save the arrays with np.savez."
+    )
