@@ -38,7 +38,14 @@ def _shown_commands() -> list[str]:
     return sorted({command for command in commands if command.startswith("prbench ")})
 
 
-NAMED_ONLY = (["view"], ["synthesize", "--gallery"], ["explain", "--draw"], ["export-release"])
+NAMED_ONLY = (
+    ["adapters", "check"],
+    ["doctor"],
+    ["view"],
+    ["synthesize", "--gallery"],
+    ["explain", "--draw"],
+    ["export-release"],
+)
 """Named in running text, without what they need."""
 
 
