@@ -331,9 +331,7 @@ def test_numbered_files_that_do_not_fit_are_named(numbered, tmp_path, spoil, mes
 @pytest.mark.parametrize("name", ["made.pkl", "made.pt", "made.npy", "made"])
 def test_other_formats_are_refused_with_the_ones_there_are(tmp_path, name):
     (tmp_path / name).write_bytes(pickle.dumps(MOTIONS))
-    with pytest.raises(
-        PredictionsError, match=rf"{name}: expected Parquet, .npz, or a folder .*save the arrays with np"
-    ):
+    with pytest.raises(PredictionsError, match=rf"{name}: expected Parquet, .npz, or a folder .*with np.savez"):
         Predictions.open(tmp_path / name)
 
 

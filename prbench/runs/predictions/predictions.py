@@ -100,6 +100,6 @@ def _require_parquet(path: Path) -> None:
         if file.read(4) == b"PAR1":
             return
     raise PredictionsError(
-        f"{path}: expected Parquet, .npz, or a folder of motions/0000000000.npy …, found a file of another kind. Pickles"
-        " and torch files are never loaded: save the arrays with np.savez."
+        f"{path}: expected Parquet, .npz, or a folder of motions/0000000000.npy …, found a file of another kind."
+        " Pickles and torch files are never loaded: save the arrays with np.savez."
     )
