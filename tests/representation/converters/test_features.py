@@ -170,6 +170,13 @@ def test_statistics_of_the_evaluator_are_noticed_both_ways(released) -> None:
         joints_from_features(released.restore(evaluator.standardise(FEATURES)))
 
 
+def test_a_still_body_shows_foreign_statistics_by_its_contacts(released) -> None:
+    still = encode(np.repeat(person()[:1], 40, axis=0))
+    centred = Statistics(np.zeros(263, dtype=np.float32), released.std)
+    with pytest.raises(InputFileError, match="columns 259 to 262: expected foot contacts near 0 or 1"):
+        joints_from_features(centred.restore(centred.for_evaluator().standardise(still)))
+
+
 def test_features_that_were_never_restored_are_noticed(released) -> None:
     for start in (300, 700, 1100, 1500):  # standing and walking
         with pytest.raises(InputFileError, match="never restored"):

@@ -94,25 +94,50 @@ def test_a_mirrored_source_gives_the_mirrored_person(skeleton) -> None:
 
 
 @pytest.mark.parametrize(
-    ("skeleton", "indices"),
+    ("skeleton", "numbers"),
     [
-        # joint numbers as the formats publish them: left hip, right knee, left ankle, right shoulder, left wrist
-        ("smpl-24", (1, 5, 7, 17, 20)),
-        ("smplx-55", (1, 5, 7, 17, 20)),
-        ("coco-17", (11, 14, 15, 6, 9)),
-        ("openpose-25", (12, 10, 14, 2, 7)),
-        ("ntu-25", (12, 17, 14, 8, 6)),
-        ("h36m-17", (4, 2, 6, 14, 13)),
-        ("h36m-32", (6, 2, 8, 25, 19)),
-        ("mediapipe-33", (23, 26, 27, 12, 15)),
-        ("xsens-23", (19, 16, 21, 8, 14)),
+        # as the formats publish them: hips, knees, ankles, shoulders, elbows, wrists; left before right
+        ("smpl-24", (1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21)),
+        ("smplx-127", (1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21)),
+        ("coco-17", (11, 12, 13, 14, 15, 16, 5, 6, 7, 8, 9, 10)),
+        ("openpose-25", (12, 9, 13, 10, 14, 11, 5, 2, 6, 3, 7, 4)),
+        ("ntu-25", (12, 16, 13, 17, 14, 18, 4, 8, 5, 9, 6, 10)),
+        ("h36m-17", (4, 1, 5, 2, 6, 3, 11, 14, 12, 15, 13, 16)),
+        ("h36m-32", (6, 1, 7, 2, 8, 3, 17, 25, 18, 26, 19, 27)),
+        ("mediapipe-33", (23, 24, 25, 26, 27, 28, 11, 12, 13, 14, 15, 16)),
+        ("xsens-23", (19, 15, 20, 16, 21, 17, 12, 8, 13, 9, 14, 10)),
     ],
 )
-def test_joints_stand_at_their_published_numbers(skeleton, indices) -> None:
+def test_limbs_stand_at_their_published_numbers(skeleton, numbers) -> None:
     known = JOINT_MAPS[skeleton]
-    targets = (Joint.LEFT_HIP, Joint.RIGHT_KNEE, Joint.LEFT_ANKLE, Joint.RIGHT_SHOULDER, Joint.LEFT_WRIST)
-    names = [known.expressions[target].joints[0][0] for target in targets]
-    assert [known.source_joints.index(name) for name in names] == list(indices)
+    names = [known.expressions[limb].joints[0][0] for limb in LIMBS]
+    assert [known.source_joints.index(name) for name in names] == list(numbers)
+
+
+@pytest.mark.parametrize(
+    ("skeleton", "target", "numbers"),
+    [
+        ("coco-17", Joint.HEAD, {3, 4}),
+        ("openpose-25", Joint.HEAD, {17, 18}),
+        ("openpose-25", Joint.LEFT_FOOT, {14, 19, 20}),
+        ("openpose-25", Joint.RIGHT_FOOT, {11, 22, 23}),
+        ("mediapipe-33", Joint.HEAD, {7, 8}),
+        ("mediapipe-33", Joint.LEFT_FOOT, {27, 31}),
+        ("mediapipe-33", Joint.RIGHT_FOOT, {28, 32}),
+        ("ntu-25", Joint.NECK, {2}),
+        ("ntu-25", Joint.HEAD, {2, 3}),
+        ("ntu-25", Joint.LEFT_FOOT, {15}),
+        ("ntu-25", Joint.RIGHT_FOOT, {19}),
+        ("h36m-17", Joint.HEAD, {9, 10}),
+        ("h36m-17", Joint.NECK, {8, 9}),
+        ("h36m-32", Joint.HEAD, {14, 15}),
+        ("h36m-32", Joint.LEFT_FOOT, {9}),
+        ("h36m-32", Joint.RIGHT_FOOT, {4}),
+    ],
+)
+def test_other_joints_are_made_of_the_published_numbers(skeleton, target, numbers) -> None:
+    known = JOINT_MAPS[skeleton]
+    assert {known.source_joints.index(name) for name, _ in known.expressions[target].joints} == numbers
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,19 @@ import pytest
 
 from prbench.axes import z_up
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
+from prbench.errors import InputFileError
+from prbench.evaluation.doctor import Expected, diagnose
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate
 from prbench.representation import canonicalise, encode
-from prbench.representation.converters import JointMap, RestJoints, SmplParameters, read_rest_joints, smpl_joints
+from prbench.representation.clips import MIRRORED_JOINTS
+from prbench.representation.converters import (
+    JointMap,
+    RestJoints,
+    SmplParameters,
+    read_rest_joints,
+    smpl_joints,
+    to_canonical,
+)
 from prbench.representation.uniform_skeleton import retarget
 from prbench.skeleton import Joint
 from prbench.timelines import interpolate
@@ -192,6 +202,76 @@ def test_situation_3_joints_of_another_skeleton(tmp_path, monkeypatch) -> None:
     for row, motion in enumerate(motions):
         wrists = found.joints[row, : len(motion), 20:22] - motion[:, 20:22]
         assert np.linalg.norm(wrists, axis=-1).mean() < 0.04
+
+
+def at_places(motion: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """The motion at fractional frame numbers."""
+    return interpolate(np.arange(len(motion), dtype=np.float64), motion.astype(np.float64), frames)
+
+
+CHAIN_ORDER = [0, 2, 5, 8, 11, 1, 4, 7, 10, 3, 6, 9, 12, 15, 14, 17, 19, 21, 13, 16, 18, 20]
+MISTAKES = {
+    "millimetres": lambda motion: motion * 1000,
+    "Z up": z_up,
+    "another frame rate": lambda motion: at_places(motion, np.arange(len(motion)) * 2 / 3),
+    "facing elsewhere": lambda motion: turned(motion, 1.5),
+    "above or below the floor": lambda motion: motion + np.array([0, 0.4, 0]),
+    "order of the joints": lambda motion: motion[:, CHAIN_ORDER],
+    "left and right exchanged": lambda motion: motion[:, MIRRORED_JOINTS],
+    "a left-handed world": lambda motion: motion * np.array([1, 1, -1]),
+    "a clock that stumbles": lambda motion: at_places(motion, np.round(np.arange(len(motion)) * 0.66) / 0.66),
+    "a clock that slides": lambda motion: at_places(motion, np.arange(len(motion)) * 0.95),
+}
+"""What the guide's table says goes wrong, done to a canonical motion."""
+
+
+def row_of(mistake: str) -> list[str]:
+    """Cells of the guide's table."""
+    found = re.search(rf"^\| {re.escape(mistake)}[^|]*\|(.*)\|$", GUIDE, re.MULTILINE)
+    assert found is not None, mistake
+    return [cell.strip() for cell in found[1].split("|")]
+
+
+def test_recorded_motions_have_none_of_the_faults() -> None:
+    motions = five_motions()
+    assert diagnose(motions, [known_of(motion) for motion in motions], fps=20.0) == ()
+
+
+def five_motions() -> list[np.ndarray]:
+    joints, _ = known_motion()
+    return [canonicalise(joints[first : first + 100].astype(np.float32)) for first in (0, 35, 70, 100, 140)]
+
+
+def known_of(motion: np.ndarray) -> Expected:
+    return Expected(
+        initial_joints=motion[0],
+        previous_joints=2 * motion[0] - motion[1],
+        goal_joints=motion[-1],
+        goal_location=motion[-1, Joint.RIGHT_WRIST].astype(np.float64),
+        n_frames=len(motion),
+        fps=20.0,
+        recorded=motion,
+    )
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_the_doctor_names_each_mistake_as_the_table_says(mistake) -> None:
+    kind = re.match(r"`([a-z-]+)`", row_of(mistake)[2])
+    assert kind is not None
+    motions = five_motions()
+    wrong = [MISTAKES[mistake](motion) for motion in motions]
+    found = diagnose(wrong, [known_of(motion) for motion in motions], fps=20.0)
+    assert kind[1] in {diagnosis.kind for diagnosis in found}
+
+
+@pytest.mark.parametrize(
+    "mistake", [name for name in MISTAKES if "`" in row_of(name)[1] and "ends" not in row_of(name)[1]]
+)
+def test_the_converter_says_what_the_table_says(mistake) -> None:
+    words = re.match(r"`([^`]+)`", row_of(mistake)[1])
+    assert words is not None
+    with pytest.raises(InputFileError, match=re.escape(words[1])):
+        to_canonical(np.asarray(MISTAKES[mistake](five_motions()[0]), dtype=np.float32), 20.0)
 
 
 @pytest.mark.parametrize(
