@@ -39,7 +39,12 @@ def invented_cases() -> Cases:
         invented_sequences,
     )  # inventing people takes half a second to import
 
-    return Cases(_by_length(_source(invented_sequences("test", SEQUENCES))), None)
+    return cases_of(invented_sequences("test", SEQUENCES))
+
+
+def cases_of(sequences: list[Sequence]) -> Cases:
+    """These sequences."""
+    return Cases(_by_length(_source(sequences)), None)
 
 
 def cases_of_table(folder: Path) -> Cases:

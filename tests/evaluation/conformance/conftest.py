@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from prbench.evaluation.conformance.cases import Cases, invented_cases, rows_of, write_sequences
+from prbench.evaluation.conformance.cases import SEQUENCES, Cases, cases_of, write_sequences
 from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.examine import examine
 from prbench.evaluation.conformance.finding import Finding
 from prbench.evaluation.conformance.people import invented_sequences
 from prbench.evaluation.conformance.subject import Subject
 from prbench.evaluation.methods import forget_loaded_methods, method_spec
+from prbench.sequences import Sequence
 from tests.evaluation.conformance.methods_under_test import FAULTS
 
 MODULE = "prbench_methods_under_test"
@@ -43,15 +44,21 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def cases() -> Cases:
-    """Three of the invented sequences."""
-    return Cases(rows_of(invented_cases().source, [0, 6, 11]), None)
+def people() -> list[Sequence]:
+    """The twelve invented test sequences."""
+    return invented_sequences("test", SEQUENCES)
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of three test sequences, which a child opens faster than it invents people."""
-    return write_sequences(tmp_path_factory.mktemp("invented") / "table", invented_sequences("test", 3))
+def cases(people: list[Sequence]) -> Cases:
+    """Three of them, in memory."""
+    return cases_of([people[0], people[5], people[11]])
+
+
+@pytest.fixture(scope="session")
+def data(people: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of three of them, which a child opens faster than it invents people."""
+    return write_sequences(tmp_path_factory.mktemp("invented") / "table", people[:3])
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.evaluation.conformance.cases import invented_cases, write_training_table
+from prbench.evaluation.conformance.cases import cases_of, write_training_table
 from prbench.evaluation.conformance.checks.resources import growth_per_round
 from prbench.evaluation.conformance.people import invented_sequences
 from prbench.evaluation.conformance.request import CheckRequest
@@ -15,10 +15,9 @@ from prbench.skeleton import WRISTS, Joint, facing_yaw
 MIB = 2**20
 
 
-def test_invented_sequences_are_canonical_and_reach_their_goals():
-    sequences = invented_sequences("test", 8)
-    assert len({row.participant_id for row in sequences}) > 1
-    for row in sequences:
+def test_invented_sequences_are_canonical_and_reach_their_goals(people):
+    assert len({row.participant_id for row in people}) > 1
+    for row in people:
         assert row.joints.shape == (row.n_frames, 22, 3)
         assert 41 <= row.n_frames <= 241
         assert row.joints[0, Joint.PELVIS, [0, 2]] == pytest.approx([0, 0], abs=1e-6)
@@ -31,27 +30,35 @@ def test_invented_sequences_are_canonical_and_reach_their_goals():
         assert np.linalg.norm(row.gaze_direction, axis=1) == pytest.approx(1)
 
 
-def test_gaze_is_in_the_canonical_frame():
-    row = invented_sequences("test", 1)[0]
+def test_gaze_is_in_the_canonical_frame(people):
+    row = people[0]
     at = round(row.preroll * row.fps) + 1
     to_goal = row.goal_location - row.gaze_origin[at]
     assert to_goal @ row.gaze_direction[at] / np.linalg.norm(to_goal) > 0.97
 
 
-def test_the_invented_cases_are_the_same_every_time_and_sorted_by_length():
-    first, second = invented_cases().source, invented_cases().source
-    assert first.sequence_ids == second.sequence_ids
-    assert np.array_equal(first.initial_joints, second.initial_joints)
-    assert (np.diff(first.n_frames) >= 0).all()
+def test_the_invented_sequences_are_the_same_every_time(people):
+    again = invented_sequences("test", 6)  # the first recording
+    first = {row.sequence_id: row for row in people}
+    assert all(np.array_equal(row.joints, first[row.sequence_id].joints) for row in again)
 
 
-def test_what_a_method_learns_from_is_disjoint_from_what_it_is_asked_about(tmp_path):
+def test_cases_are_sorted_by_length_with_all_their_values(people):
+    source = cases_of(people).source
+    assert (np.diff(source.n_frames) >= 0).all()
+    rows = {row.sequence_id: row for row in people}
+    for place, name in enumerate(source.sequence_ids):
+        assert source.n_frames[place] == rows[name].n_frames
+        assert np.array_equal(source.goal_joints[place], rows[name].joints[-1])
+
+
+def test_what_a_method_learns_from_is_disjoint_from_what_it_is_asked_about(people, tmp_path):
     table = TrainingSplit.open(write_training_table(tmp_path / "table"))
     learnt = {name for chunk in table.chunks() for name in chunk.sequence_ids}
-    people = set(table.scalars()["participant_id"].to_pylist())
+    teachers = set(table.scalars()["participant_id"].to_pylist())
     assert len(learnt) == 12
-    assert not learnt & set(invented_cases().source.sequence_ids)
-    assert not people & {row.participant_id for row in invented_sequences("test", 12)}
+    assert not learnt & {row.sequence_id for row in people}
+    assert not teachers & {row.participant_id for row in people}
 
 
 def test_steady_growth_is_measured_and_noise_is_not():
