@@ -88,9 +88,11 @@ class ProgramProcess:
         self._known_kin = list(self._kin())  # once the program is gone, nobody knows whose children they were
         self._outbox.close()
         self._inbox.discard()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._popen.wait(EXIT_SECONDS)
-        self.kill()
+        try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._popen.wait(EXIT_SECONDS)
+        finally:  # Ctrl-C while waiting included
+            self.kill()
 
     def kill(self) -> None:
         """End the program and what it started: SIGTERM, then SIGKILL. May be called again."""

@@ -182,6 +182,18 @@ def test_closing_ends_the_program_well_and_for_good(workshop: Workshop) -> None:
         adapter.generate(BATCH, seed=0)
 
 
+def test_what_a_program_still_writes_when_it_is_closed_does_not_hold_it_up(workshop: Workshop) -> None:
+    source = """
+        hello()
+        stdin.read()
+        stdout.write(b"x" * 4_000_000)
+        stdout.flush()
+        open("ended", "w").close()
+    """
+    workshop.start(source).close()
+    assert (workshop.folder / "ended").exists()
+
+
 def test_a_program_that_nobody_holds_any_more_ends(workshop: Workshop) -> None:
     adapter = started(workshop.program(HONEST))
     assert workshop.left_behind()

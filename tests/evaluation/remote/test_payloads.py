@@ -138,6 +138,7 @@ def test_wrong_lengths_are_passed_on_as_found() -> None:
 
 
 NULLS = pa.array([None, FLAT[:66].tolist(), FLAT[:66].tolist()], pa.list_(pa.float32()))
+BACKWARDS = pa.ListArray.from_arrays(pa.array([0, 594, 264, 990], pa.int32()), pa.array(FLAT))
 A, B, C = BATCH.opaque_id
 BAD = {
     "two batches": (stream(flat_rows(), flat_rows()), "one record batch, found 2"),
@@ -148,6 +149,8 @@ BAD = {
     "null id": (stream(flat_rows(pa.array([A, None, C]))), "'opaque_id' without nulls, found one in row 1"),
     "a missing id": (stream(flat_rows().slice(0, 2)), rf"missing 1 \({C}\), repeated 0, unknown 0. Copy opaque_id"),
     "a repeated id": (stream(flat_rows([A, B, B])), rf"missing 1 \({C}\), repeated 1 \({B}\), unknown 0"),
+    "a row too many": (stream(pa.concat_batches([flat_rows(), flat_rows().slice(2)])), "found 4 rows: .*repeated 1"),
+    "offsets that run back": (stream(rows(BACKWARDS)), "expected an Arrow IPC stream as payload, found none"),
     "an unknown id": (stream(flat_rows([A, B, "x"])), rf"missing 1 \({C}\), repeated 0, unknown 1 \(x\)"),
     "integers": (stream(rows(pa.array([[1], [2], [3]]))), "'joints' as list<float32>, found list<item: int64>"),
     "half precision": (stream(rows(pa.array([[], [], []], pa.list_(pa.float16())))), "found list<item: halffloat>"),
