@@ -113,7 +113,7 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
     from prbench.evaluation.run import run_method
 
     if request.isolate:
-        _tell_isolation()
+        _tell_isolation(request.method)
     with progress(f"running {request.method_label}") as show:
         report = run_method(
             request,
@@ -125,10 +125,12 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
     return report
 
 
-def _tell_isolation() -> None:
+def _tell_isolation(method: str) -> None:
     from prbench.evaluation.isolation import available_fence
+    from prbench.evaluation.programs import runs_in_container
 
-    print(available_fence().notice, file=sys.stderr)
+    in_container = "isolated in its container, which shows what its TOML file mounts; tables in there are covered."
+    print(in_container if runs_in_container(method) else available_fence().notice, file=sys.stderr)
 
 
 def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> None:

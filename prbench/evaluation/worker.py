@@ -54,8 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run = TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"])
             adapter.fit(TrainingCopy.open(asked.train), validation=None, run=run)
         introduction = _introduction(asked.name, adapter, _path(settings["weights"]))
-    except PrbenchError as error:
-        write_message(answers, {"message": "error", "text": str(error)})
+    except (Exception, SystemExit) as error:
+        write_message(answers, {"message": "error", "text": _reason(error)})
         return 1
     write_message(answers, introduction)
     _serve(asked.name, adapter, settings["threads"], requests, answers)
@@ -118,11 +118,9 @@ def _answered(
         with computing_threads(threads):
             motions = adapter.generate(own_copy(batch), seed=header["seed"])
         motions = well_formed(motions, batch, method=name, sequence_ids=batch.opaque_id)
-    except PrbenchError as error:
-        return {"message": "error", "text": str(error)}, None
     except (Exception, SystemExit) as error:
         if not is_out_of_memory(error):
-            return {"message": "error", "text": told(error)}, None
+            return {"message": "error", "text": _reason(error)}, None
         release_memory()
         return {"message": "error", "text": "out of memory", "out_of_memory": True}, None
     return _sent(motions, batch)
@@ -131,6 +129,10 @@ def _answered(
 def _sent(motions: Motions, batch: ConditionBatch) -> tuple[Header, bytes]:
     passes = {} if motions.cost is None else {"network_passes": motions.cost.network_passes}
     return {"message": "motions", **passes}, motions_payload(batch.opaque_id, motions)
+
+
+def _reason(error: BaseException) -> str:
+    return str(error) if isinstance(error, PrbenchError) else told(error)
 
 
 def _path(text: str | None) -> Path | None:

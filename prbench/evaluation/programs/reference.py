@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
+
+from prbench.evaluation.programs.words import without_folders
 
 PREFIX = "cmd:"
 SUFFIX = ".toml"
+_LONGEST = 60  # characters of a command in messages
 
 
 def is_command(method: str) -> bool:
@@ -26,5 +30,6 @@ def is_program(method: str) -> bool:
 def short_name(method: str) -> str:
     """What to call a method before it has introduced itself: never a path."""
     if is_command(method):
-        return " ".join(method.removeprefix(PREFIX).split()) or "nothing"
+        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
+        return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
     return Path(method).stem if is_description(method) else method

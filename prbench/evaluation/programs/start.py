@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prbench.errors import InputFileError
 from prbench.evaluation.programs.description import MethodDescription, read_description
-from prbench.evaluation.programs.reference import PREFIX, is_command, short_name
+from prbench.evaluation.programs.reference import PREFIX, is_command, is_description, short_name
 from prbench.evaluation.programs.surroundings import Surroundings, below, inside_environment
 from prbench.evaluation.programs.words import shown_command, split_command
 from prbench.evaluation.remote.program import Program
@@ -53,6 +53,15 @@ def program_of(
     if is_command(method):
         return _of_command(method, dict(environment), timeout)
     return _of_description(Path(method).expanduser(), dict(environment), weights, timeout, hidden)
+
+
+def runs_in_container(method: str) -> bool:
+    """Whether a method is described to run in a container.
+
+    Raises:
+        InputFileError: if its TOML file is not what it should be.
+    """
+    return is_description(method) and read_description(Path(method).expanduser()).environment.container is not None
 
 
 def own_environment(environment: Mapping[str, str]) -> dict[str, str]:

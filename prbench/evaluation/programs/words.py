@@ -35,13 +35,14 @@ def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> 
 
 def shown_command(words: Iterable[str]) -> str:
     """A command for a record that others may read: absolute paths are cut to their last part."""
-    return shlex.join(_without_folders(word) for word in words)
+    return shlex.join(without_folders(word) for word in words)
 
 
-def _without_folders(word: str) -> str:
+def without_folders(word: str) -> str:
+    """A word of a command; an absolute path, also behind ``--key=``, is cut to its last part."""
     key, equals, value = word.partition("=")
     if equals and key.startswith("-"):
-        return f"{key}={_without_folders(value)}"
+        return f"{key}={without_folders(value)}"
     for kind in (PurePosixPath, PureWindowsPath):
         if kind(word).is_absolute() or word.startswith(("~/", "~\\")):
             return kind(word).name or word

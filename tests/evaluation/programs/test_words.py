@@ -60,4 +60,6 @@ def test_methods_are_told_apart_by_their_form_and_never_called_by_a_path():
     assert [is_program(text) for text in ("static", "cmd:python glide.py", "a/Glide.TOML")] == [False, True, True]
     assert short_name("/home/me/methods/glide.toml") == "glide"
     assert short_name("cmd:  python   glide.py") == "python glide.py"
+    assert short_name('cmd:"/home/me/bin/python" /home/me/glide.py') == "python glide.py"
+    assert short_name("cmd:python glide.py" + " --more" * 20).endswith("--more …")
     assert short_name("static") == "static"
