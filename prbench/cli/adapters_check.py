@@ -39,6 +39,9 @@ def add_parser(group: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
     parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads (default 1)")
+    parser.add_argument(
+        "--time-limit", type=positive, default=600, metavar="SECONDS", help="for each call of the method (default 600)"
+    )
     parser.add_argument("--isolate", action="store_true", help="run an installed method in a process of its own")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
 
@@ -55,6 +58,7 @@ def _check(arguments: argparse.Namespace) -> int:
         threads=arguments.threads,
         isolate=arguments.isolate,
         data=arguments.data,
+        time_limit=float(arguments.time_limit),
     )
     with progress(f"checking {arguments.method}") as show:
         report = check(request, lambda name, place, total: show(place, total, name))

@@ -17,7 +17,7 @@ from typing import ClassVar
 from prbench.errors import UsageError
 from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.finding import Finding, Outcome, Report
-from prbench.evaluation.conformance.request import CheckRequest
+from prbench.evaluation.conformance.request import TIME_LIMIT, CheckRequest
 from prbench.evaluation.conformance.session import check
 
 
@@ -39,6 +39,9 @@ class AdapterConformance:
     data: ClassVar[Path | None] = None
     """A dataset whose test sequences are asked about; None for invented people."""
 
+    time_limit: ClassVar[float] = TIME_LIMIT
+    """Seconds for each call of the method."""
+
     _report: ClassVar[Report | None] = None
 
     @classmethod
@@ -52,7 +55,12 @@ class AdapterConformance:
             if not hasattr(cls, "method"):
                 raise UsageError(f'class {cls.__name__} names no method; write  method = "glide"  into it.')
             request = CheckRequest(
-                cls.method, weights=cls.weights, options=cls.options, device=cls.device, data=cls.data
+                cls.method,
+                weights=cls.weights,
+                options=cls.options,
+                device=cls.device,
+                data=cls.data,
+                time_limit=cls.time_limit,
             )
             cls._report = check(request)
         return cls._report
