@@ -127,6 +127,26 @@ def test_a_toml_file_says_how_the_program_must_call_itself(own, table, tmp_path)
         run_method(request(table, tmp_path / "other", str(file)))
 
 
+@pytest.mark.skipif(os.name == "nt", reason="makes programs as POSIX systems have them")
+@pytest.mark.parametrize(
+    ("environment", "tool", "isolation"),
+    [('conda = "drawn"', "conda", None), ('container = "drawn@sha256:1"', "podman", "container")],
+)
+def test_a_method_runs_in_its_own_environment(own, table, tmp_path, monkeypatch, environment, tool, isolation):
+    own.write()
+    (tmp_path / tool).write_text('#!/bin/sh\nwhile [ "$1" != python ]; do shift; done\nshift\nexec $REAL "$@"\n')
+    (tmp_path / tool).chmod(0o755)
+    file = own.folder / "drawn.toml"
+    variables = f'variables = {{ REAL = "{sys.executable}" }}'
+    file.write_text(f'[method]\ncommand = "python drawn.py"\n[environment]\n{environment}\n{variables}\n')
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}/bin")
+    run_method(request(table, tmp_path / "out", str(file), limit=2, isolate=isolation is not None))
+    record = RunRecord.read(tmp_path / "out").method
+    assert (record.name, record.isolation) == ("drawn", isolation)
+    assert record.package.startswith(tool)
+    assert record.package.endswith(": python drawn.py")
+
+
 def test_another_version_of_the_program_does_not_go_on_in_the_folder(own, table, tmp_path):
     own.write()
     run_method(request(table, tmp_path / "out", own.method))
