@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-
-import pyarrow as pa
 
 import prbench
 from prbench.errors import StorageError
-from prbench.evaluation.planning import Selection
+from prbench.evaluation.score_predictions.scored import Scored
 from prbench.evaluation.score_predictions.stated import Stated
 from prbench.manifests import load_protocol
 from prbench.runs import record as run_record
@@ -18,25 +15,12 @@ from prbench.runs.folder import RunFolder
 from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.runs.scores import write_scores
-from prbench.runs.summary import DatasetSummary
 from prbench.storage import file_digest, text_digest
 
 OFFLINE = "offline"
 """Kind of a method whose motions came as a file."""
 UNSTATED = "unstated"
 """Condition of motions of which nobody said what they were made from; never ranked."""
-
-
-@dataclass(frozen=True)
-class Scored:
-    """The results of one table."""
-
-    chosen: Selection
-    """The sequences of split and limit."""
-    selection: Selection
-    """Of these, the ones that were scored."""
-    scores: pa.Table
-    summary: DatasetSummary
 
 
 def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, ...]) -> RunRecord:

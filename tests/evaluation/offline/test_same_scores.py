@@ -307,10 +307,16 @@ def test_another_submission_does_not_replace_scores(table, tmp_path):
         score([table], tmp_path / "out")
 
 
-def test_a_run_says_itself_how_it_was_made(table, tmp_path):
+@pytest.mark.parametrize("changes", [{"native_fps": 30.0}, {"seed": 0}, {"name": "mine"}], ids=str)
+def test_a_run_says_itself_how_it_was_made(table, tmp_path, changes):
     run([table], tmp_path / "run", **VARIANTS[1])
-    with pytest.raises(UsageError, match=r"--native-fps: .* is a run, whose run.json says how"):
-        score([table], tmp_path / "run", native_fps=30.0)
+    with pytest.raises(UsageError, match=r"--(native-fps|seed|name): .* is a run, whose run.json says how"):
+        score([table], tmp_path / "run", **changes)
+
+
+def test_a_limit_that_leaves_nothing_is_refused(table, tmp_path):
+    with pytest.raises(UsageError, match="--max-frames 10: all 15 chosen sequences of synthetic-adt are longer"):
+        score([table], tmp_path / "made.npz", max_frames=10)
 
 
 def test_the_rows_of_a_file_are_read_whatever_library_sorted_them(table, tmp_path):
