@@ -33,7 +33,7 @@ FEATURES = "features"
 """What messages call an array that comes from no file."""
 
 _TINIEST_STD = 1e-8
-_WALKS = 0.002  # metres a frame; slower pelvises say nothing about their scale
+_WALKS = 0.005  # metres a frame; slower pelvises say nothing about their scale
 _SAME_SCALE = 3.0  # factor between the two ways in which the step of the pelvis is written
 _FARTHEST_CONTACT = 4.0
 _FASTEST = 0.15  # metres a frame, mean over joints and frames: 3 m/s
