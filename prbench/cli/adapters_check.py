@@ -64,11 +64,12 @@ def _check(arguments: argparse.Namespace) -> int:
         report = check(request, lambda name, place, total: show(place, total, name))
     if arguments.json is not None:
         write_json(arguments.json, report.as_json())
-    _print(report)
+    print_report(report)
     return _FAILED if report.failed else 0
 
 
-def _print(report: Report) -> None:
+def print_report(report: Report) -> None:
+    """A table on a terminal, plain lines elsewhere."""
     if sys.stdout.isatty():
         _print_table(report)
     else:

@@ -43,4 +43,4 @@ def metres(distance: float) -> str:
         return f"{distance:.2f} m"
     if distance >= 0.001:
         return f"{distance * 100:.1f} cm"
-    return f"{distance:.1e} m"
+    return f"{distance:.1e} m" if distance else "0 m"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
 from prbench.cli import main
+from prbench.cli.adapters_check import print_report
 from prbench.errors import AdapterError
-from prbench.evaluation.conformance import CheckRequest, Outcome, check
+from prbench.evaluation.conformance import CheckRequest, Finding, Outcome, Report, check
 from prbench.evaluation.conformance.checks import CHECKS
 
 
@@ -54,3 +56,16 @@ def test_the_command_prints_what_to_change_and_exits_with_5(site, data, capsys, 
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["counts"]["failed"] == 1
     assert {finding["check"] for finding in report["findings"]} == {one.name for one in CHECKS}
+
+
+def test_on_a_terminal_the_findings_are_a_table(capsys, monkeypatch):
+    findings = (
+        Finding("load", Outcome.PASSED, "takes [text]."),
+        Finding("text", Outcome.FAILED, "no words.", "Treat it as no text."),
+    )
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    print_report(Report("glide", findings, 1.0))
+    shown = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert "takes [text]." in shown  # brackets are no markup
+    assert re.search(r"text\s+failed\s+no words\. Treat it as no text\.", shown)
+    assert "1 passed, 0 skipped, 0 warning, 1 failed" in shown
