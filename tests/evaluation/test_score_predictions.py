@@ -12,6 +12,7 @@ from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.run import run_method
 from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
 from prbench.runs import DatasetSummary, read_scores
+from prbench.runs.numpy_files import Archive
 from tests.evaluation.conftest import adapter_source
 from tests.evaluation.test_run import request
 from tests.fakes import fake_dataset
@@ -309,3 +310,14 @@ def test_flat_lists_are_read_and_odd_ones_refused_by_row(table, recorded, tmp_pa
     pq.write_table(pa.table(rows), tmp_path / "p.parquet")
     with pytest.raises(PredictionsError, match=r"column 'joints', row 4: expected .* all frames after one another"):
         score(table, tmp_path / "p.parquet")
+
+
+def test_motions_of_another_length_are_refused_before_they_are_unpacked(table, recorded, tmp_path, monkeypatch):
+    ids = np.array(list(recorded))
+    joints = np.zeros((15, 2000, 22, 3), np.float32)  # as a small file that unpacks to a large one
+    np.savez_compressed(tmp_path / "p.npz", sequence_id=ids, n_frames=np.full(15, 2000), joints=joints)
+    monkeypatch.delattr(Archive, "unpack")
+    with pytest.raises(
+        PredictionsError, match=r"p.npz, row 0, .*, found 2000 .*All have 2000 frames, as padded motions"
+    ):
+        score(table, tmp_path / "p.npz")

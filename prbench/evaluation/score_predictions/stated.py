@@ -59,6 +59,11 @@ def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable]
         if asked is not None and asked != found:
             flag = f"--{name.replace('_', '-')}"
             raise UsageError(f"{flag} {asked}: {path} was exported with {_shown(found)}. Leave {flag} out.")
+    if info.samples != conditions.sample.max(initial=-1) + 1:
+        raise PredictionsError(
+            f"{path}: expected rows of {info.samples} samples, found {conditions.sample.max(initial=-1) + 1}. The file was"
+            " changed; export the conditions again."
+        )
     stated = Stated(
         info.condition, None, info.seed, info.split, info.limit, info.max_frames, info.native_fps, info.samples
     )

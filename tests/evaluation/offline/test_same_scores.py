@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import pickle
 
+import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -225,6 +226,14 @@ def test_a_changed_conditions_file_is_refused_by_column_and_row(table, tmp_path)
     write_conditions(dataclasses.replace(conditions, goal_location=goals), tmp_path / "c.npz")
     with pytest.raises(PredictionsError, match=r"c.npz, column 'goal_location', row 4: expected what .* give"):
         score([table], path, conditions=tmp_path / "c.npz")
+
+
+def test_a_file_that_claims_more_samples_than_it_has_is_refused_at_once(table, tmp_path):
+    conditions = export([table], tmp_path / "c.npz", condition="none")
+    claimed = msgspec.structs.replace(conditions.info, samples=10**9)
+    write_conditions(dataclasses.replace(conditions, info=claimed), tmp_path / "c.npz")
+    with pytest.raises(PredictionsError, match=r"c.npz: expected rows of 1000000000 samples, found 1"):
+        score([table], tmp_path / "made.npz", conditions=tmp_path / "c.npz")
 
 
 def test_a_conditions_file_that_was_not_used_is_named(table, tmp_path):
