@@ -29,9 +29,8 @@ def main(name: str, report: Path) -> None:
     try:
         importlib.import_module(method.target.partition(":")[0].strip())
     except BaseException as error:  # a plug-in may raise anything, SystemExit and KeyboardInterrupt too
-        _write(
-            report, error=f"cannot be imported: {type(error).__name__}: {error}".rstrip(".: ") + _remedy(error, method)
-        )
+        said = f"cannot be imported: {type(error).__name__}: {error}".rstrip(".: ")
+        _write(report, error=said + _remedy(error, method))
         return
     imported = time.perf_counter()
     _write(report, stage="load", import_seconds=round(imported - started, 3))
@@ -39,7 +38,8 @@ def main(name: str, report: Path) -> None:
         adapter = load_adapter(name, None, {}, "cpu")
         _write(report, load_seconds=round(time.perf_counter() - imported, 3), **declarations(adapter))
     except PrbenchError as error:
-        _write(report, error=str(error).removeprefix(_origin(method)))
+        said = str(error).removeprefix(_origin(method)).rstrip(".")
+        _write(report, error=said + _remedy(error.__cause__, method))
     except BaseException as error:
         _write(report, error=f"{type(error).__name__}: {error}")
 
@@ -67,7 +67,7 @@ def _origin(method: InstalledAdapter) -> str:
     return f"adapter '{method.name}' (package {method.package} {method.version}, {method.target}): "
 
 
-def _remedy(error: BaseException, method: InstalledAdapter) -> str:
+def _remedy(error: BaseException | None, method: InstalledAdapter) -> str:
     """How to install a module that is missing, if the package's own metadata tell."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return ""

@@ -24,6 +24,10 @@ ENDINGS = {
     ),
     "needy": ("import torch_gpu.ops", "Run: pip install 'prbench_needy[gpu]'"),
     "plain": ("import smpl_tools", "Run: pip install 'smpl-tools'"),
+    "needy_later": (
+        "def load(weights, *, options, device): import torch_gpu",
+        "cannot be loaded: ModuleNotFoundError: No module named 'torch_gpu'. Run: pip install 'prbench_nee",
+    ),
     "quits": ("raise SystemExit('needs a GPU')", "cannot be imported: SystemExit: needs a GPU"),
     "leaves": ("import os; os._exit(3)", "left the process while it was imported, with exit status 3"),
     "crashes": (
