@@ -318,6 +318,6 @@ def test_motions_of_another_length_are_refused_before_they_are_unpacked(table, r
     np.savez_compressed(tmp_path / "p.npz", sequence_id=ids, n_frames=np.full(15, 2000), joints=joints)
     monkeypatch.delattr(Archive, "unpack")
     with pytest.raises(
-        PredictionsError, match=r"p.npz, row 0, .*, found 2000 .*All have 2000 frames, as padded motions"
+        PredictionsError, match=r"p.npz, row 0, .* found 2000 .*All have 2000 frames, as padded"
     ):
         score(table, tmp_path / "p.npz")

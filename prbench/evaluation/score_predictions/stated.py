@@ -59,10 +59,10 @@ def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable]
         if asked is not None and asked != found:
             flag = f"--{name.replace('_', '-')}"
             raise UsageError(f"{flag} {asked}: {path} was exported with {_shown(found)}. Leave {flag} out.")
-    if info.samples != conditions.sample.max(initial=-1) + 1:
+    found = int(conditions.sample.max(initial=-1)) + 1
+    if info.samples != found:
         raise PredictionsError(
-            f"{path}: expected rows of {info.samples} samples, found {conditions.sample.max(initial=-1) + 1}. The file was"
-            " changed; export the conditions again."
+            f"{path}: expected rows of {info.samples} samples, found {found}. It was changed; export the conditions again."
         )
     stated = Stated(
         info.condition, None, info.seed, info.split, info.limit, info.max_frames, info.native_fps, info.samples
