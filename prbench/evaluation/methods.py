@@ -3,53 +3,23 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import psutil
-
-from prbench.contract import Adapter, Trainable, TrainingRun
-from prbench.errors import AdapterError, UsageError
-from prbench.evaluation.adapters import InstalledAdapter, find_adapter, load_adapter
+from prbench.errors import UsageError
+from prbench.evaluation.adapters import InstalledAdapter, find_adapter
 from prbench.evaluation.cache import cache_folder
 from prbench.evaluation.controls import METHOD_CONTROLS
 from prbench.evaluation.isolation import fenced, isolated_environment, worker_program
 from prbench.evaluation.isolation.isolated import Fit
-from prbench.evaluation.isolation.training_copy import temporary_training_copy
+from prbench.evaluation.loaded_methods import HELD, LoadedMethod
 from prbench.evaluation.programs import MethodProgram, is_program, own_environment, program_of
-from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
-from prbench.evaluation.training_split import FIT_SEED, TrainingSplit
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
-
-@dataclass
-class LoadedMethod:
-    """A method in this process, or the program that this process has started for it."""
-
-    name: str
-    adapter: Adapter
-    warmed_up: bool = False
-    """It has generated a batch, and with it loaded whatever loads on first use."""
-
-    @property
-    def is_trainable(self) -> bool:
-        """Whether it learns from a table, here or in its own process."""
-        return isinstance(self.adapter, Trainable) or getattr(self.adapter, "trainable", False)
-
-    def program_bytes(self) -> int:
-        """Memory of the method's program and of all that it has started; 0 in process."""
-        if not isinstance(self.adapter, RemoteAdapter):
-            return 0
-        return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
-
-    def close(self) -> None:
-        """End its program, if it has one."""
-        if isinstance(self.adapter, RemoteAdapter):
-            self.adapter.close()
+__all__ = ["LoadedMethod", "MethodSpec", "forget_loaded_methods", "method_spec", "unload_method"]
 
 
 @dataclass(frozen=True)
@@ -79,7 +49,7 @@ class MethodSpec:
 
     def load(self) -> LoadedMethod:
         """The method, ready to generate; made once a process."""
-        return _HELD.method(self)
+        return HELD.method(self)
 
     def fitted_to(self, table: SequenceTable) -> MethodSpec:
         """The same method, fitted to a table if it learns and brought no weights of its own.
@@ -101,7 +71,7 @@ class MethodSpec:
         folder = cache_folder() / "fits" / f"{self.name}-{key[:16]}"
         if self.program is None:
             return replace(self, fit_folder=folder, table_folder=table.folder)
-        copy = _HELD.training_copy(table)
+        copy = HELD.training_copy(table)
         program = self._worker(installed, Fit(copy, folder.absolute()))
         return replace(self, fit_folder=folder, table_folder=copy, program=program)
 
@@ -173,12 +143,12 @@ def forget_loaded_methods() -> None:
 
     A new run never meets the state that an earlier one left in a method.
     """
-    _HELD.forget()
+    HELD.forget()
 
 
 def unload_method() -> None:
     """End the program of this process, if there is one; what was prepared for others is kept."""
-    _HELD.unload()
+    HELD.unload()
 
 
 def _program_spec(spec: MethodSpec, isolate: bool) -> MethodSpec:
@@ -204,87 +174,3 @@ def _isolated_program(found: MethodProgram, spec: MethodSpec) -> tuple[Program, 
         return found.program, "container"  # which shows no more than its mounts, and has no network
     program = fenced(found.program, readable=found.readable, weights=spec.weights, hidden=spec.hidden)
     return program, program.fence
-
-
-@dataclass
-class _Held:
-    """What this process holds for the sake of methods: the one loaded last, and copies of training rows."""
-
-    spec: MethodSpec | None = None
-    loaded: LoadedMethod | None = None
-    copies: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
-
-    def method(self, spec: MethodSpec) -> LoadedMethod:
-        if self.loaded is None or self.spec != spec:
-            self.unload()
-            self.loaded = _loaded_program(spec, spec.program) if spec.program is not None else _loaded_here(spec)
-            self.spec = spec
-        return self.loaded
-
-    def training_copy(self, table: SequenceTable) -> Path:
-        self.copies.append(temporary_training_copy(table))
-        return Path(self.copies[-1].name).resolve()
-
-    def forget(self) -> None:
-        self.unload()
-        for copy in self.copies:
-            copy.cleanup()
-        self.copies.clear()
-
-    def unload(self) -> None:
-        if self.loaded is not None:
-            self.loaded.close()
-        self.spec = self.loaded = None
-
-
-_HELD = _Held()
-
-
-def _loaded_here(spec: MethodSpec) -> LoadedMethod:
-    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
-    if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
-        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
-        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
-    return LoadedMethod(spec.name, adapter)
-
-
-def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
-    weights = spec.weights
-    if weights is not None and weights.exists():
-        weights = weights.absolute()
-    adapter = RemoteAdapter.start(
-        program,
-        weights=None if weights is None else str(weights),
-        options=dict(spec.options),
-        device=spec.device,
-        threads=spec.threads,
-    )
-    if spec.package is None:
-        return LoadedMethod(spec.name, adapter)
-    try:
-        _require_name(adapter.name, spec)
-    except AdapterError:
-        adapter.close()
-        raise
-    return LoadedMethod(adapter.name, adapter)
-
-
-def _require_name(name: str, spec: MethodSpec) -> None:
-    """What a program calls itself must be its own: it is what leaderboards show."""
-    if spec.expected_name is not None and name != spec.expected_name:
-        raise AdapterError(
-            f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
-            " Correct method.name in the TOML file, or start the right program."
-        )
-    if name.casefold() in METHOD_CONTROLS:
-        raise AdapterError(
-            f"program '{spec.name}': expected a name of its own in its hello, found '{name}', which is a control of"
-            " the harness. Let it introduce itself by another name."
-        )
-
-
-def _resident_bytes(process: psutil.Process) -> int:
-    try:
-        return process.memory_info().rss
-    except psutil.Error:
-        return 0  # it has just ended
