@@ -48,7 +48,7 @@ def to_y_up(
     if up not in _TURNS:
         raise UsageError(f"unknown up axis '{up}'.{did_you_mean(up, _TURNS)} Choose one of: {', '.join(_TURNS)}.")
     columns, signs = np.transpose(_TURNS[up])
-    exact = np.float64 if not np.issubdtype(points.dtype, np.floating) else points.dtype  # millimetres come as integers
+    exact = np.result_type(points.dtype, np.float32)  # millimetres may come as integers
     turned = points[..., columns].astype(exact) * (signs * metres_of(unit)).astype(exact)
     if left_handed:
         turned[..., 0] = -turned[..., 0]

@@ -19,6 +19,8 @@ from prbench.skeleton import PARENTS, Joint
 _BEND = 0.01  # metres between knee and the line from hip to ankle; below it a leg says nothing about its front
 _BACKWARDS = -0.3  # mean cosine between the front of the legs and that of the hips
 _LIMB_LENGTHS = (0.12, 0.75)  # metres; thighs, shins and arms of children and of tall people
+_ADULT_LIMB = 0.33  # metres, mean of the eight limbs
+_TINIEST_BODY = 1e-9
 _LIMB_RATIO = 1.6  # between a left limb and the right one
 
 
@@ -67,9 +69,11 @@ def _require_positions(joints: np.ndarray, source: Path | str) -> None:
 
 def _check_unit(lengths: dict[Joint, float], source: Path | str) -> None:
     """All limbs too long or too short by one factor: another unit."""
-    factor = float(np.median(list(lengths.values()))) / 0.33  # metres: the mean of the eight limbs of an adult
+    factor = float(np.median(list(lengths.values()))) / _ADULT_LIMB
     if 1 / 3 < factor < 3:
         return
+    if factor < _TINIEST_BODY:
+        raise InputFileError(source, "", expected="joints of a body", found="joints that lie on one another")
     name = min(UNITS, key=lambda unit: abs(np.log(factor * UNITS[unit])))
     fits = 1 / 2 < factor * UNITS[name] < 2
     raise InputFileError(

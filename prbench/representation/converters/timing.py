@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError
 from prbench.representation.checks import IN_MEMORY
@@ -25,7 +25,7 @@ def frames_needed(n_frames: int, fps: float, *, wanted_fps: float = FRAME_RATE) 
 
 
 def at_rate(
-    values: Float[np.ndarray, "frames *shape"],
+    values: Num[np.ndarray, "frames *shape"],
     fps: float,
     *,
     n_frames: int | None = None,
@@ -55,7 +55,7 @@ def at_rate(
 
 def at_times(
     times: Float[np.ndarray, " frames"],
-    values: Float[np.ndarray, "frames *shape"],
+    values: Num[np.ndarray, "frames *shape"],
     *,
     n_frames: int | None = None,
     wanted_fps: float = FRAME_RATE,
@@ -87,7 +87,7 @@ def at_times(
             remedy="Ask the model for frames_needed(n_frames, fps) frames; a motion is never stretched.",
         )
     query = times[0] + np.arange(wanted) / wanted_fps
-    return interpolate(times.astype(np.float64), values, query).astype(values.dtype)
+    return interpolate(times.astype(np.float64), values, query).astype(np.result_type(values.dtype, np.float32))
 
 
 def _fault(times: np.ndarray) -> str:

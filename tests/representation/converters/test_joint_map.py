@@ -61,6 +61,12 @@ def test_maps_that_cannot_be_meant_are_refused(source, given, message) -> None:
         JointMap.of("own", source, given)
 
 
+def test_whole_millimetres_keep_their_fractions() -> None:
+    whole = np.round(person(5)[:, list(LIMBS)] * 1000).astype(np.int64)
+    joints = JointMap.of("limbs", LIMB_NAMES, IDENTITY).to_22(whole)
+    assert np.allclose(joints / 1000, JointMap.of("limbs", LIMB_NAMES, IDENTITY).to_22(whole / 1000))
+
+
 def test_another_number_of_joints_is_refused() -> None:
     with pytest.raises(InputFileError, match=r"\(frames, 17, 3\) for the skeleton 'coco-17', found \(5, 18, 3\)"):
         joint_map("coco-17").to_22(np.zeros((5, 18, 3)))

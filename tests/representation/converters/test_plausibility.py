@@ -72,5 +72,10 @@ def test_a_missing_position_is_named_and_not_taken_for_another_unit() -> None:
         to_canonical(person()[:0], 20.0)
 
 
+def test_joints_that_lie_on_one_another_are_no_body() -> None:
+    with pytest.raises(InputFileError, match="joints that lie on one another"):
+        to_canonical(np.zeros((5, 22, 3), dtype=np.float32), 20.0)
+
+
 def test_a_child_is_a_person(samples) -> None:
     check_limbs(golden(samples, "child")["joints_in"])

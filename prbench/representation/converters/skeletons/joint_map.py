@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.representation.converters.skeletons.anatomy import COMPLETIONS, LIMBS, NAMES, complete, placed, trunk_axes
@@ -100,7 +100,7 @@ class JointMap:
         return tuple(joint for joint in COMPLETIONS if joint not in self.expressions)
 
     def to_22(
-        self, joints: Float[np.ndarray, "frames ..."], *, source: Path | str = "joints"
+        self, joints: Num[np.ndarray, "frames ..."], *, source: Path | str = "joints"
     ) -> Float[np.ndarray, "frames 22 3"]:
         """The 22 joints.
 
@@ -110,7 +110,7 @@ class JointMap:
             source: Name that messages begin with.
 
         Returns:
-            Same world and unit; the type of the numbers stays.
+            Same world and unit; floating point.
 
         Raises:
             InputFileError: if the array has another number of joints.
@@ -131,4 +131,4 @@ class JointMap:
         axes = trunk_axes(body)
         for joint, expression in self.expressions.items():
             body[:, joint] = placed(expression, columns, native, axes)
-        return complete(body, self.completed).astype(joints.dtype)
+        return complete(body, self.completed).astype(np.result_type(joints.dtype, np.float32))
