@@ -317,7 +317,5 @@ def test_motions_of_another_length_are_refused_before_they_are_unpacked(table, r
     joints = np.zeros((15, 2000, 22, 3), np.float32)  # as a small file that unpacks to a large one
     np.savez_compressed(tmp_path / "p.npz", sequence_id=ids, n_frames=np.full(15, 2000), joints=joints)
     monkeypatch.delattr(Archive, "unpack")
-    with pytest.raises(
-        PredictionsError, match=r"p.npz, row 0, .* found 2000 .*All have 2000 frames, as padded"
-    ):
+    with pytest.raises(PredictionsError, match=r"p.npz, row 0, .* found 2000 .*All have 2000 frames, as padded"):
         score(table, tmp_path / "p.npz")

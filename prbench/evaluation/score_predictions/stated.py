@@ -62,7 +62,7 @@ def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable]
     found = int(conditions.sample.max(initial=-1)) + 1
     if info.samples != found:
         raise PredictionsError(
-            f"{path}: expected rows of {info.samples} samples, found {found}. It was changed; export the conditions again."
+            f"{path}: expected rows of {info.samples} samples, found {found}. It was changed; export it again."
         )
     stated = Stated(
         info.condition, None, info.seed, info.split, info.limit, info.max_frames, info.native_fps, info.samples
