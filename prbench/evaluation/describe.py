@@ -26,6 +26,7 @@ from prbench.evaluation.installed import InstalledAdapter, list_adapters, offere
 TIME_LIMIT = 30.0  # seconds; the slowest of our own takes 5 s on a busy core
 _TAIL = 4096  # bytes of output that are kept
 _LONGEST_LINE = 300  # characters
+_LOOK_EVERY = 0.2  # seconds, to see whether it shall be stopped
 _CHILD = "prbench.evaluation.describe_child"
 
 
@@ -69,24 +70,36 @@ def describe_adapters(
     wanted = None if names is None else frozenset(names)
     chosen = [method for method in installed if wanted is None or method.name in wanted]
     twice = offered_twice(installed)
+    stop = threading.Event()
 
     def describe(method: InstalledAdapter) -> Description:
         if method.name in twice:
             return Description(method, error="another package offers the same name; uninstall one of them")
-        return describe_adapter(method, time_limit=time_limit)
+        return describe_adapter(method, time_limit=time_limit, stop=stop)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        return list(pool.map(describe, chosen))
+        try:
+            return list(pool.map(describe, chosen))
+        finally:
+            stop.set()  # after Ctrl-C nobody waits for the rest
 
 
-def describe_adapter(method: InstalledAdapter, *, time_limit: float = TIME_LIMIT) -> Description:
-    """Import one method in a process of its own and ask it; whatever it does there becomes one line."""
+def describe_adapter(
+    method: InstalledAdapter, *, time_limit: float = TIME_LIMIT, stop: threading.Event | None = None
+) -> Description:
+    """Import one method in a process of its own and ask it; whatever it does there becomes one line.
+
+    Args:
+        method: As listed.
+        time_limit: Seconds after which the process is ended.
+        stop: Ends it before that, once set.
+    """
     if method.problem:
         return Description(method, error=method.problem)
     with tempfile.TemporaryDirectory(prefix="prbench-describe-", ignore_cleanup_errors=True) as folder:
         report = Path(folder) / "report.jsonl"
         child = _Child.start(method, report)
-        status = child.wait(time_limit)
+        status = child.wait(time_limit, stop or threading.Event())
         said = _said(report)
     if said.get("error"):
         return Description(method, import_seconds=said.get("import_seconds"), error=_line(said["error"]))
@@ -172,12 +185,13 @@ class _Child:
         child.reader.start()
         return child
 
-    def wait(self, time_limit: float) -> int | None:
+    def wait(self, time_limit: float, stop: threading.Event) -> int | None:
         """The exit status, or None if it had to be stopped; nothing that it started is left behind."""
         deadline = time.monotonic() + time_limit
         try:
-            return self.process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
+            while time.monotonic() < deadline and not stop.is_set():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    return self.process.wait(_LOOK_EVERY)
             return None
         finally:
             self._stop()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from prbench.cli import main
 from prbench.evaluation.describe import Description, describe_adapter, describe_adapters
-from prbench.evaluation.installed import InstalledAdapter
+from prbench.evaluation.installed import InstalledAdapter, list_adapters
 from tests.evaluation.conftest import adapter_source
 
 _LIMIT = 100.0  # seconds; these take well under one on an idle core
@@ -162,6 +163,25 @@ def test_many_are_described_at_a_time_in_the_order_of_their_names(install):
 def test_unusable_metadata_are_said_without_importing_anything():
     broken = InstalledAdapter("x", "p", "1", "module", "entry point: expected 'module:callable', found 'module'")
     assert describe_adapter(broken).error == broken.problem
+
+
+def test_a_name_that_two_packages_offer_is_not_imported_at_all(install, tmp_path):
+    touched = tmp_path / "touched"
+    for package in ("prbench_one", "prbench_two"):
+        install("same", f"import pathlib; pathlib.Path({str(touched)!r}).touch()", package=package)
+    found = describe_adapters(["same"])
+    assert [one.error for one in found] == ["another package offers the same name; uninstall one of them"] * 2
+    assert not touched.exists()
+
+
+def test_after_an_interruption_nobody_waits(install):
+    install("slow", "import time; time.sleep(60)")
+    stop = threading.Event()
+    threading.Timer(1.0, stop.set).start()
+    started = time.monotonic()
+    (slow,) = [method for method in list_adapters() if method.name == "slow"]
+    assert describe_adapter(slow, time_limit=60.0, stop=stop).error
+    assert time.monotonic() - started < 20
 
 
 def test_the_list_shows_good_and_bad_methods_and_controls(install, capsys):
