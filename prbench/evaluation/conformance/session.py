@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from prbench.errors import UsageError
+from prbench.evaluation.conformance.cases import cases_of_table
 from prbench.evaluation.conformance.check import Check
 from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.child_process import ChildProcess, Lost
@@ -17,9 +19,9 @@ from prbench.evaluation.conformance.examine import worst_of
 from prbench.evaluation.conformance.finding import Finding, Outcome, Report, failed, skipped
 from prbench.evaluation.conformance.request import CheckRequest
 from prbench.evaluation.conformance.subject import working_folder
+from prbench.evaluation.controls import METHOD_CONTROLS
 from prbench.evaluation.methods import method_spec
 from prbench.evaluation.programs import is_program
-from prbench.sequences import SequenceTable
 
 Announce = Callable[[str, int, int], None]
 """Called before each check with its name, its place and how many there are."""
@@ -40,7 +42,9 @@ def check(request: CheckRequest, announce: Announce | None = None) -> Report:
 
     Raises:
         AdapterError: if no such method is installed.
-        TableError: if the table cannot be read.
+        InputFileError: if the TOML file does not say what it must.
+        TableError: if the table cannot be read, or has no test sequences.
+        UsageError: if the method is a control, or a program is not there.
     """
     started = time.perf_counter()
     _require_possible(request)
@@ -55,9 +59,11 @@ def check(request: CheckRequest, announce: Announce | None = None) -> Report:
 
 def _require_possible(request: CheckRequest) -> None:
     """What the user got wrong, before any process is started."""
+    if request.method in METHOD_CONTROLS:
+        raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
     method_spec(request.method, weights=request.weights, options=request.options, isolate=request.isolate)
     if request.data is not None:
-        SequenceTable.open(request.data)
+        cases_of_table(request.data)
 
 
 class _Session:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 
 import pytest
 
 from prbench.cli import main
 from prbench.cli.adapters_check import print_report
-from prbench.errors import AdapterError
+from prbench.errors import AdapterError, UsageError
 from prbench.evaluation.conformance import CheckRequest, Finding, Outcome, Report, check
 from prbench.evaluation.conformance.checks import CHECKS
 
@@ -29,6 +30,7 @@ def test_a_method_that_ends_its_process_fails_and_is_not_asked_again(site, data)
     assert list(outcomes(report)) == [one.name for one in CHECKS]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals end processes elsewhere only")
 def test_after_a_crash_and_a_hang_the_other_checks_go_on(site, data):
     report = check(CheckRequest("diesonblanktextandhangsononeframe", data=data, time_limit=3.0))
     hung, crashed = report.failed
@@ -38,6 +40,11 @@ def test_after_a_crash_and_a_hang_the_other_checks_go_on(site, data):
     assert "signal 11" in crashed.said
     assert outcomes(report)["speed"] is Outcome.PASSED
     assert outcomes(report)["process"] is Outcome.PASSED
+
+
+def test_a_control_is_no_method():
+    with pytest.raises(UsageError, match="control of the harness"):
+        check(CheckRequest("ground-truth"))
 
 
 def test_an_unknown_method_is_the_users_error(site, data):
