@@ -43,13 +43,13 @@ def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
     return frozenset(name for name in names if names.count(name) > 1)
 
 
-def entry_points_of(group: str) -> Iterator[tuple[EntryPoint, Distribution]]:
-    """The readable entry points of a group, each with the package that offers it; unreadable ones are passed over."""
+def entry_points_of(group: str) -> Iterator[EntryPoint]:
+    """The readable entry points of a group; unreadable ones are passed over."""
     for distribution in _distributions():
         for line in _lines(distribution, group):
             name, separator, value = (part.strip() for part in line.partition("="))
             if separator and name and value:
-                yield EntryPoint(name, value, group), distribution
+                yield EntryPoint(name, value, group)
 
 
 def no_such_method(name: str, known: Iterable[str]) -> AdapterError:

@@ -16,7 +16,7 @@ ENTRY_POINT_GROUP = "prbench.training_tasks"
 
 def list_tasks() -> tuple[str, ...]:
     """Names of all installed tasks, without importing any of them."""
-    return tuple(sorted({point.name for point, _ in entry_points_of(ENTRY_POINT_GROUP)}))
+    return tuple(sorted({point.name for point in entry_points_of(ENTRY_POINT_GROUP)}))
 
 
 def load_task(name: str) -> TrainingTask:
@@ -42,7 +42,7 @@ def load_task(name: str) -> TrainingTask:
 
 
 def _find(name: str) -> EntryPoint:
-    found = [point for point, _ in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
+    found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
     if len({point.value for point in found}) > 1:
         offers = ", ".join(point.value for point in found)
         raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")

@@ -99,6 +99,6 @@ def points(*targets: str):
     ],
 )
 def test_a_task_that_cannot_be_had_is_explained(targets, message, monkeypatch):
-    monkeypatch.setattr(installed, "entry_points", points(*targets))
+    monkeypatch.setattr(installed, "entry_points_of", points(*targets))
     with pytest.raises(AdapterError, match=message):
         load_task("mine")
