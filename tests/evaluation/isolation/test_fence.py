@@ -95,6 +95,7 @@ def test_behind_bubblewrap_there_is_no_table_run_cache_home_or_network(bubblewra
             Path("/proc/1/root/root"),
         ]
     )
+    assert available_fence().notice.endswith("network and the file system are withheld.")
     seen = told(request(table, tmp_path / "out", "made", data=(inside,), isolate=True), tmp_path)
     assert seen["seen"][str(inside)] == []  # covered, though its folder is shown
     assert seen["seen"][str(tmp_path / "site/data")] == ["table"]
