@@ -28,8 +28,8 @@ Announce = Callable[[str, int, int], None]
 _GRACE = 10.0  # seconds
 _FORM = ("generates", "shapes", "dtype", "finite")  # without these there is nothing to look at
 _LOST = (
-    "The end of a run would be the same. Run the method on its own under these inputs (its log is above); a deadlock, a"
-    " loop that does not end, sys.exit, and crashes of compiled code do this."
+    "A run would end in the same way. Look for a deadlock, a loop that does not end, os._exit, and crashes of compiled"
+    " code under this input."
 )
 
 

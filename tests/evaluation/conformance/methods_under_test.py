@@ -100,6 +100,11 @@ class Limited(Glide):
     max_frames = 196
 
 
+class NativeRate(Glide):
+    native_fps = 30.0
+    max_frames = 361  # the protocol's twelve seconds
+
+
 class CannotLoad(Glide):
     def __init__(self, method):
         raise RuntimeError("no room for weights")

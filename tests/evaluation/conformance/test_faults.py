@@ -75,7 +75,21 @@ def test_what_is_allowed_but_unwise_is_a_warning(found, method, check):
     assert {(finding.check, finding.outcome) for finding in remarks} == {(check, Outcome.WARNING)}, remarks
 
 
-def test_the_right_method_passes_everything(found):
-    findings = found("glide")
+@pytest.mark.parametrize("method", ["glide", "nativerate"])
+def test_the_right_method_passes_everything(found, method):
+    findings = found(method)
     assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.SKIPPED}, findings
     assert [finding.check for finding in findings if finding.outcome is Outcome.SKIPPED] == ["weights"]
+
+
+def test_a_method_that_learns_is_fitted_to_other_people(found):
+    findings = found("static")
+    assert not [finding for finding in findings if finding.outcome in (Outcome.FAILED, Outcome.WARNING)], findings
+
+
+def test_numbers_are_reported_beside_the_sentences(found):
+    numbers = {finding.check: finding.numbers for finding in found("glide")}
+    assert numbers["initial-pose"]["error_m"] == pytest.approx(0.0, abs=1e-6)
+    assert numbers["lengths"] == {"longest_frames": 241.0}
+    assert numbers["speed"]["motions_a_second"] > 1
+    assert numbers["goal"]["last_m"] < numbers["goal"]["first_m"]

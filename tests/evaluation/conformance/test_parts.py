@@ -9,6 +9,8 @@ from prbench.evaluation.conformance.cases import cases_of, write_training_table
 from prbench.evaluation.conformance.checks.resources import growth_per_round
 from prbench.evaluation.conformance.people import invented_sequences
 from prbench.evaluation.conformance.request import CheckRequest
+from prbench.evaluation.conformance.subject import Subject
+from prbench.evaluation.methods import method_spec
 from prbench.evaluation.training_split import TrainingSplit
 from prbench.skeleton import WRISTS, Joint, facing_yaw
 
@@ -73,3 +75,17 @@ def test_steady_growth_is_measured_and_noise_is_not():
 def test_a_request_survives_the_way_into_another_process(tmp_path):
     request = CheckRequest("cmd:python glide.py", options={"a": "b"}, data=tmp_path, threads=2, time_limit=3.0)
     assert CheckRequest.of_json(request.as_json()) == request
+
+
+def test_a_slow_method_is_asked_about_few_and_short_sequences(site, people, tmp_path, monkeypatch):
+    quick = Subject(method_spec("glide"), cases_of(people), tmp_path)
+    assert quick.rows == tuple(range(12))
+    monkeypatch.setattr("prbench.evaluation.conformance.subject._PATIENCE", 1e-6)
+    slow = Subject(method_spec("glide"), cases_of(people), tmp_path)
+    assert slow.rows == (0, 6)
+
+
+def test_lengths_are_those_of_the_protocol_and_of_max_frames(site, cases, tmp_path):
+    glide = Subject(method_spec("glide"), cases, tmp_path)
+    assert (glide.shortest, glide.protocols_longest, glide.longest) == (41, 241, 241)
+    assert Subject(method_spec("limited"), cases, tmp_path).longest == 196
