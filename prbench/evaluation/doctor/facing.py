@@ -28,7 +28,9 @@ def examine_facing(patient: Patient) -> Finding:
         undone = patient.changed(lambda motion: turned(motion, -float(np.angle(mean))))
     else:
         lowest, highest = np.rad2deg(off.min()), np.rad2deg(off.max())
-        evidence = f"first frames face all ways: {degrees:.0f} degrees off +Z in the median, from {lowest:.0f} to {highest:.0f}"
+        evidence = (
+            f"first frames face all ways: {degrees:.0f} degrees off +Z (median), from {lowest:.0f} to {highest:.0f}"
+        )
         cause = "motions are in the frame of their rooms or recordings, and were not put into their canonical frames"
         undone = patient.with_motions(
             [turned(motion, -float(angle)) for motion, angle in zip(patient.motions, off, strict=True)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
 from prbench.evaluation.doctor.patient import Finding, Patient, healthy
 from prbench.evaluation.doctor.types import Diagnosis
@@ -76,8 +75,9 @@ def _examine_drift(patient: Patient) -> Finding:
 
 
 def _drift(motion: np.ndarray, fps: float) -> _Drift:
-    window = min(len(motion), max(3, round(0.5 * fps)))
-    support = minimum_filter1d(motion[..., 1].min(axis=1), window, mode="nearest")
+    reach = max(1, round(0.25 * fps))  # frames on each side: a swinging foot does not count
+    lowest = np.pad(motion[..., 1].min(axis=1), reach, mode="edge")
+    support = np.lib.stride_tricks.sliding_window_view(lowest, 2 * reach + 1).min(axis=1)
     time = np.linspace(0.0, 1.0, len(motion))
     slope, _ = np.polyfit(time, support, 1)
     correlation = np.corrcoef(time, support)[0, 1] if np.ptp(support) > 1e-6 else 0.0

@@ -103,11 +103,13 @@ def _exchanged_pairs(patient: Patient, distances: Distances) -> Finding:
     """Single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
     agreement = sideways_agreement(patient.poses())
     before = fit(distances, _OWN.places()).badness
-    crossed, after, gain = agreement < _CROSSED, 0.0, _GAIN
-    if crossed.any() and (crossed == _NOT_HIPS).all():
+    crossed, gain = agreement < _CROSSED, _GAIN
+    if (crossed == _NOT_HIPS).all():
         crossed = ~crossed
+    elif crossed.any() and not (crossed == _ARMS).all():
+        crossed = _best_exchange(distances, crossed)
     if not crossed.any():
-        crossed, gain = _best_exchange(distances), _CLEAR_GAIN
+        crossed, gain = _best_exchange(distances, _NOT_HIPS), _CLEAR_GAIN
         crossed = crossed if (agreement[crossed] < _NOT_CROSSED).all() else np.zeros_like(crossed)
     if (crossed == _ARMS).all() or (crossed == ~_ARMS).all() or not crossed.any():
         return healthy(patient)  # whole limbs: left_right.py
@@ -130,10 +132,11 @@ def _exchanged_pairs(patient: Patient, distances: Distances) -> Finding:
     return Finding((found,), patient.changed(lambda motion: motion[:, index]))
 
 
-def _best_exchange(distances: Distances) -> np.ndarray:
-    """Of all ways to exchange left and right of some parts, hips kept, the one with the best bones."""
-    choices = [np.array([False, *bits]) for bits in product((False, True), repeat=len(PARTS) - 1)]
-    return min(choices, key=lambda choice: _badness(distances, with_sides(range(N_JOINTS), choice)))
+def _best_exchange(distances: Distances, parts: np.ndarray) -> np.ndarray:
+    """Of all ways to exchange left and right of some of these parts the one with the best bones."""
+    choices = [parts & np.array(bits) for bits in product((False, True), repeat=len(PARTS))]
+    unique = list({tuple(choice): choice for choice in choices}.values())
+    return min(unique, key=lambda choice: _badness(distances, with_sides(range(N_JOINTS), choice)))
 
 
 def _badness(distances: Distances, index: Sequence[int]) -> float:

@@ -12,6 +12,7 @@ from prbench.evaluation.doctor.resample import at_length
 from prbench.evaluation.doctor.types import Diagnosis
 
 _AGREEING = 0.02  # spread of the logarithm of the ratio
+_NEAR = 0.025
 _RATES = (5, 10, 12, 12.5, 15, 20, 24, 25, 29.97, 30, 40, 50, 59.94, 60, 90, 100, 120)
 
 
@@ -23,7 +24,7 @@ def examine_length(patient: Patient) -> Finding:
     wrong = found != asked
     if not wrong.any():
         return healthy(patient)
-    lines = f"{of_motions(int(wrong.sum()), patient)} have another length: {_example(found, asked)}"
+    lines = f"another length in {of_motions(int(wrong.sum()), patient)}, {_example(found, asked)}"
     ratios = np.log((found - 1).clip(1) / (asked - 1).clip(1))
     ratio = float(np.exp(np.median(ratios)))
     differences = found - asked
@@ -32,14 +33,14 @@ def examine_length(patient: Patient) -> Finding:
     if (differences[wrong] == -1).all():
         cause = "the last frame is missing: 263 features hold a step to the next frame and lose one"
         remedy += " Encode one frame more, or repeat none: extrapolate the last."
-    elif wrong.all() and abs(ratio - 1) > 0.05 and np.ptp(ratios) < _AGREEING + 4 / float(found.min()):
-        kind, cause = "frame-rate", _rate(patient.fps, ratio)
+    elif wrong.all() and (rate := _rate(patient.fps * ratio)) and np.ptp(ratios) < _AGREEING + 4 / float(found.min()):
+        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {patient.fps:g} were asked for"
         remedy = AT_RATE
         undone = _stretched(patient, known)
     elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
         cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
     else:
-        cause = "motions end where the model stopped"
+        cause = "motions end where the model stopped, or were stretched by a factor that is no usual frame rate"
     diagnosis = Diagnosis(kind, True, lines, cause, remedy)
     return Finding((diagnosis,), undone)
 
@@ -50,11 +51,10 @@ def _example(found: np.ndarray, asked: np.ndarray) -> str:
     return f"such as {found[row]} frames instead of {asked[row]}; time is stretched by {ratio:.3f} (median)"
 
 
-def _rate(fps: float, ratio: float) -> str:
-    exact = fps * ratio
+def _rate(exact: float) -> float | None:
+    """The usual rate that a measured one is, if it is one."""
     nearest = min(_RATES, key=lambda rate: abs(np.log(rate / exact)))
-    rate = nearest if abs(np.log(nearest / exact)) < 0.02 else round(exact, 2)
-    return f"motions have {rate:g} frames a second, {fps:g} were asked for"
+    return nearest if abs(np.log(nearest / exact)) < _NEAR else None
 
 
 def _stretched(patient: Patient, known: list[int]) -> Patient:

@@ -14,6 +14,7 @@ _MOVES = 0.10  # metres that joints leave the first pose by, in the mean
 _COPY, _BETTER = 0.03, 0.5  # metres left after matching; share of what is left without it
 _SLIDE, _DELAY = 0.10, 0.10  # seconds off a straight line; at the beginning
 _RATE = 0.04
+_MATCHED = 24  # motions that are matched at most, evenly spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ def examine_recorded_clock(patient: Patient) -> Finding:
     """Match motions with recorded ones in time, where they show the same movement on another clock."""
     rows = [row for row, expected in enumerate(patient.expected) if expected.recorded is not None]
     matches = []
-    for row in rows:
+    for row in rows[:: max(1, len(rows) // _MATCHED)]:
         recorded = patient.expected[row].recorded
         if recorded is None or len(recorded) < 10 or len(patient.motions[row]) < 10:
             continue
@@ -79,10 +80,8 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
     for row in range(len(motion)):
         total[row + 1, 0] = total[row, 0] + apart[row, 0]
         reachable = np.minimum(total[row, :-1], total[row, 1:])
-        running = np.inf
-        for column in range(len(recorded)):
-            running = min(reachable[column], running) + apart[row, column]
-            total[row + 1, column + 1] = running
+        walked = np.cumsum(apart[row])
+        total[row + 1, 1:] = walked + np.minimum.accumulate(reachable - walked + apart[row])
     places = _traced(total)
     same = min(len(motion), len(recorded))
     before = float(apart[np.arange(same), np.arange(same)].mean())

@@ -19,6 +19,8 @@ _PART_OF = np.array([PARTS.index(joint.name.lower().split("_")[-1]) if "_" in jo
 _CHOICES = np.array([[part >= 0 and bits[part] for part in _PART_OF] for bits in product((False, True), repeat=8)])
 """Which joints take their mirror image's place, one row a way to exchange parts."""
 _SIZES = (1.65, 1.45, 1.25)  # metres between the joints of a pose that lie farthest apart: standing, working, sitting
+_ANKLES_AND_FEET = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
+_FEET_AND_ANKLES = _ANKLES_AND_FEET[2:] + _ANKLES_AND_FEET[:2]
 _SWAPS = np.array(list(combinations(range(N_JOINTS), 2)))
 
 
@@ -69,5 +71,7 @@ def _descended(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> t
 
 def _sides_exchanged(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
     """The best of all ways to exchange left and right of single parts, such as both knees."""
-    exchanged = np.where(_CHOICES, order[list(MIRRORED_JOINTS)], order)
+    other_feet = order.copy()
+    other_feet[_ANKLES_AND_FEET] = order[_FEET_AND_ANKLES]  # a shin is as long as from the knee to the toes
+    exchanged = np.concatenate([np.where(_CHOICES, each[list(MIRRORED_JOINTS)], each) for each in (order, other_feet)])
     return _descended(exchanged[int(cost(exchanged).argmin())], cost)

@@ -8,7 +8,6 @@ suspicious, and says nothing where nobody steps or reaches.
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from prbench.evaluation.doctor.patient import Patient
 from prbench.evaluation.doctor.remedies import AT_RATE
@@ -55,7 +54,7 @@ def _durations(path: np.ndarray) -> np.ndarray:
     if len(speed) < 8:
         return np.empty(0)
     durations, last = [], 0
-    for peak in find_peaks(speed, height=0.3 * speed.max())[0]:
+    for peak in _peaks(speed):
         edge = _EDGE * speed[peak]
         before, after = np.flatnonzero(speed[:peak] < edge), np.flatnonzero(speed[peak:] < edge)
         if not before.size or not after.size or before[-1] < last:
@@ -69,3 +68,9 @@ def _durations(path: np.ndarray) -> np.ndarray:
             end = stop - (edge - speed[stop]) / (speed[stop - 1] - speed[stop])
             durations.append(end - begin)
     return np.array(durations)
+
+
+def _peaks(speed: np.ndarray) -> np.ndarray:
+    """Where speed is higher than before and not lower than after, if it is high at all."""
+    inner = speed[1:-1]
+    return 1 + np.flatnonzero((inner > speed[:-2]) & (inner >= speed[2:]) & (inner > 0.3 * speed.max()))
