@@ -31,7 +31,9 @@ class Answer:
     error: str = ""
     """Why, in the harness's words."""
     returned: object = None
-    """What the method itself gave back; None if it raised."""
+    """What the method itself gave back."""
+    answered: bool = False
+    """It came to its end without raising."""
     seconds: float = 0.0
     halvings: int = 0
     overwritten: tuple[str, ...] = ()
@@ -42,7 +44,7 @@ class Answer:
     @property
     def raised(self) -> bool:
         """The method gave nothing back."""
-        return self.motions is None and self.returned is None
+        return not self.answered
 
     def motion(self, row: int) -> Float[np.ndarray, "frames 22 3"]:
         """One motion without padding."""
@@ -56,8 +58,10 @@ class _Watched:
 
     adapter: Adapter
     returned: object = None
+    answered: bool = False
     overwritten: set[str] = field(default_factory=set)
     drew_from: set[str] = field(default_factory=set)
+    seconds: float = 0.0
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.adapter, name)
@@ -66,9 +70,12 @@ class _Watched:
         """Generate, and compare the batch and the global generators with what they were."""
         before = {name: getattr(batch, name).copy() for name in _COPIED if getattr(batch, name) is not None}
         states = global_random.states()
+        started = time.perf_counter()
         try:
             self.returned = self.adapter.generate(batch, seed=seed)
+            self.answered = True
         finally:
+            self.seconds += time.perf_counter() - started
             self.drew_from.update(global_random.touched(states))
             after = {name: getattr(batch, name) for name in before}
             self.overwritten |= {name for name in before if not np.array_equal(before[name], after[name])}
@@ -88,7 +95,6 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     watched = _Watched(adapter)
     motions, halvings, error = None, 0, ""
     own = dataclasses.replace(batch)
-    started = time.perf_counter()
     try:
         with computing_threads(threads), global_random.set_to(state_seed):
             motions, halvings = generate_checked(
@@ -100,6 +106,14 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
             )
     except PrbenchError as raised:
         error = str(raised)
-    seconds = time.perf_counter() - started
-    overwritten, drew_from = tuple(sorted(watched.overwritten)), tuple(sorted(watched.drew_from))
-    return Answer(batch, motions, error, watched.returned, seconds, halvings, overwritten, drew_from)
+    return Answer(
+        batch,
+        motions,
+        error,
+        watched.returned,
+        watched.answered,
+        watched.seconds,
+        halvings,
+        overwritten=tuple(sorted(watched.overwritten)),
+        drew_from=tuple(sorted(watched.drew_from)),
+    )

@@ -17,10 +17,10 @@ def touched(before: dict[str, bytes]) -> tuple[str, ...]:
 
 def states() -> dict[str, bytes]:
     """The state of each global generator, by what a method calls to draw from it."""
+    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
     found = {
         "random": repr(random.getstate()).encode(),
-        "numpy.random": repr(np.random.get_state(legacy=False)["state"]).encode()  # noqa: NPY002 - only looked at
-        + np.random.get_state(legacy=False)["state"]["key"].tobytes(),  # noqa: NPY002
+        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
     }
     torch = sys.modules.get("torch")
     if torch is not None and hasattr(torch, "random"):

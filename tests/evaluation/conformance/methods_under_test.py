@@ -137,6 +137,11 @@ class Exits(Glide):
         sys.exit("bye")
 
 
+class ForgetsToReturn(Glide):
+    def motions(self, joints, n_frames):
+        Motions(joints, n_frames)
+
+
 class BareArray(Glide):
     def motions(self, joints, n_frames):
         return joints
