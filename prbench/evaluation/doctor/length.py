@@ -13,7 +13,7 @@ from prbench.evaluation.doctor.types import Diagnosis
 
 _AGREEING = 0.02  # spread of the logarithm of the ratio
 _NEAR = 0.025
-_RATES = (5, 10, 12, 12.5, 15, 20, 24, 25, 29.97, 30, 40, 50, 59.94, 60, 90, 100, 120)
+_RATES = (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 40.0, 50.0, 59.94, 60.0, 90.0, 100.0, 120.0)
 
 
 def examine_length(patient: Patient) -> Finding:

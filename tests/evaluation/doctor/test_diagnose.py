@@ -94,14 +94,15 @@ def test_a_wrong_rate_is_suspicious_from_the_steps_alone(fault: Fault, walkers: 
 
 
 def test_a_wrong_rate_of_the_right_length_is_certain_from_the_initial_velocity(walkers: list[np.ndarray]) -> None:
-    slow = changed(RATES[3], walkers)
-    fast_starts = [(motion, known(right)) for motion, right in zip(slow, walkers, strict=True) if _starts_fast(right)]
-    assert len(fast_starts) >= 5
-    assert certain(*zip(*fast_starts, strict=True)) == ["frame-rate"]
+    starting = [canonicalise(motion[_fastest(motion) :]) for motion in walkers]
+    assert len(starting) >= 5
+    expected = [known(motion) for motion in starting]
+    assert certain(starting, expected) == []
+    assert certain(changed(RATES[3], starting), expected) == ["frame-rate"]
 
 
-def _starts_fast(motion: np.ndarray) -> bool:
-    return float(np.linalg.norm(motion[1] - motion[0], axis=-1).mean()) * 20 > 0.2
+def _fastest(motion: np.ndarray) -> int:
+    return int(np.linalg.norm(np.diff(motion[:45], axis=0), axis=-1).mean(axis=1).argmax())
 
 
 @pytest.mark.parametrize("fault", [*SLIDES, *RATES[3:]], ids=lambda fault: fault.name)
@@ -230,7 +231,7 @@ def test_noise_and_rubber_bones_are_suspicious(everybody: list[np.ndarray]) -> N
 
 def test_every_diagnosis_has_numbers_a_cause_and_a_remedy(crowds: dict[str, list[np.ndarray]]) -> None:
     for fault in (*SPACE, *TIME):
-        for found in diagnose(changed(fault, crowds["adt"][:3]), None, fps=20.0):
+        for found in diagnose(changed(fault, crowds["adt"][:1]), None, fps=20.0):
             assert isinstance(found, Diagnosis)
             assert isinstance(found.certain, bool)
             assert any(character.isdigit() for character in found.evidence)
