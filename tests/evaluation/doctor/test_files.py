@@ -22,8 +22,8 @@ def motions(crowds: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
     return [motion.astype(np.float32) for motion in crowds["adt"][:4]]
 
 
-def kinds(path: Path, **options: object) -> list[str]:
-    return [each.kind for each in examine_file(DoctorRequest(path, **options)).diagnoses]
+def kinds(path: Path) -> list[str]:
+    return [each.kind for each in examine_file(DoctorRequest(path)).diagnoses]
 
 
 def test_every_form_of_correct_motions_is_read_and_found_right(motions: list[np.ndarray], tmp_path: Path) -> None:
@@ -37,7 +37,7 @@ def test_every_form_of_correct_motions_is_read_and_found_right(motions: list[np.
     np.save(tmp_path / "batch.npy", padded)
     np.savez(tmp_path / "padded.npz", joints=padded, n_frames=lengths, opaque_id=ids)
     np.savez_compressed(tmp_path / "joined.npz", joints=np.concatenate(cut), n_frames=lengths, sequence_id=ids)
-    np.savez(tmp_path / "named.npz", **dict(zip(ids, cut, strict=True)))
+    np.savez(tmp_path / "named.npz", a=cut[0], b=cut[1], c=cut[2], d=cut[3])
     rows = pa.table({"sequence_id": ids, "joints": [motion.reshape(-1, 66).tolist() for motion in cut]})
     pq.write_table(rows, tmp_path / "rows.parquet")
     flat = pa.table({"opaque_id": ids, "joints": [motion.reshape(-1).tolist() for motion in cut]})
