@@ -11,7 +11,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import IO
 
 from prbench.evaluation.installed import InstalledAdapter, list_adapters, offered_twice
+from prbench.evaluation.users_environment import python_words, users_environment
 
 TIME_LIMIT = 30.0  # seconds; the slowest of our own takes 5 s on a busy core
 _TAIL = 4096  # bytes of output that are kept
@@ -170,13 +170,12 @@ class _Child:
     @classmethod
     def start(cls, method: InstalledAdapter, report: Path) -> _Child:
         """Start importing a method, from where this process would import it."""
-        paths = [os.path.abspath(path) for path in sys.path]  # noqa: PTH100 - an empty entry is the current folder
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", _CHILD, method.name, str(report)],
+            python_words(_CHILD, method.name, str(report)),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"},
+            env=users_environment(),
             start_new_session=True,
         )
         assert process.stdout is not None

@@ -99,5 +99,6 @@ def _write(report: Path, **values: object) -> None:
 
 
 if __name__ == "__main__":
+    sys.dont_write_bytecode = True  # looking at a method leaves no files in its package
     main(sys.argv[1], Path(sys.argv[2]))
     os._exit(0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from prbench.evaluation.isolation.isolated import Fit
 from prbench.evaluation.loaded_methods import HELD, LoadedMethod
 from prbench.evaluation.programs import MethodProgram, is_program, own_environment, program_of
 from prbench.evaluation.remote.program import Program
+from prbench.evaluation.users_environment import users_environment
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
@@ -152,7 +152,8 @@ def unload_method() -> None:
 
 
 def _program_spec(spec: MethodSpec, isolate: bool) -> MethodSpec:
-    environment = isolated_environment(os.environ) if isolate else own_environment(os.environ)
+    users = users_environment()
+    environment = isolated_environment(users) if isolate else own_environment(users)
     found = program_of(
         spec.name, environment=environment, weights=spec.weights, timeout=spec.timeout, hidden=spec.hidden
     )

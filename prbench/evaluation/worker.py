@@ -140,4 +140,5 @@ def _path(text: str | None) -> Path | None:
 
 
 if __name__ == "__main__":
+    os.environ.pop("PYTHONPATH", None)  # prbench's own; what the method starts finds its modules by itself
     sys.exit(main())

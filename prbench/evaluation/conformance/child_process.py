@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import queue
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping
@@ -19,6 +17,7 @@ import psutil
 from prbench.evaluation.conformance.finding import Finding, Outcome
 from prbench.evaluation.conformance.request import CheckRequest
 from prbench.evaluation.remote.faults import exit_story
+from prbench.evaluation.users_environment import python_words, users_environment
 
 _MODULE = "prbench.evaluation.conformance.child"
 _SHOWN_LINES = 5
@@ -43,11 +42,11 @@ class ChildProcess:
         self._asking = ""
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed in __exit__
         self._process = subprocess.Popen(
-            [sys.executable, "-m", _MODULE],
+            python_words(_MODULE),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(path or "." for path in sys.path)},
+            env=users_environment(),
         )
         order = {"request": request.as_json(), "checks": checks, "known": dict(known), "folder": str(folder)}
         assert self._process.stdin is not None

@@ -14,6 +14,7 @@ from prbench.evaluation.isolation.environment import isolated_environment, reada
 from prbench.evaluation.isolation.interpreter import executable_folders, import_path, python_folders
 from prbench.evaluation.isolation.mounts import Shown
 from prbench.evaluation.remote.program import Program
+from prbench.evaluation.users_environment import users_environment
 
 _FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process
 _WORKER = "prbench.evaluation.worker"
@@ -49,7 +50,7 @@ def worker_program(
         fit: For a method that is fitted by the run.
         timeout: Seconds for a batch.
     """
-    environment = isolated_environment(os.environ) | text_encoder(os.environ)
+    environment = isolated_environment(users_environment()) | text_encoder(os.environ)
     environment["PYTHONPATH"] = os.pathsep.join(import_path())
     words = [sys.executable, "-P", "-m", _WORKER, name]
     shown = [Shown(path) for path in (*python_folders(target), *readable_folders(environment))]
