@@ -13,6 +13,7 @@ from prbench.skeleton import Joint
 
 _STILL = 1e-3  # metres that a pinned pelvis moves
 _WALKED = 0.12  # metres that an ankle moves over the ground: no one sits
+_SLID = 0.02  # metres that a foot moves under a pinned pelvis
 _EXACT = np.deg2rad(0.05)  # nobody keeps a heading like this
 _FEET = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]
 
@@ -57,9 +58,8 @@ def _pinned(patient: Patient, moving: list[int]) -> Diagnosis | None:
 
 
 def _one_heading(patient: Patient, moving: list[int]) -> Diagnosis | None:
-    spreads = np.array(
-        [np.ptp(wrapped(angles - angles[0])) for angles in (headings(patient.motions[row]) for row in moving)]
-    )
+    motions = [patient.motions[row] for row in moving]
+    spreads = np.array([np.ptp(wrapped(angles - angles[0])) for angles in map(headings, motions)])
     same = spreads < _EXACT
     if same.mean() <= 0.5:
         return None
@@ -67,9 +67,21 @@ def _one_heading(patient: Patient, moving: list[int]) -> Diagnosis | None:
         f"bodies of {of_motions(int(same.sum()), patient)} keep their heading to {np.rad2deg(spreads[same].max()):.1g}"
         " degrees in all frames, while their limbs move"
     )
-    cause = "every frame was put into a canonical frame of its own; only the first frame decides"
     remedy = "Turn whole motions by the heading of their first frame: prbench.representation.canonicalise."
-    return Diagnosis("heading", True, evidence, cause, remedy)
+    own_frames = "every frame was put into a canonical frame of its own; only the first frame decides"
+    centred = same & np.array([_stays_over_the_origin(motion) for motion in motions])
+    if centred.mean() > 0.5:
+        evidence += f"; pelvises of {int(centred.sum())} stay over the origin, while their feet move"
+        return Diagnosis("heading", True, evidence, own_frames, remedy)
+    cause = f"the method never turns a body, which is allowed, or {own_frames}"
+    return Diagnosis("heading", False, evidence, cause, f"If it was made so, nothing. Otherwise: {remedy}")
+
+
+def _stays_over_the_origin(motion: np.ndarray) -> bool:
+    """Whether the pelvis is pinned there, and feet slide under it; who only reaches has feet that stand."""
+    ground = motion[..., [0, 2]]
+    feet = float(np.ptp(ground[:, _FEET], axis=0).max())
+    return float(np.abs(ground[:, Joint.PELVIS]).max()) < _STILL and feet > _SLID
 
 
 def _seen_by_the_body(motion: np.ndarray) -> np.ndarray:

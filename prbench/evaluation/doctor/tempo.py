@@ -19,6 +19,7 @@ _FAR = 0.3  # metres from its beginning to its end
 _ENOUGH = 4
 _SWING, _SWING_RANGE = 0.29, (0.20, 0.40)  # seconds: usual, and what is not suspicious
 _REACH_RANGE = (0.25, 1.6)
+_FARTHEST = 7.0  # times; 120 frames a second shown at 20 make 6, and what is farther off is no clock: feet slide, say
 _COARSEST = 1.9  # frames: narrower peaks are jitter
 
 
@@ -36,7 +37,8 @@ def tempo_of_limbs(patient: Patient) -> tuple[Diagnosis, ...]:
 def _judged(frames: np.ndarray, fps: float, what: str, usual: tuple[float, float]) -> tuple[Diagnosis, ...]:
     middle = float(np.median(frames))
     seconds = middle / fps
-    if usual[0] <= seconds <= usual[1] or middle < _COARSEST:
+    typical = float(np.sqrt(usual[0] * usual[1]))
+    if usual[0] <= seconds <= usual[1] or middle < _COARSEST or seconds > _FARTHEST * typical:
         return ()
     evidence = (
         f"{len(frames)} {what} last {seconds:.2f} s (median, at {fps:g} frames a second); people's {usual[0]:g} to"

@@ -75,6 +75,40 @@ def test_a_lost_root_is_named_where_people_walk(fault: Fault, walkers: list[np.n
     assert tuple(certain(changed(fault, walkers))) == fault.kinds
 
 
+def test_a_heading_that_is_kept_on_purpose_is_at_most_suspicious(walkers: list[np.ndarray]) -> None:
+    straight = []
+    for motion in changed(WALKING[1], walkers):
+        motion[:, :, 2] += np.linspace(0, 3, len(motion))[:, None]
+        straight.append(motion)
+    found = [each for each in diagnose(straight, None, fps=20.0) if each.kind in ("heading", "root")]
+    assert [(each.kind, each.certain) for each in found] == [("heading", False)]
+    assert "never turns a body, which is allowed" in found[0].cause
+    assert "canonical frame of its own" in found[0].cause
+
+
+def test_who_stands_and_only_reaches_may_keep_a_heading(walkers: list[np.ndarray]) -> None:
+    reaching = [np.repeat(motion[:1], len(motion), axis=0) for motion in walkers]
+    for motion in reaching:
+        motion[:, [18, 20], 2] += np.linspace(0, 0.2, len(motion))[:, None]
+    assert certain(reaching) == []
+
+
+def test_feet_that_slide_along_are_no_frame_rate(walkers: list[np.ndarray]) -> None:
+    way = np.linspace(0, 1, 200)
+    glided = [np.repeat(motion[:1], 200, axis=0) for motion in walkers]
+    for motion in glided:
+        motion[:, :, 2] += (2 * way * way * (3 - 2 * way))[:, None]
+    assert "frame-rate" not in [each.kind for each in diagnose(glided, None, fps=20.0)]
+    slow = [each.kind for each in diagnose([_slowed(motion, 6) for motion in walkers], None, fps=20.0)]
+    assert "frame-rate" in slow  # 120 frames a second shown at 20 are still told
+
+
+def _slowed(motion: np.ndarray, times: int) -> np.ndarray:
+    old, new = np.arange(len(motion)), np.linspace(0, len(motion) - 1, times * (len(motion) - 1) + 1)
+    flat = motion.reshape(len(motion), -1)
+    return np.stack([np.interp(new, old, column) for column in flat.T], axis=1).reshape(-1, 22, 3)
+
+
 @pytest.mark.parametrize("fault", TIME, ids=lambda fault: fault.name)
 def test_a_stumbling_clock_is_named_alone(fault: Fault, crowds: dict[str, list[np.ndarray]]) -> None:
     for preset in ("adt", "gimo", "mogaze"):
