@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -51,7 +52,10 @@ class Declared:
             AdapterError: see :meth:`by`.
         """
         return cls(
-            _conditions(conditions, origin), _max_frames(max_frames, origin), _native_fps(native_fps, origin), motionless
+            _conditions(conditions, origin),
+            _max_frames(max_frames, origin),
+            _native_fps(native_fps, origin),
+            motionless,
         )
 
 
@@ -75,6 +79,7 @@ def _max_frames(value: object, origin: str) -> int | None:
 def _native_fps(value: object, origin: str) -> float | None:
     if value is None:
         return None
-    if isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf:
-        return float(value)
+    with contextlib.suppress(OverflowError):  # a whole number beyond what a float holds
+        if isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf:
+            return float(value)
     raise AdapterError(f"{origin}: expected 'native_fps' to be frames per second above 0, or None, found {value!r}.")

@@ -36,7 +36,7 @@ def generate_checked(
         AdapterError: if the method raises, or returns something else than one finite motion of the asked length for
             each row; names method, sequence and frame.
     """
-    native_fps = Declared.by(adapter, origin=f"adapter '{method}'").native_fps
+    native_fps = Declared.by(adapter, origin=f"method '{method}'").native_fps
     asked = batch if native_fps is None else at_native_rate(batch, native_fps)
     motions, halvings = _generate(adapter, asked, seed, method, sequence_ids)
     if native_fps is not None:
@@ -55,10 +55,10 @@ def _generate(
         raise
     except (Exception, SystemExit) as error:
         if not is_out_of_memory(error):
-            raise AdapterError(f"adapter '{method}' failed on {_span(ids)}: {told(error)}") from error
+            raise AdapterError(f"method '{method}' failed: {told(error)}.{_asked_for(ids)}") from error
         if len(batch) == 1:
             raise AdapterError(
-                f"adapter '{method}' ran out of memory on the single sequence {ids[0]}"
+                f"method '{method}' ran out of memory on the single sequence {ids[0]}"
                 f" ({batch.n_frames[0]} frames). Use a device with more memory."
             ) from error
     else:
@@ -83,33 +83,35 @@ def well_formed(motions: object, batch: ConditionBatch, *, method: str, sequence
         AdapterError: naming method, sequence and frame, what was expected and what was found.
     """
     ids = sequence_ids
-    origin = f"adapter '{method}' on {_span(ids)}"
+    origin = f"method '{method}'"
     if not isinstance(motions, Motions):
-        raise AdapterError(f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.")
+        raise AdapterError(
+            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{_asked_for(ids)}"
+        )
     joints, n_frames = motions.joints, _as_array(motions.n_frames)
     if not isinstance(joints, np.ndarray):
         remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
         found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
-        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}")
+        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{_asked_for(ids)}")
     if motions.cost is not None and not isinstance(motions.cost, Cost):
-        raise AdapterError(f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.")
+        raise AdapterError(
+            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{_asked_for(ids)}"
+        )
     longest = int(batch.n_frames.max())
     fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
     if not fits or not np.issubdtype(joints.dtype, np.floating):
         raise AdapterError(
             f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
-            f" found {joints.shape} of {joints.dtype}."
+            f" found {joints.shape} of {joints.dtype}.{_asked_for(ids)}"
         )
     if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
         row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
         found = n_frames[row] if n_frames.shape == batch.n_frames.shape else f"n_frames of shape {n_frames.shape}"
-        raise AdapterError(
-            f"adapter '{method}', sequence {ids[row]}: expected {batch.n_frames[row]} frames, found {found}."
-        )
+        raise AdapterError(f"{origin}, sequence {ids[row]}: expected {batch.n_frames[row]} frames, found {found}.")
     if joints.shape[1] < longest:
         row = int(batch.n_frames.argmax())
         raise AdapterError(
-            f"adapter '{method}', sequence {ids[row]}: expected {longest} frames, found {joints.shape[1]} in joints."
+            f"{origin}, sequence {ids[row]}: expected {longest} frames, found {joints.shape[1]} in joints."
         )
     with np.errstate(over="ignore"):
         joints = joints[:, :longest].astype(np.float32)
@@ -153,7 +155,7 @@ def _require_finite(joints: np.ndarray, batch: ConditionBatch, method: str, ids:
         row, frame = (int(index) for index in np.argwhere(bad)[0])
         joint = int(np.flatnonzero(~np.isfinite(joints[row, frame]).all(axis=1))[0])
         raise AdapterError(
-            f"adapter '{method}', sequence {ids[row]}, frame {frame}: expected finite positions,"
+            f"method '{method}', sequence {ids[row]}, frame {frame}: expected finite positions,"
             f" found {joints[row, frame, joint].tolist()} at joint {joint}."
         )
 
@@ -183,5 +185,7 @@ def release_memory() -> None:
         torch.cuda.empty_cache()
 
 
-def _span(ids: Sequence[str]) -> str:
-    return ids[0] if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+def _asked_for(ids: Sequence[str]) -> str:
+    """Names are long: what was asked for comes behind the reason."""
+    batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+    return f" It was asked for {batch}."

@@ -88,7 +88,7 @@ def spoilt(row, frame, value):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_nan_and_infinity_are_refused_with_method_sequence_and_frame(value):
-    with pytest.raises(AdapterError, match=r"adapter 'm', sequence rec/b, frame 5: expected finite .* at joint 7"):
+    with pytest.raises(AdapterError, match=r"method 'm', sequence rec/b, frame 5: expected finite .* at joint 7"):
         run(Method(spoilt(1, 5, value)))
 
 
@@ -155,7 +155,9 @@ def test_an_exception_of_the_method_is_named_with_the_batch():
     def fail(motions):
         raise KeyError("weights")
 
-    with pytest.raises(AdapterError, match=r"rec/a to rec/c: KeyError: 'weights' \(.*test_motions\.py, line"):
+    with pytest.raises(
+        AdapterError, match=r"failed: KeyError: 'weights' \(.*test_motions\.py, line \d+\)\. .* rec/a to rec/c\.$"
+    ):
         run(Method(fail))
 
 
@@ -163,7 +165,7 @@ def test_a_method_that_ends_the_process_is_an_error_like_any_other():
     def leave(motions):
         raise SystemExit(3)
 
-    with pytest.raises(AdapterError, match=r"rec/a to rec/c: SystemExit: 3 \("):
+    with pytest.raises(AdapterError, match=r"failed: SystemExit: 3 \(.* rec/a to rec/c\.$"):
         run(Method(leave))
 
 

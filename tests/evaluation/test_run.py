@@ -175,11 +175,11 @@ def test_a_method_that_can_generate_nothing_is_an_error(table, tmp_path, install
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("joints[0, 3, 5] = np.nan", r"adapter 'made', sequence synthetic-adt/.*, frame 3: expected finite"),
-        ("joints = joints[:, :-1]", r"adapter 'made', sequence synthetic-adt/.*: expected \d+ frames, found \d+"),
-        ("n_frames = n_frames - 1", r"adapter 'made', sequence synthetic-adt/.*: expected \d+ frames, found \d+"),
-        ("joints = joints[:-1]; n_frames = n_frames[:-1]", r"adapter 'made' on .*: expected joints of shape \(4, "),
-        ("raise RuntimeError('broken')", r"adapter 'made' failed on the batch of 4 .*: RuntimeError: broken"),
+        ("joints[0, 3, 5] = np.nan", r"method 'made', sequence synthetic-adt/.*, frame 3: expected finite"),
+        ("joints = joints[:, :-1]", r"method 'made', sequence synthetic-adt/.*: expected \d+ frames, found \d+"),
+        ("n_frames = n_frames - 1", r"method 'made', sequence synthetic-adt/.*: expected \d+ frames, found \d+"),
+        ("joints = joints[:-1]; n_frames = n_frames[:-1]", r"method 'made': expected joints of shape \(4, "),
+        ("raise RuntimeError('broken')", r"method 'made' failed: RuntimeError: broken .* for the batch of 4 "),
     ],
 )
 def test_a_method_that_breaks_its_contract_leaves_nothing_behind(table, tmp_path, install, body, message):

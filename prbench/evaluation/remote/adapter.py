@@ -39,7 +39,7 @@ class RemoteAdapter:
         self._closed = False
         self.restarts = 0
         """How often the program was started again after a crash."""
-        introduction = self._introduction = self._launch(f"adapter '{program.name}'")
+        introduction = self._introduction = self._launch(f"method '{program.name}'")
         self.name, self.version = introduction.name, introduction.version
         self.conditions: frozenset[Condition] = introduction.declared.conditions
         self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
@@ -76,7 +76,7 @@ class RemoteAdapter:
                 for. The program is ended then, unless it reported the failure itself.
             MemoryError: if it says that the batch does not fit in memory.
         """
-        origin = f"adapter '{self.name}' on {_span(batch.opaque_id)}"
+        origin = f"method '{self.name}'"
         try:
             return self._asked(batch, seed, origin)
         except Ended:
@@ -84,7 +84,7 @@ class RemoteAdapter:
         try:
             return self._asked(batch, seed, origin)
         except Ended as fault:
-            raise AdapterError(self._told(f"{origin}, twice", fault)) from fault
+            raise AdapterError(self._told(f"{origin}, twice", fault, _asked_for(batch.opaque_id))) from fault
 
     def close(self) -> None:
         """End the program. May be called again."""
@@ -126,7 +126,7 @@ class RemoteAdapter:
         except Fault as fault:
             if not isinstance(fault, ReportedError):
                 self._process.kill()
-            raise AdapterError(self._told(origin, fault)) from fault
+            raise AdapterError(self._told(origin, fault, _asked_for(batch.opaque_id))) from fault
 
     def _launch(self, origin: str) -> Introduction:
         process = self._process = ProgramProcess(self._program)
@@ -135,19 +135,20 @@ class RemoteAdapter:
         try:
             answer, _ = process.ask(self._hello, timeout=self._program.start_timeout, answer_limit=_MEGABYTE)
             if answer["message"] == "error":
-                raise ReportedError(f"refused its settings: {error_text(answer)}")
+                raise ReportedError(f"refused to start: {error_text(answer)}")
             return Introduction.read(answer, origin=origin)
         except Fault as fault:
             process.kill()
-            raise AdapterError(self._told(f"{origin}, asked to introduce itself", fault, _SLOW_START)) from fault
+            told = self._told(f"{origin}, asked to introduce itself", fault, if_late=_SLOW_START)
+            raise AdapterError(told) from fault
         except ValueError as error:  # options of more than 64 kB
             raise AdapterError(f"{origin}: its settings cannot be sent: {error}. Put them into a file.") from error
-        except AdapterError:
+        except AdapterError as error:
             process.kill()
-            raise
+            raise AdapterError(f"{error}{_log_story(process.log, even_if_empty=False)}") from error
 
-    def _told(self, origin: str, fault: Fault, if_late: str = _SLOW_BATCH) -> str:
-        """A fault, what to do about it, and the end of the log."""
+    def _told(self, origin: str, fault: Fault, asked_for: str = "", *, if_late: str = _SLOW_BATCH) -> str:
+        """A fault, what to do about it, what was asked for, and the end of the log."""
         text = f"{origin}: its program {fault}.".replace("..", ".")
         if isinstance(fault, TimedOut):
             text += if_late
@@ -155,11 +156,13 @@ class RemoteAdapter:
             text += (
                 f" It ran apart (--isolate, {self._program.fence}): paths and variables of this machine may be hidden."
             )
-        return text + _log_story(self._process.log, even_if_empty=isinstance(fault, Ended | TimedOut))
+        return text + asked_for + _log_story(self._process.log, even_if_empty=isinstance(fault, Ended | TimedOut))
 
 
-def _span(ids: Sequence[str]) -> str:
-    return f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+def _asked_for(ids: Sequence[str]) -> str:
+    """Ids are long: what they stand for comes behind the reason."""
+    batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+    return f" It was asked for {batch}."
 
 
 def _log_story(log: ProgramLog, *, even_if_empty: bool) -> str:

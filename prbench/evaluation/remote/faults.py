@@ -18,6 +18,10 @@ class TimedOut(Fault):
     """It has not done in time what it was asked for."""
 
 
+class CutShort(Fault):
+    """It has announced a payload and not written all of it in time."""
+
+
 class BrokenProtocol(Fault):
     """It wrote to stdout what is no message, or not the message that was due."""
 

@@ -51,7 +51,7 @@ class Introduction:
             )
         _require_version(header.get("wire"), origin)
         motionless = header.get("motionless")
-        if motionless not in (None, True, False):
+        if motionless is not None and not isinstance(motionless, bool):
             raise AdapterError(
                 f"{origin}: expected 'motionless' in its hello to be true or false, found {_shown(motionless)}."
             )
@@ -59,7 +59,7 @@ class Introduction:
             _text(header, "name", origin),
             _text(header, "version", origin),
             Declared.checked(
-                header.get("conditions"),
+                _array(header, "conditions", origin),
                 header.get("max_frames"),
                 header.get("native_fps"),
                 motionless is True,
@@ -70,10 +70,19 @@ class Introduction:
         )
 
 
+def _array(header: Mapping[str, Any], key: str, origin: str) -> list[Any]:
+    value = header.get(key)
+    if isinstance(value, list):
+        return value
+    raise AdapterError(f"{origin}: expected '{key}' in its hello to be an array of strings, found {_shown(value)}.")
+
+
 def _require_version(found: object, origin: str) -> None:
-    if found == WIRE_VERSION and not isinstance(found, bool):
+    if type(found) is int and found == WIRE_VERSION:
         return
-    remedy = "Update prbench" if isinstance(found, int) and found > WIRE_VERSION else "Update the program"
+    remedy = "Update prbench" if type(found) is int and found > WIRE_VERSION else "Update the program"
+    if type(found) is not int:
+        remedy = f"Send the whole number {WIRE_VERSION}"
     raise AdapterError(
         f"{origin}: expected version {WIRE_VERSION} of the wire protocol ('wire' in its hello),"
         f" found {_shown(found)}. {remedy}."

@@ -22,6 +22,7 @@ __all__ = [
     "motions_payload",
     "parse_header",
     "read_message",
+    "shown_json",
     "write_message",
 ]
 
@@ -57,12 +58,21 @@ def parse_header(line: bytes) -> Header:
         raise ValueError(f"no JSON in UTF-8: {error}") from error
     if not isinstance(header, dict) or not isinstance(header.get("message"), str):
         raise ValueError("no JSON object with a text under 'message'")
-    if header.get("bytes") is None:
-        return {key: value for key, value in header.items() if key != "bytes"}
-    size = header["bytes"]
-    if not isinstance(size, int) or isinstance(size, bool) or size < 0:
-        raise ValueError(f"'bytes' is {str(size)[:40]!r}, no whole number of 0 or more")
+    if "bytes" in header and not (type(header["bytes"]) is int and header["bytes"] >= 0):
+        raise ValueError(f"'bytes' is {shown_json(header['bytes'])}, no whole number of 0 or more")
     return header
+
+
+def shown_json(value: object) -> str:
+    """A value of a header as JSON, with its type where the eye may take it for another.
+
+    >>> shown_json(7), shown_json("7"), shown_json(None)
+    ('7', '"7" (a string)', 'null')
+    """
+    text = json.dumps(value)
+    text = text if len(text) <= 40 else f"{text[:40]}…"
+    names = {str: "a string", float: "a number with decimals", list: "an array", dict: "an object"}
+    return f"{text} ({names[type(value)]})" if type(value) in names else text
 
 
 def _refuse_constant(name: str) -> None:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO
 
-from prbench.evaluation.remote.faults import BrokenProtocol, Ended, TimedOut, excerpt
+from prbench.evaluation.remote.faults import BrokenProtocol, CutShort, Ended, TimedOut, excerpt
 from prbench.evaluation.remote.messages import HEADER_LIMIT, Header, parse_header
 
 _CHUNK = 1 << 16
@@ -109,6 +109,7 @@ class Inbox:
 
         Raises:
             BrokenProtocol: if what comes is no message.
+            CutShort: if less of the payload comes in time than its header announces.
             Ended: if the program ends or closes a pipe before the message is complete.
             TimedOut: if the message is not complete in time.
         """
@@ -121,7 +122,10 @@ class Inbox:
                 f"announced a payload of {size:,} bytes, where at most {payload_limit:,} can be the answer"
             )
         while len(self._buffer) < size:
-            self._take_in(deadline, f"{len(self._buffer):,} of {size:,} bytes of its payload")
+            try:
+                self._take_in(deadline, f"{len(self._buffer):,} of {size:,} bytes of its payload")
+            except TimedOut:
+                raise CutShort(_cut_short(size, len(self._buffer), deadline.seconds)) from None
         return header, self._cut(size)
 
     def require_silence(self) -> None:
@@ -223,6 +227,14 @@ class Inbox:
                         continue
                 if not chunk:
                     return
+
+
+def _cut_short(announced: int, written: int, seconds: float) -> str:
+    return (
+        f"announced a payload of {announced:,} bytes and wrote {written:,} of them within {seconds:g} s. 'bytes' has"
+        " to be the size of what follows, all of it written and flushed; if it was still writing, raise the limit with"
+        " --timeout"
+    )
 
 
 def _no_message(line: bytes, reason: str = "") -> BrokenProtocol:

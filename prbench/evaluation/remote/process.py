@@ -174,7 +174,7 @@ def _runs(process: psutil.Process) -> bool:
 
 
 def _cannot_start(program: Program, error: Exception) -> str:
-    origin = f"adapter '{program.name}': its program cannot be started"
+    origin = f"method '{program.name}': its program cannot be started"
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         if program.directory is not None and not program.directory.is_dir():
             return f"{origin}: expected the folder {program.directory} to start in, found none."

@@ -14,6 +14,7 @@ from prbench.contract import Motions
 from prbench.skeleton import N_JOINTS
 
 _NUMBERS = N_JOINTS * 3  # a frame
+_FILE_MAGIC = b"ARROW1"
 _SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: numbers, or frames in either nesting
 
 
@@ -54,14 +55,23 @@ class ReceivedMotions:
 
 
 def _record_batch(payload: bytes) -> pa.RecordBatch:
+    if payload.startswith(_FILE_MAGIC):
+        raise ValueError(
+            "expected an Arrow IPC stream as payload, found an Arrow file (it begins with ARROW1). Write the stream"
+            " format: RecordBatchStreamWriter, new_stream"
+        )
+    source = pa.BufferReader(payload)
     try:
-        with pa.ipc.open_stream(payload) as reader:
+        with pa.ipc.open_stream(source) as reader:
             batches = list(reader)
+            behind = len(payload) - source.tell()
         for batch in batches:
             batch.validate(full=True)  # offsets that point outside would be read as they are
     except (pa.ArrowException, OSError, EOFError) as error:
         cause = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise ValueError(f"expected an Arrow IPC stream as payload, found none that can be read: {cause}") from error
+    if behind:
+        raise ValueError(f"expected nothing behind the end of the Arrow stream, found {behind:,} bytes")
     if len(batches) != 1:
         raise ValueError(f"expected one record batch, found {len(batches)}")
     return batches[0]

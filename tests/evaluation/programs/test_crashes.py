@@ -31,8 +31,8 @@ def test_one_crash_does_no_harm_and_after_two_on_a_batch_the_same_command_resume
     with pytest.raises(AdapterError) as caught:
         run_method(request(table, tmp_path / "twice", own.method))
     message = str(caught.value)
-    assert message.startswith("adapter 'drawn' on the batch of 4 sequences from synthetic-adt/rec")
-    assert "fake, twice: its program ended with exit status 134" in message
+    assert message.startswith("method 'drawn', twice: its program ended with exit status 134")
+    assert "It was asked for the batch of 4 sequences from synthetic-adt/rec" in message
     assert message.endswith("    CUDA error: an illegal memory access")
     assert len(list((tmp_path / "twice/predictions").glob("part-*.parquet"))) == 1
 

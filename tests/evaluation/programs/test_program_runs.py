@@ -158,16 +158,14 @@ def test_another_version_of_the_program_does_not_go_on_in_the_folder(own, table,
 def test_an_error_of_a_program_names_the_sequence(own, table, tmp_path):
     refusal = '{"message": "error", "batch": header["batch"], "text": "no way to " + rows["opaque_id"][0]}'
     own.write(body=f"write({refusal})\ncontinue")
-    with pytest.raises(AdapterError, match=r"adapter 'drawn' on .*: no way to synthetic-adt/rec"):
+    with pytest.raises(AdapterError, match=r"method 'drawn': .*: no way to synthetic-adt/rec"):
         run_method(request(table, tmp_path / "out", own.method))
     assert not (tmp_path / "out").exists()
 
 
 def test_wrong_lengths_and_late_answers_end_the_run_and_keep_what_was_finished(own, table, tmp_path):
     own.write(body='if header["batch"] == 2: joints[0] = joints[0][66:]')
-    with pytest.raises(
-        AdapterError, match=r"adapter 'drawn', sequence synthetic-adt.*: expected \d+ frames, found \d+"
-    ):
+    with pytest.raises(AdapterError, match=r"method 'drawn', sequence synthetic-adt.*: expected \d+ frames, found \d+"):
         run_method(request(table, tmp_path / "out", own.method))
     assert len(list((tmp_path / "out/predictions").glob("part-*.parquet"))) == 2
     own.write(body="time.sleep(60)")

@@ -109,7 +109,7 @@ def test_a_program_that_reports_an_error_is_asked_for_the_next_batch(workshop: W
         read()
     """
     adapter = workshop.start(source)
-    with pytest.raises(AdapterError, match=r"adapter 'made' on the batch .*: its program reported an error: too many"):
+    with pytest.raises(AdapterError, match=r"method 'made': its program reported an error: too many"):
         adapter.generate(BATCH, seed=0)
     with pytest.raises(MemoryError, match="7 GB wanted"):
         adapter.generate(BATCH, seed=0)
@@ -149,8 +149,8 @@ def test_wrong_motions_are_told_by_the_name_of_the_sequence(workshop: Workshop) 
     unknown = replace(BATCH, opaque_id=("a" * 64, *BATCH.opaque_id[1:]))
     adapter = workshop.start(HONEST)
     for batch, says in (
-        (longer, "adapter 'made', sequence adt/a/cup/pick/1: expected 5 frames, found 4"),
-        (unknown, r"sequences from adt/a/cup/pick/1 to adt/c/cup/put/3: .*missing 1 \(adt/a/cup/pick/1\)"),
+        (longer, "method 'made', sequence adt/a/cup/pick/1: expected 5 frames, found 4"),
+        (unknown, r"missing 1 \(adt/a/cup/pick/1\).* sequences from adt/a/cup/pick/1 to adt/c/cup/put/3\."),
     ):
         with pytest.raises(AdapterError, match=says):
             generate_checked(adapter, batch, seed=0, method="made", sequence_ids=names)

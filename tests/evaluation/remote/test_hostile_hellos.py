@@ -33,8 +33,9 @@ LETTERS = [
     Case("deeply nested", RAW.format("b'{\"a\":' * 9000 + b'\\n'"), "is no message: .*no JSON in UTF-8"),
     Case("no object", RAW.format("b'{\"hello\": 1}\\n'"), "no JSON object with a text under 'message'"),
     Case("no number", RAW.format('b\'{"message": "hello", "wire": NaN}\\n\''), "NaN is no JSON"),
-    Case("negative bytes", "hello(bytes=-1)", "'bytes' is '-1', no whole number"),
-    Case("bytes as text", "hello(bytes='7')", "'bytes' is '7', no whole number"),
+    Case("negative bytes", "hello(bytes=-1)", "'bytes' is -1, no whole number"),
+    Case("bytes as text", "hello(bytes='7')", r"'bytes' is \"7\" \(a string\), no whole number"),
+    Case("bytes of null", "hello(bytes=None)", "'bytes' is null, no whole number"),
     Case(
         "huge payload", "hello(bytes=10**15)", "announced a payload of 1,000,000,000,000,000 bytes, where at most 1,0"
     ),
@@ -49,16 +50,22 @@ LETTERS = [
 ]
 REFUSED = "read(); write({{'message': 'error', 'text': {!r}}})"
 CLAIMS = [
-    Case("refuses", REFUSED.format("unknown option 'x'."), "its program refused its settings: unknown option 'x'.$"),
-    Case("refuses without words", REFUSED.format(None), "refused its settings: no reason given.$"),
+    Case("refuses", REFUSED.format("unknown option 'x'."), "its program refused to start: unknown option 'x'.$"),
+    Case("refuses without words", REFUSED.format(None), "refused to start: no reason given.$"),
     Case("another message", "read(); write({'message': 'motions'})", "'hello' with 'hello', found the message 'mot"),
     Case("a newer wire", "hello(wire=2)", "expected version 1 of the wire protocol.*found 2. Update prbench."),
-    Case("no wire", "hello(wire=None)", "expected version 1 of the wire protocol.*found None. Update the program."),
+    Case("a wire with decimals", "hello(wire=1.0)", "version 1 of .* found 1.0. Send the whole number 1."),
+    Case("a true wire", "hello(wire=True)", "version 1 of .* found True. Send the whole number 1."),
+    Case("no wire", "hello(wire=None)", "expected version 1 of .* found None. Send the whole number 1."),
     Case("unknown condition", "hello(conditions=['goal'])", r"goal-loc, goal-pose, none, text, found \['goal'\]"),
+    Case("conditions as object", "hello(conditions={'goal-loc': 1})", "'conditions' in its hello to be an array of"),
     Case("no condition", "hello(conditions=[])", r"expected 'conditions' to be some of .*found \[\]"),
     Case("nested conditions", "hello(conditions=[['none']])", "expected 'conditions' to be some of"),
     Case("wrong max_frames", "hello(max_frames=0)", "'max_frames' to be a whole number of 1 or more.*found 0"),
     Case("wrong native_fps", "hello(native_fps='30')", "'native_fps' to be frames per second above 0.*found '30'"),
+    Case("motionless as number", "hello(motionless=1)", "'motionless' in its hello to be true or false, found 1"),
+    Case("endless native_fps", "read(); print(json.dumps({**INTRODUCTION, 'native_fps': 10**400}))", "above 0, or"),
+    Case("a reason that is no text", "read(); write({'message': 'error', 'text': 7})", "'text' 7, where a string was"),
     Case("wrong motionless", "hello(motionless='no')", "'motionless' in its hello to be true or false, found 'no'"),
     Case("no name", "hello(name='')", "'name' in its hello to be a text of 1 to 100 printable characters, found ''"),
     Case("a name for terminals", r"hello(name='a\x1b[2J')", r"'name' in its hello .* found 'a\\x1b\[2J'"),
@@ -74,5 +81,17 @@ def test_a_program_that_introduces_itself_badly_is_refused_with_the_reason(case:
     with pytest.raises(AdapterError) as caught:
         workshop.start(case.source, start_timeout=0.4 if case.waits else 20.0)
     message = str(caught.value)
-    assert message.startswith("adapter 'cmd:made'")
+    assert message.startswith("method 'cmd:made'")
     assert re.search(case.says, message, re.DOTALL), message
+
+
+def test_what_is_wrong_with_a_hello_is_told_with_the_log(workshop: Workshop) -> None:
+    with pytest.raises(AdapterError, match=r"found 'no'\. The end of the log, .*\.log:\n    two lines\n    of advice$"):
+        workshop.start("print('two lines\\nof advice', file=sys.stderr); hello(motionless='no'); read()")
+
+
+def test_a_reason_cannot_play_with_the_terminal(workshop: Workshop) -> None:
+    with pytest.raises(
+        AdapterError, match="refused to start: a\N{REPLACEMENT CHARACTER}\\[2Jb\nc\N{REPLACEMENT CHARACTER}"
+    ):
+        workshop.start(r"read(); write({'message': 'error', 'text': 'a\x1b[2Jb\nc\ud800'})")

@@ -22,8 +22,14 @@ def test_messages_follow_one_another_without_anything_in_between() -> None:
     assert read_message(stream) is None
 
 
-def test_a_null_size_means_no_payload_and_windows_line_ends_are_read() -> None:
-    assert parse_header(b'{"message": "hello", "bytes": null}\r\n') == {"message": "hello"}
+def test_windows_line_ends_are_read() -> None:
+    assert parse_header(b'{"message": "hello"}\r\n') == {"message": "hello"}
+
+
+@pytest.mark.parametrize("size", ["null", "2.0", "true", '"2"', "-2"])
+def test_a_size_is_a_whole_number_or_left_out(size: str) -> None:
+    with pytest.raises(ValueError, match=f"'bytes' is {size}.*, no whole number of 0 or more"):
+        parse_header(f'{{"message": "hello", "bytes": {size}}}\n'.encode())
 
 
 def test_a_stream_that_ends_in_mid_message_is_told_from_one_that_ends() -> None:

@@ -161,7 +161,8 @@ BAD = {
     "frames of 63": (stream(rows(pa.array([[[0.0] * 63]] * 3))), r"66 numbers a frame in 'joints', found .*\(63,\)"),
     "uneven frames": (stream(rows(pa.array([[[0.0] * 66, [0.0]]] * 3))), "numbers in every frame of 'joints', found 1"),
     "axes first": (stream(rows(pa.array(np.zeros((3, 1, 3, 22)).tolist()))), r"found frames of shape \(3, 22\)"),
-    "an Arrow file": (b"ARROW1\0\0" + stream(flat_rows()), "expected an Arrow IPC stream as payload, found none"),
+    "an Arrow file": (b"ARROW1\0\0" + stream(flat_rows()), "found an Arrow file .*ARROW1.*stream format"),
+    "bytes behind": (stream(flat_rows()) + b"\0", "nothing behind the end of the Arrow stream, found 1 bytes"),
     "JSON": (b'{"joints": []}', "expected an Arrow IPC stream as payload, found none"),
 }  # fmt: skip
 
