@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +15,7 @@ import pytest
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
+from prbench.evaluation.motions import generate_checked
 from prbench.evaluation.remote import answers, introduction, messages, process
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
@@ -117,10 +119,11 @@ def test_every_form_of_motions_that_the_page_accepts_is_accepted(ids, kind):
         np.testing.assert_array_equal(found.joints[row, : len(motion)].astype(np.float32), motion)
 
 
-def _stream(rows: pa.RecordBatch) -> bytes:
+def _stream(*batches: pa.RecordBatch) -> bytes:
     sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, rows.schema) as writer:
-        writer.write_batch(rows)
+    with pa.ipc.new_stream(sink, batches[0].schema) as writer:
+        for rows in batches:
+            writer.write_batch(rows)
     return sink.getvalue().to_pybytes()
 
 
@@ -157,11 +160,16 @@ def read():
     sys.stdin.buffer.read(header.get("bytes", 0))
 def write(**header):
     os.write(1, json.dumps(header).encode() + b"\\n")
+def motions(payload):
+    header = {"message": "motions", "batch": 0, "bytes": len(payload)}
+    os.write(1, json.dumps(header).encode() + b"\\n" + payload)
+    sys.stdin.buffer.read()
 def hello(**changes):
     read()
     write(**{"message": "hello", "wire": 1, "name": "made", "version": "1", "conditions": ["goal-loc"], **changes})
 """
 ASKED = "hello(); read();"
+ASKED_FOR = batch()
 ENVIRONMENT = tuple(os.environ.items())
 FAULTS = {
     "exits, twice at the same batch": f"{ASKED} sys.exit(3)",
@@ -176,17 +184,31 @@ FAULTS = {
     "answers another batch": f"{ASKED} write(message='motions', batch=7); time.sleep(30)",
     "answers something else": f"{ASKED} write(message='progress', batch=0); time.sleep(30)",
     "answers without a payload": f"{ASKED} write(message='motions', batch=0); time.sleep(30)",
+    "answers a batch by another type": f"{ASKED} write(message='motions', batch='0'); time.sleep(30)",
+    "answers no batch": f"{ASKED} write(message='motions'); time.sleep(30)",
+    "writes a size that is no number": f"{ASKED} write(message='motions', batch=0, bytes=None); time.sleep(30)",
+    "announces more than it writes": f"{ASKED} write(message='motions', batch=0, bytes=9); os.write(1, b'no'); read()",
+    "sends an Arrow file": f"{ASKED} motions(b'ARROW1' + PAYLOAD)",
+    "writes behind the stream in its payload": f"{ASKED} motions(PAYLOAD + b'abc')",
+    "sends two record batches": f"{ASKED} motions(TWICE)",
+    "leaves out a sequence": f"{ASKED} motions(ONE)",
+    "sends integers": f"{ASKED} motions(INTEGERS)",
+    "makes another length": f"{ASKED} motions(SHORTER)",
+    "makes NaN": f"{ASKED} motions(NAN)",
     "sends what is no Arrow stream": f"{ASKED} write(message='motions', batch=0, bytes=2); os.write(1, b'no'); read()",
     "speaks another version": "hello(wire=2); time.sleep(30)",
     "has no name": "hello(name=None); time.sleep(30)",
     "declares an unknown condition": "hello(conditions=['gaze']); time.sleep(30)",
     "refuses its settings": "read(); write(message='error', text=\"no weights 'x'; there are a and b\")",
+    "gives another JSON type in its hello": "hello(motionless=1); time.sleep(30)",
+    "gives `wire` with decimals": "hello(wire=1.0); time.sleep(30)",
+    "gives `conditions` that are no array": "hello(conditions={'goal-loc': 1}); time.sleep(30)",
     "reports an error": f"{ASKED} write(message='error', batch=0, text='the bowl is too hot'); read()",
 }
 
 
 def test_the_page_lists_these_faults():
-    assert [row[0] for row in table("What the harness says")] == list(FAULTS)
+    assert {row[0] for row in table("What the harness says")} == set(FAULTS)
 
 
 @pytest.mark.parametrize(("fault", "said"), table("What the harness says"))
@@ -194,24 +216,39 @@ def test_the_harness_says_what_the_page_says(fault, said, tmp_path, monkeypatch)
     if sys.platform == "win32" and "signal" in said:
         pytest.skip("there are no signals on Windows")
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
-    asked = batch()
-    still = Motions(np.repeat(asked.initial_joints[:, None], 4, axis=1), asked.n_frames)
-    payload = messages.motions_payload(asked.opaque_id, still)
-    good = b"".join(messages.encode_message({"message": "motions", "batch": 0}, payload))
-    (tmp_path / "made.py").write_text(f"GOOD = {good!r}\n{BEGINNING}\n{FAULTS[fault]}\n", encoding="utf-8")
-    limit = 1.0 if fault == "does not answer" else 30.0
-    command = (sys.executable, "-S", "-E", str(tmp_path / "made.py"))
-    program = Program("made", command, tmp_path, ENVIRONMENT, start_timeout=30.0, batch_timeout=limit)
+    limit = 1.0 if fault in ("does not answer", "announces more than it writes") else 30.0
     with pytest.raises(AdapterError) as caught:
-        _asked_twice(program, asked)
+        _asked_twice(_made(FAULTS[fault], tmp_path, limit))
     assert words(said)[0] in str(caught.value)
 
 
-def _asked_twice(program: Program, asked: ConditionBatch) -> None:
+def _made(source: str, folder: Path, limit: float = 30.0) -> Program:
+    """A program with good and bad payloads at hand."""
+    whole = Motions(np.repeat(ASKED_FOR.initial_joints[:, None], 4, axis=1), ASKED_FOR.n_frames)
+    shorter = Motions(whole.joints, whole.n_frames - 1)
+    spoilt = Motions(np.where(np.arange(4)[:, None, None] == 1, np.nan, whole.joints), whole.n_frames)
+    ids, good = ASKED_FOR.opaque_id, messages.motions_payload(ASKED_FOR.opaque_id, whole)
+    rows = pa.ipc.open_stream(good).read_next_batch()
+    payloads = {
+        "PAYLOAD": good,
+        "GOOD": b"".join(messages.encode_message({"message": "motions", "batch": 0}, good)),
+        "TWICE": _stream(rows, rows),
+        "ONE": _stream(rows.slice(0, 1)),
+        "INTEGERS": _stream(rows.set_column(1, "joints", pa.array([[1], [2]]))),
+        "SHORTER": messages.motions_payload(ids, shorter),
+        "NAN": messages.motions_payload(ids, spoilt),
+    }
+    made = "\n".join([*(f"{name} = {value!r}" for name, value in payloads.items()), BEGINNING, source, ""])
+    (folder / "made.py").write_text(made, encoding="utf-8")
+    command = (sys.executable, "-S", "-E", str(folder / "made.py"))
+    return Program("made", command, folder, ENVIRONMENT, start_timeout=30.0, batch_timeout=limit)
+
+
+def _asked_twice(program: Program) -> None:
     adapter = RemoteAdapter.start(program, weights=None, options={}, device="cpu", threads=1)
     try:
         for _ in range(2):
-            adapter.generate(asked, seed=0)
+            generate_checked(adapter, ASKED_FOR, seed=0, method="made", sequence_ids=ASKED_FOR.opaque_id)
     finally:
         adapter.close()
 

@@ -76,6 +76,11 @@ def test_the_program_hears_the_settings_and_the_adapter_what_it_declares(worksho
     )
 
 
+def test_a_payload_behind_a_hello_is_read_and_ignored(workshop: Workshop) -> None:
+    adapter = workshop.start("read(); write(INTRODUCTION, b'{further}'); motions(read()[0]); read()")
+    np.testing.assert_array_equal(adapter.generate(BATCH, seed=0).ragged(), EXPECTED)
+
+
 def test_requests_are_numbered_and_say_what_is_asked(workshop: Workshop) -> None:
     source = """
         hello()
