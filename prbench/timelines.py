@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation, Slerp
 
 from prbench.errors import StreamsDoNotOverlap
 
@@ -90,6 +89,8 @@ def slerp(
         return np.broadcast_to(quaternions, (len(query), 4)).copy()
     if len(query) == 0:
         return np.empty((0, 4))
+    from scipy.spatial.transform import Rotation, Slerp  # late: 0.3 s that a run and its workers do not need
+
     rotations = Rotation.from_quat(quaternions, scalar_first=True)
     inside = np.clip(query, times[0], times[-1])
     return Slerp(times, rotations)(inside).as_quat(scalar_first=True)

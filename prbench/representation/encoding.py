@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import correlate1d
 
 from prbench.representation.checks import IN_MEMORY, check_joints
 from prbench.representation.features import (
@@ -99,6 +98,8 @@ def _reference_headings(forward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 def _forward(motion: np.ndarray) -> np.ndarray:
     """Smoothed x and z (N, 2) of the unit forward vector Y x across; +Z without any heading."""
+    from scipy.ndimage import correlate1d  # late: 0.3 s that a run and its workers do not need
+
     hips = motion[:, Joint.LEFT_HIP] - motion[:, Joint.RIGHT_HIP]
     shoulders = motion[:, Joint.RIGHT_SHOULDER] - motion[:, Joint.LEFT_SHOULDER]
     across = _unit(hips + shoulders)
