@@ -41,6 +41,19 @@ def frames(kind: pa.DataType, shape: tuple[int, ...]) -> pa.Array:
     return pa.array([motion.reshape(4, *shape).tolist() for motion in MOTIONS.joints], pa.list_(kind))
 
 
+def extended(column: pa.Array) -> pa.Array:
+    """As a library with an extension type of its own would write it."""
+
+    class Kind(pa.ExtensionType):
+        def __init__(self) -> None:
+            super().__init__(column.type, "tests.strictness")
+
+        def __arrow_ext_serialize__(self) -> bytes:
+            return b""
+
+    return pa.ExtensionArray.from_storage(Kind(), column)
+
+
 def options(**changes: Any) -> pa.ipc.IpcWriteOptions:
     return pa.ipc.IpcWriteOptions(**changes)
 
@@ -57,6 +70,7 @@ PAYLOADS = {
     "frames of 22 lists of 3 numbers": [
         stream(frames(kind, (22, 3))) for kind in (pa.list_(pa.list_(NUMBER)), pa.list_(pa.list_(NUMBER, 3), 22))
     ],
+    "extension types": [stream(extended(JOINTS))],
     "other columns": [stream()],
     "buffers compressed with LZ4 or ZSTD": [stream(options=options(compression=name)) for name in ("lz4", "zstd")],
     "a stream without its end marker": [stream()[:-8]],
