@@ -6,9 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from prbench.cli.arguments import command
-
-_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+from prbench.cli.arguments import CONDITIONS, command
 
 
 def add_parser(group: argparse._SubParsersAction) -> None:
@@ -24,7 +22,7 @@ def add_parser(group: argparse._SubParsersAction) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="new folder (default: ./prbench-NAME, or ./NAME)")
     parser.add_argument(
         "--condition",
-        choices=_CONDITIONS,
+        choices=CONDITIONS,
         action="append",
         default=[],
         help="what the method is given (default goal-loc); repeatable",

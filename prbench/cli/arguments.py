@@ -6,6 +6,9 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+"""What a method can be given; spelt out here, so that ``--help`` imports no arrays."""
+
 
 def command(
     commands: argparse._SubParsersAction,
@@ -39,6 +42,31 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=positive, default=1, metavar="N", help="processes to use (default 1); changes no result"
     )
+
+
+def add_split(parser: argparse.ArgumentParser) -> None:
+    """``--split``; the test split unless another is named."""
+    parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
+
+
+def add_limit(parser: argparse.ArgumentParser) -> None:
+    """``--limit N`` sequences of each dataset."""
+    parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+
+
+def add_method_settings(parser: argparse.ArgumentParser) -> None:
+    """What a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="NAME|FILE",
+        help="the method's weights: bundled ones by name, a file or a folder",
+    )
+    parser.add_argument(
+        "--option", type=key_value, action="append", default=[], metavar="KEY=VALUE", help="for the method; repeatable"
+    )
+    parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
+    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads a worker (default 1)")
 
 
 def add_permission(parser: argparse.ArgumentParser) -> None:

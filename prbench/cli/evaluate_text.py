@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import command, key_value, positive
+from prbench.cli.arguments import add_split, command, key_value, positive
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
@@ -39,7 +39,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--evaluator", type=Path, required=True, metavar="FILE", help="weights of a t2m-evaluator")
     parser.add_argument("--corpus", type=Path, required=True, metavar="DIR", help="a built corpus or dataset")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.json", help="where the numbers are written")
-    parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
+    add_split(parser)
     parser.add_argument("--kind", action="append", default=[], metavar="KIND", help="only captions of it; repeatable")
     parser.add_argument("--method", metavar="NAME", help="an installed method that takes texts; none for real motion")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="the method's weights")

@@ -6,9 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from prbench.cli.arguments import add_data, add_permission, command, positive
-
-_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+from prbench.cli.arguments import CONDITIONS, add_data, add_limit, add_permission, add_split, command, positive
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -21,12 +19,12 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         execute=_export,
     )
     add_data(parser, required=True)
-    parser.add_argument("--condition", choices=_CONDITIONS, required=True, help="what the method is given")
+    parser.add_argument("--condition", choices=CONDITIONS, required=True, help="what the method is given")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".parquet, or .npz for NumPy alone")
     parser.add_argument("--seed", type=int, default=0, help="behind opaque ids and noise seeds (default 0)")
     parser.add_argument("--samples", type=positive, default=1, metavar="K", help="motions a sequence (default 1)")
-    parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
-    parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+    add_split(parser)
+    add_limit(parser)
     parser.add_argument(
         "--max-frames",
         type=positive,

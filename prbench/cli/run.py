@@ -7,7 +7,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_data, add_permission, add_workers, command, key_value, positive
+from prbench.cli.arguments import (
+    CONDITIONS,
+    add_data,
+    add_limit,
+    add_method_settings,
+    add_permission,
+    add_split,
+    add_workers,
+    command,
+    positive,
+)
 from prbench.cli.progress import progress
 from prbench.cli.sequence_scores import print_sequence_scores
 from prbench.cli.summaries import print_side_by_side, print_summary
@@ -18,7 +28,6 @@ if TYPE_CHECKING:
     from prbench.evaluation.run import RunReport
 
 _FIRST_RUN_WORKERS = 2
-_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -37,11 +46,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         help="an installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
         " ground-truth, ground-truth-resampled, scripted",
     )
-    parser.add_argument("--condition", choices=_CONDITIONS, default="none", help="what the method is given")
+    parser.add_argument("--condition", choices=CONDITIONS, default="none", help="what the method is given")
     add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
     parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: one under ./runs); resumes")
-    parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
-    parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+    add_split(parser)
+    add_limit(parser)
     parser.add_argument(
         "--sequence",
         action="append",
@@ -51,21 +60,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--view", type=Path, metavar="FILE", help="show the motions as .png, .mp4 or .html")
     add_permission(parser)
-    parser.add_argument(
-        "--weights",
-        type=Path,
-        metavar="NAME|FILE",
-        help="the method's weights: bundled ones by name, a file or a folder",
-    )
-    parser.add_argument(
-        "--option", type=key_value, action="append", default=[], metavar="KEY=VALUE", help="for the method; repeatable"
-    )
+    add_method_settings(parser)
     parser.add_argument("--control", choices=["shuffled-goal"], help="give every sequence another one's goal")
     parser.add_argument("--seed", type=int, default=0, help="of the run (default 0)")
     parser.add_argument("--samples", type=positive, default=1, metavar="N", help="motions a sequence (default 1)")
     parser.add_argument("--batch-size", type=positive, metavar="N", help="sequences a batch (default 64)")
-    parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
-    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads a worker (default 1)")
     parser.add_argument(
         "--isolate",
         action="store_true",

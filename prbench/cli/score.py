@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from prbench.cli.arguments import add_data, add_workers, command, positive
+from prbench.cli.arguments import CONDITIONS, add_data, add_workers, command, positive
 from prbench.cli.progress import progress
 from prbench.cli.summaries import print_summary
-
-_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -38,7 +36,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--split", choices=["train", "validation", "test"], help="default: that of the run, else test")
     parser.add_argument("--limit", type=positive, metavar="N", help="the predictions cover only these N sequences")
     parser.add_argument("--seed", type=int, help="behind the opaque ids, if the predictions have those (default 0)")
-    parser.add_argument("--condition", choices=_CONDITIONS, help="what the method was given; leaderboards need it")
+    parser.add_argument("--condition", choices=CONDITIONS, help="what the method was given; leaderboards need it")
     parser.add_argument("--control", choices=["shuffled-goal"], help="the method was given other sequences' goals")
     parser.add_argument("--max-frames", type=positive, metavar="N", help="longer sequences count as unsupported")
     parser.add_argument("--native-fps", type=float, metavar="F", help="rate of the motions, if not the table's")
