@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import command, key_value, positive
+from prbench.cli.arguments import add_method_settings, command, positive
 from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -33,14 +33,16 @@ def add_parser(group: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="ask about 12 test sequences of this dataset (default: invented people)",
     )
-    parser.add_argument("--weights", type=Path, metavar="NAME|FILE", help="the method's weights")
-    parser.add_argument(
-        "--option", type=key_value, action="append", default=[], metavar="KEY=VALUE", help="for the method; repeatable"
-    )
-    parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 …")
-    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads (default 1)")
+    add_method_settings(parser)
     parser.add_argument(
         "--time-limit", type=positive, default=600, metavar="SECONDS", help="for each call of the method (default 600)"
+    )
+    parser.add_argument(
+        "--start-limit",
+        type=positive,
+        default=120,
+        metavar="SECONDS",
+        help="for importing an installed method, and for loading it (default 120)",
     )
     parser.add_argument("--isolate", action="store_true", help="run an installed method in a process of its own")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
@@ -59,6 +61,7 @@ def _check(arguments: argparse.Namespace) -> int:
         isolate=arguments.isolate,
         data=arguments.data,
         time_limit=float(arguments.time_limit),
+        start_limit=float(arguments.start_limit),
     )
     with progress(f"checking {arguments.method}") as show:
         report = check(request, lambda name, place, total: show(place, total, name))
@@ -73,8 +76,10 @@ def print_report(report: Report) -> None:
     if sys.stdout.isatty():
         _print_table(report)
     else:
-        for finding in report.findings:
+        for finding in _shown(report):
             print(f"{finding.outcome.value:<8} {finding.check:<16} {_sentences(finding)}")
+    if waiting := _waiting(report):
+        print("\n".join(waiting))
     print(_summary(report))
 
 
@@ -85,14 +90,33 @@ def _print_table(report: Report) -> None:
     from rich.table import Table
 
     table = Table("check", "", "what was found, and what to change", box=box.SIMPLE, pad_edge=False)
-    for finding in report.findings:
+    for finding in _shown(report):
         outcome = finding.outcome.value
         table.add_row(finding.check, f"[{_COLOURS[outcome]}]{outcome}[/]", escape(_sentences(finding)))
     Console().print(table)
 
 
+def _shown(report: Report) -> list[Finding]:
+    """What has a line of its own: all but the checks that wait for another one."""
+    return [finding for finding in report.findings if not _waits(finding)]
+
+
+def _waits(finding: Finding) -> bool:
+    return finding.outcome.value == "skipped" and " before " in finding.said
+
+
+def _waiting(report: Report) -> list[str]:
+    """One line for all checks that wait for the same one."""
+    by_reason: dict[str, list[str]] = {}
+    for finding in filter(_waits, report.findings):
+        by_reason.setdefault(finding.said, []).append(finding.check)
+    return [f"skipped  {reason} {len(names)}: {', '.join(names)}." for reason, names in by_reason.items()]
+
+
 def _sentences(finding: Finding) -> str:
-    return f"{finding.said} {finding.remedy}".strip()
+    """What was found and what to change; behind a log the latter has a line of its own."""
+    between = "\n    " if "\n" in finding.said else " "
+    return f"{finding.said}{between}{finding.remedy}".strip()
 
 
 def _summary(report: Report) -> str:

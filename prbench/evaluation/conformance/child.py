@@ -31,6 +31,7 @@ def main() -> None:
     tell = _teller()
     subject = _subject(CheckRequest.of_json(order["request"]), Path(order["folder"]))
     subject.asking = lambda text: tell(event="asking", text=text)
+    subject.starting = lambda text: tell(event="starting", text=text)
     known = {name: Outcome(value) for name, value in order["known"].items()}
     checks = [one for one in CHECKS if one.name in order["checks"]]
     for finding in examine(subject, checks, known=known, announce=lambda one: tell(event="check", name=one.name)):

@@ -8,6 +8,7 @@ import queue
 import subprocess
 import tempfile
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from prbench.evaluation.users_environment import python_words, users_environment
 _MODULE = "prbench.evaluation.conformance.child"
 _SHOWN_LINES = 5
 _OTHERWISE = 120.0
+_HEARTBEAT = 10.0  # seconds between words about the same work
 
 
 class Lost(Exception):
@@ -30,16 +32,33 @@ class Lost(Exception):
 
 @dataclass(frozen=True)
 class Event:
-    """A finding, or the beginning of the next check."""
+    """A finding, a word about what takes so long, or the beginning of the next check."""
 
     finding: Finding | None = None
+    waiting: str = ""
+
+
+@dataclass(frozen=True)
+class TimeLimits:
+    """Seconds."""
+
+    call: float
+    """For each call of the method."""
+    start: float
+    """For importing it, and for loading it."""
+
+    def of(self, event: str) -> float:
+        """What may follow an event of the child; whatever is not the method's own work has two minutes or more."""
+        if event == "starting":
+            return self.start
+        return self.call if event == "asking" else max(self.call, _OTHERWISE)
 
 
 class ChildProcess:
     """Runs some checks in a process of its own, which may crash or hang."""
 
     def __init__(self, request: CheckRequest, checks: list[str], known: Mapping[str, str], folder: Path) -> None:
-        self._asking = ""
+        self._doing = ""
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed in __exit__
         self._process = subprocess.Popen(
             python_words(_MODULE),
@@ -70,33 +89,39 @@ class ChildProcess:
         self._process.wait()
         self._log.close()
 
-    def events(self, time_limit: float) -> Iterator[Event]:
+    def events(self, limits: TimeLimits) -> Iterator[Event]:
         """What the child does, until it has done everything.
-
-        Args:
-            time_limit: Seconds for each call of the method. Whatever else takes its time, such as starting and
-                importing on a busy machine, has two minutes or more.
 
         Raises:
             Lost: if it crashed, or the method took longer.
         """
+        limit = limits.of("")
         while True:
-            limit = time_limit if self._asking else max(time_limit, _OTHERWISE)
-            try:
-                line = self._lines.get(timeout=limit)
-            except queue.Empty:
-                raise Lost(f"no end after {limit:g} s{self._story()}") from None
+            began = time.monotonic()
+            while (line := self._next(min(_HEARTBEAT, limit - (time.monotonic() - began)))) is None:
+                waited = time.monotonic() - began
+                if waited >= limit:
+                    raise Lost(f"no end after {limit:g} s{self._story()}")
+                yield Event(waiting=f"{self._doing or 'while at work'}, {waited:.0f} s so far".removeprefix("while "))
             if not line:
                 raise Lost(f"the process of the method {exit_story(self._process.wait())}{self._story()}")
             message = json.loads(line)
             if message["event"] == "end":
                 return
-            self._asking = message["text"] if message["event"] == "asking" else ""
+            self._doing = message.get("text", "")
+            limit = limits.of(message["event"])
             if message["event"] == "check":
                 yield Event()
             elif message["event"] == "finding":
                 found = message["finding"]
                 yield Event(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
+
+    def _next(self, patience: float) -> bytes | None:
+        """The next line, empty at the end; None if it does not come."""
+        try:
+            return self._lines.get(timeout=max(patience, 0.01))
+        except queue.Empty:
+            return None
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -106,7 +131,7 @@ class ChildProcess:
 
     def _story(self) -> str:
         """What was under way, and the last words on stderr."""
-        asked = f", while it generated {self._asking}" if self._asking else ""
+        asked = f", {self._doing}" if self._doing else ""
         self._log.seek(0)
         lines = [line for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
         told = " | ".join(line.strip() for line in lines[-_SHOWN_LINES:])

@@ -28,7 +28,8 @@ def examine(
     for one in checks:
         if announce is not None:
             announce(one)
-        findings = [observation.of(one.name) for observation in _observed(one, subject, worst)]
+        by_program = not subject.is_installed
+        findings = [observation.of(one.name, by_program=by_program) for observation in _observed(one, subject, worst)]
         worst[one.name] = worst_of(findings)
         yield from findings
 

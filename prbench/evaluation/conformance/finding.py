@@ -60,18 +60,37 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Remedy:
+    """What to change, told otherwise to the author of an adapter in Python than to the author of a program."""
+
+    adapter: str
+    program: str
+
+    def then(self, text: str) -> Remedy:
+        """The same with a sentence for both behind it."""
+        return Remedy(f"{self.adapter} {text}", f"{self.program} {text}")
+
+    def after(self, text: str) -> Remedy:
+        """The same with a sentence for both before it."""
+        return Remedy(f"{text} {self.adapter}", f"{text} {self.program}")
+
+
+@dataclass(frozen=True)
 class Observation:
     """A finding before the runner has put the name of its check to it."""
 
     outcome: Outcome
     said: str
-    remedy: str = ""
+    remedy: str | Remedy = ""
     numbers: Mapping[str, float] = field(default_factory=dict)
 
-    def of(self, check: str) -> Finding:
-        """As the finding of a check."""
+    def of(self, check: str, *, by_program: bool = False) -> Finding:
+        """As the finding of a check, about a program of the user's own or an adapter."""
         numbers = {name: float(value) for name, value in self.numbers.items()}
-        return Finding(check, self.outcome, self.said, self.remedy, numbers)
+        remedy = self.remedy
+        if isinstance(remedy, Remedy):
+            remedy = remedy.program if by_program else remedy.adapter
+        return Finding(check, self.outcome, self.said, remedy, numbers)
 
 
 def passed(said: str, **numbers: float) -> Observation:
@@ -84,11 +103,11 @@ def skipped(said: str) -> Observation:
     return Observation(Outcome.SKIPPED, said)
 
 
-def warning(said: str, remedy: str, **numbers: float) -> Observation:
+def warning(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
     """Allowed, but its author should know."""
     return Observation(Outcome.WARNING, said, remedy, numbers)
 
 
-def failed(said: str, remedy: str, **numbers: float) -> Observation:
+def failed(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
     """Against the contract, or a wrong number in every table that shows this method."""
     return Observation(Outcome.FAILED, said, remedy, numbers)

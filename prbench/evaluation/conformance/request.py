@@ -11,6 +11,10 @@ TIME_LIMIT = 600.0
 """Seconds for each call of the method, unless it is told."""
 
 
+START_LIMIT = 120.0
+"""Seconds for importing and for loading a method, as programs have to introduce themselves."""
+
+
 @dataclass(frozen=True)
 class CheckRequest:
     """What to check."""
@@ -26,6 +30,8 @@ class CheckRequest:
     """A dataset whose test sequences are asked about; None for invented people."""
     time_limit: float = TIME_LIMIT
     """Seconds for each call of the method."""
+    start_limit: float = START_LIMIT
+    """Seconds for importing it, and for loading it; a program's own are in its TOML file."""
 
     def as_json(self) -> dict[str, object]:
         """The request as plain values; it crosses into another process."""
@@ -38,6 +44,7 @@ class CheckRequest:
             "isolate": self.isolate,
             "data": None if self.data is None else str(self.data.absolute()),
             "time_limit": self.time_limit,
+            "start_limit": self.start_limit,
         }
 
     @classmethod

@@ -45,6 +45,8 @@ class Subject:
         """Global generators whose state it moved."""
         self.asking: Callable[[str], None] = lambda _text: None
         """Told what the method is asked, before each call."""
+        self.starting: Callable[[str], None] = lambda _text: None
+        """Told what is under way before there is anything to ask."""
         self._answers: dict[Condition, Answer] = {}
 
     @property
@@ -67,6 +69,7 @@ class Subject:
         if self.spec.weights is not None or self.spec.fit_folder is not None or not loaded.is_trainable:
             return loaded
         table = self.cases.train_folder or write_training_table(self.folder / "table")
+        self.asking("while it learnt from a table")
         if self.spec.program is None:
             self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table)
         else:
@@ -184,7 +187,9 @@ class Subject:
     def ask(self, batch: ConditionBatch, *, seed: int = 0, state_seed: int = STATE_SEED) -> Answer:
         """One call; whatever goes wrong is part of the answer."""
         of_one = "1 sequence" if len(batch) == 1 else f"{len(batch)} sequences"
-        self.asking(f"{of_one} of up to {int(batch.n_frames.max())} frames under {batch.condition.value}")
+        self.asking(
+            f"while it generated {of_one} of up to {int(batch.n_frames.max())} frames under {batch.condition.value}"
+        )
         answer = ask(self.adapter, batch, seed=seed, state_seed=state_seed, threads=self.spec.threads)
         self.overwritten.update(answer.overwritten)
         self.drew_from.update(answer.drew_from)

@@ -17,7 +17,7 @@ from typing import ClassVar
 from prbench.errors import UsageError
 from prbench.evaluation.conformance.checks import CHECKS
 from prbench.evaluation.conformance.finding import Finding, Outcome, Report
-from prbench.evaluation.conformance.request import TIME_LIMIT, CheckRequest
+from prbench.evaluation.conformance.request import START_LIMIT, TIME_LIMIT, CheckRequest
 from prbench.evaluation.conformance.session import check
 
 
@@ -42,6 +42,9 @@ class AdapterConformance:
     time_limit: ClassVar[float] = TIME_LIMIT
     """Seconds for each call of the method."""
 
+    start_limit: ClassVar[float] = START_LIMIT
+    """Seconds for importing an installed method, and for loading it."""
+
     _report: ClassVar[Report | None] = None
 
     @classmethod
@@ -61,6 +64,7 @@ class AdapterConformance:
                 device=cls.device,
                 data=cls.data,
                 time_limit=cls.time_limit,
+                start_limit=cls.start_limit,
             )
             cls._report = check(request)
         return cls._report

@@ -86,6 +86,11 @@ class RemoteAdapter:
         except Ended as fault:
             raise AdapterError(self._told(f"{origin}, twice", fault, _asked_for(batch.opaque_id))) from fault
 
+    @property
+    def exit_status(self) -> int | None:
+        """Once it is closed: how the program ended by itself; None if it had to be ended."""
+        return self._process.exit_status
+
     def close(self) -> None:
         """End the program. May be called again."""
         self._closed = True

@@ -52,6 +52,8 @@ class ProgramProcess:
         self._inbox = Inbox(stdout, self._ended, self._outbox)
         self.over = False
         """It was closed or killed."""
+        self.exit_status: int | None = None
+        """Once it is closed: how it ended by itself; None if it had to be ended."""
 
     @property
     def pid(self) -> int:
@@ -90,7 +92,7 @@ class ProgramProcess:
         self._inbox.discard()
         try:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._popen.wait(EXIT_SECONDS)
+                self.exit_status = self._popen.wait(EXIT_SECONDS)
         finally:  # Ctrl-C while waiting included
             self.kill()
 

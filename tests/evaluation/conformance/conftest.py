@@ -21,6 +21,7 @@ from tests.evaluation.conformance.methods_under_test import FAULTS
 
 MODULE = "prbench_methods_under_test"
 BROKEN = {"cannotimport": "import no_such_package_of_prbench", "slowimport": "import time; time.sleep(1.1)"}
+BROKEN["neverimported"] = "import time; time.sleep(500)"
 EXTRA = ("takesanyoption", "takesanyweights", "misnamed")
 
 

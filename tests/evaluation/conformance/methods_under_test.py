@@ -308,6 +308,11 @@ class LeftAndRightSwapped(Glide):
         return super().joints(batch, start, way, sway)[:, :, other]
 
 
+class Floats(Glide):
+    def joints(self, batch, start, way, sway):
+        return super().joints(batch, start, way, sway) + np.array([0.0, 0.3, 0.0])
+
+
 class Elsewhere(Glide):
     conditions = frozenset({Condition.TEXT})
 

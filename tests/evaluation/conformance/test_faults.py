@@ -42,6 +42,7 @@ FAILURES = {
     "centimetres": "doctor",
     "leftandrightswapped": "doctor",
     "elsewhere": "doctor",
+    "floats": "doctor",
     "anyheading": "doctor",
     "nothingfilledin": "doctor",
     "leaks": "memory",
@@ -81,6 +82,17 @@ def test_the_right_method_passes_everything(found, method):
     findings = found(method)
     assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.SKIPPED}, findings
     assert [finding.check for finding in findings if finding.outcome is Outcome.SKIPPED] == ["weights"]
+
+
+def test_only_what_a_diagnosis_would_repeat_waits_for_the_doctor(found):
+    findings = {finding.check: finding for finding in found("floats")}
+    assert findings["canonical-frame"].said == "not looked at before 'doctor' passes (floor)."
+    for name in ("initial-pose", "bone-lengths", "goal"):
+        assert findings[name].numbers, name
+    assert findings["initial-pose"].numbers["error_m"] == pytest.approx(0.3, abs=0.02)
+    sized = {finding.check: finding for finding in found("centimetres")}
+    for name in ("canonical-frame", "initial-pose", "bone-lengths", "goal"):
+        assert sized[name].said == "not looked at before 'doctor' passes (unit)."
 
 
 def test_a_method_that_learns_is_fitted_to_other_people(found):

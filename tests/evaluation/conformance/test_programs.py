@@ -27,13 +27,14 @@ PROGRAM = """
     if hello["weights"]:
         write_message(sys.stdout.buffer, {"message": "error", "text": "no such weights"})
         sys.exit()
+    END = 0
     answer = {"message": "hello", "wire": 1, "name": "stand", "version": "1.0", "conditions": ["goal-loc"]}
     write_message(sys.stdout.buffer, answer)
     while True:
-        try:
-            header, payload = read_message(sys.stdin.buffer)
-        except EOFError:
-            break
+        message = read_message(sys.stdin.buffer)
+        if message is None:
+            sys.exit(END)
+        header, payload = message
         batch = batch_of(header, payload)
         joints = np.repeat(batch.initial_joints[:, None], batch.n_frames.max(), axis=1)
         n_frames = batch.n_frames
@@ -48,22 +49,19 @@ WANTED = ("load", "settings", "weights", "generates", "shapes", "dtype", "finite
 
 @pytest.fixture
 def found_in_program(cases, tmp_path):
-    def _found(fault="pass", wanted=("load", "generates", "shapes", "finite", "determinism")):
+    def _found(
+        fault="pass",
+        *,
+        takes_anything=False,
+        wanted=("load", "generates", "shapes", "finite", "determinism", "global-random", "inputs"),
+    ):
         program = tmp_path / "stand.py"
-        program.write_text(textwrap.dedent(PROGRAM).replace("FAULT", fault))
+        source = textwrap.dedent(PROGRAM).replace("FAULT", fault)
+        if takes_anything:
+            source = source.replace('if hello["options"]', "if False")
+        program.write_text(source)
         forget_loaded_methods()
         subject = Subject(method_spec(f"cmd:{sys.executable} {program}"), cases, tmp_path)
-        wanted = (
-            "load",
-            "settings",
-            "weights",
-            "generates",
-            "shapes",
-            "finite",
-            "determinism",
-            "global-random",
-            "inputs",
-        )
         return list(examine(subject, [one for one in CHECKS if one.name in wanted]))
 
     yield _found
@@ -89,3 +87,31 @@ def test_a_fault_of_a_program_fails_its_check_and_no_other(found_in_program, fau
     failed = [finding for finding in found_in_program(fault) if finding.outcome is Outcome.FAILED]
     assert {finding.check for finding in failed} == {check}, failed
     assert told in failed[0].said
+
+
+def test_the_status_of_a_program_at_the_end_of_its_input_is_looked_at(found_in_program):
+    (right,) = [one for one in found_in_program(wanted=("load", "exit")) if one.check == "exit"]
+    assert (right.outcome, right.said) == (Outcome.PASSED, "it ended with exit status 0 when its stdin was closed.")
+    (wrong,) = [one for one in found_in_program("END = 3", wanted=("load", "exit")) if one.check == "exit"]
+    assert wrong.outcome is Outcome.WARNING
+    assert "the program ended with exit status 3" in wrong.said
+
+
+def test_remedies_speak_of_the_wire_to_authors_of_programs(found_in_program):
+    fault = "hello.clear()"
+    findings = found_in_program(fault, wanted=("load", "settings"), takes_anything=True)
+    (failed,) = [finding for finding in findings if finding.outcome is Outcome.FAILED]
+    assert failed.check == "settings"
+    assert failed.remedy.startswith('Answer the hello with {"message": "error"')
+    for remedy in _remedies():
+        assert "generate()" not in remedy.program
+        assert "load()" not in remedy.program
+        assert "batch." not in remedy.program
+
+
+def _remedies():
+    from prbench.evaluation.conformance.checks import form, inputs, loading, reproducibility
+    from prbench.evaluation.conformance.finding import Remedy
+
+    modules = (form, inputs, loading, reproducibility)
+    return [value for module in modules for value in vars(module).values() if isinstance(value, Remedy)]

@@ -76,3 +76,38 @@ def test_on_a_terminal_the_findings_are_a_table(capsys, monkeypatch):
     assert "takes [text]." in shown  # brackets are no markup
     assert re.search(r"text\s+failed\s+no words\. Treat it as no text\.", shown)
     assert "1 passed, 0 skipped, 0 warning, 1 failed" in shown
+
+
+def test_an_import_that_never_ends_has_a_limit_of_its_own_and_is_told_meanwhile(site, data, monkeypatch):
+    monkeypatch.setattr("prbench.evaluation.conformance.child_process._HEARTBEAT", 0.3)
+    words = []
+    request = CheckRequest("neverimported", data=data, start_limit=2.0)
+    report = check(request, lambda name, _place, _total: words.append(name))
+    (failed,) = report.failed
+    assert failed.check == "import"
+    assert "no end after 2 s, while importing prbench_methods_under_test_neverimported" in failed.said
+    assert "--start-limit" in failed.remedy
+    assert any(word.startswith("import: importing prbench_methods_under_test_neverimported, 1 s") for word in words)
+    assert report.seconds < 60
+
+
+def test_findings_come_in_the_order_in_which_they_are_announced(site, data):
+    announced = []
+    report = check(CheckRequest("static", data=data), lambda name, _place, _total: announced.append(name))
+    assert list(outcomes(report)) == [name for name in announced if ":" not in name]
+    assert announced[-1] == "process"
+
+
+def test_checks_that_wait_for_another_one_share_a_line_and_a_log_keeps_its_own(capsys):
+    waiting = [Finding(name, Outcome.SKIPPED, "not looked at before 'load' passes.") for name in ("shapes", "speed")]
+    load = Finding("load", Outcome.FAILED, "it ended. The log:\n    line one", "Repair it.")
+    imports = Finding("import", Outcome.SKIPPED, "a program imports nothing.")
+    print_report(Report("glide", (imports, load, *waiting), 1.0))
+    assert capsys.readouterr().out.splitlines() == [
+        "skipped  import           a program imports nothing.",
+        "failed   load             it ended. The log:",
+        "    line one",
+        "    Repair it.",
+        "skipped  not looked at before 'load' passes. 2: shapes, speed.",
+        "glide does not keep the contract: 0 passed, 3 skipped, 0 warning, 1 failed; 1.0 s.",
+    ]

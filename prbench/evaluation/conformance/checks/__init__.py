@@ -3,7 +3,7 @@
 from prbench.evaluation.conformance.check import Check
 from prbench.evaluation.conformance.checks import batches, body, form, inputs, loading, reproducibility, resources
 
-CHECKS: tuple[Check, ...] = (
+_BY_SUBJECT = (
     *loading.CHECKS,
     *form.CHECKS,
     *reproducibility.CHECKS,
@@ -12,3 +12,5 @@ CHECKS: tuple[Check, ...] = (
     *body.CHECKS,
     *resources.CHECKS,
 )
+CHECKS: tuple[Check, ...] = tuple(sorted(_BY_SUBJECT, key=lambda one: one.fresh))
+"""In the order in which they are made: those that need a process of their own come last."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from prbench.evaluation.conformance.answer import Answer
 from prbench.evaluation.conformance.check import check
 from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
-from prbench.evaluation.doctor import Expected, diagnose
+from prbench.evaluation.doctor import Diagnosis, Expected, diagnose
 from prbench.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
 
 AWAY_WARNING, AWAY_FAILURE = 0.25, 1.5
@@ -25,6 +25,10 @@ INITIAL_WARNING = 0.10
 BONES_WARNING, BONES_FAILURE = 0.10, 0.50
 """Relative change of bone lengths (median over bones and sequences)."""
 
+_NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
+_ELSEWHERE = _NO_BODY | {"up-axis", "left-right", "mirrored", "root", "facing", "position"}
+"""Kinds of diagnosis that would only be told once more, of bones and of places."""
+
 _CANONICAL = (
     "Give positions in the canonical frame of the sequence's first frame: metres, Y up, the pelvis of frame 0 over the"
     " origin and facing +Z (the left side on +X), the lowest joint of the motion on Y = 0."
@@ -36,23 +40,40 @@ def doctor(subject: Subject) -> Iterator[Observation]:
     """What ``prbench doctor`` says about the motions, with the conditions as expectations."""
     found = 0
     for condition in subject.working:
-        answer = subject.standard(condition)
-        motions = [answer.motion(row) for row in range(len(answer.batch))]
-        for diagnosis in diagnose(motions, _expected(answer), fps=answer.batch.fps):
+        for diagnosis in _diagnosed(subject, condition):
             evidence, cause = diagnosis.evidence.rstrip("."), diagnosis.cause.rstrip(".")
             text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
-            certain = diagnosis.certain and not subject.declared.motionless  # a mean pose is nobody's pose
-            yield (failed if certain else warning)(text, diagnosis.remedy)
+            yield (failed if _is_failure(subject, diagnosis) else warning)(text, diagnosis.remedy)
             found += 1
     if not found:
         yield passed("nothing that prbench doctor looks for.")
 
 
-@check(
-    "canonical-frame", "motions begin at the origin, face +Z and stand on the floor", needs=("doctor",), of_motions=True
-)
+def _diagnosed(subject: Subject, condition: Condition) -> tuple[Diagnosis, ...]:
+    answer = subject.standard(condition)
+    motions = [answer.motion(row) for row in range(len(answer.batch))]
+    return diagnose(motions, _expected(answer), fps=answer.batch.fps)
+
+
+def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
+    return diagnosis.certain and not subject.declared.motionless  # a mean pose is nobody's pose
+
+
+def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Condition]) -> Observation | None:
+    """What keeps a measurement from telling anything new; None if nothing does."""
+    for condition in conditions:
+        for diagnosis in _diagnosed(subject, condition):
+            if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
+                return skipped(f"not looked at before 'doctor' passes ({diagnosis.kind}).")
+    return None
+
+
+@check("canonical-frame", "motions begin at the origin, face +Z and stand on the floor", of_motions=True)
 def canonical_frame(subject: Subject) -> Iterator[Observation]:
     """Place and heading of the first frames, height of the lowest joints."""
+    if hidden := _hidden_by(subject, _ELSEWHERE | {"floor"}, subject.working):
+        yield hidden
+        return
     for condition in subject.working:
         answer = subject.standard(condition)
         motions = [answer.motion(row) for row in range(len(answer.batch))]
@@ -73,10 +94,13 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
             yield passed(text, **numbers)
 
 
-@check("initial-pose", "motions begin with the pose that they were given", needs=("doctor",), of_motions=True)
+@check("initial-pose", "motions begin with the pose that they were given", of_motions=True)
 def initial_pose(subject: Subject) -> Iterator[Observation]:
     """Distance between the first frame and ``initial_joints``."""
     given = [condition for condition in subject.working if subject.standard(condition).batch.initial_joints is not None]
+    if hidden := _hidden_by(subject, _ELSEWHERE, given):
+        yield hidden
+        return
     for condition in given:
         answer = subject.standard(condition)
         assert answer.batch.initial_joints is not None
@@ -97,9 +121,12 @@ def initial_pose(subject: Subject) -> Iterator[Observation]:
         yield skipped("it is given no initial pose.")
 
 
-@check("bone-lengths", "one body, of one size, all the time", needs=("doctor",), of_motions=True)
+@check("bone-lengths", "one body, of one size, all the time", of_motions=True)
 def bones(subject: Subject) -> Iterator[Observation]:
     """Change of bone lengths within a motion, and against the initial pose."""
+    if hidden := _hidden_by(subject, _NO_BODY, subject.working):
+        yield hidden
+        return
     for condition in subject.working:
         answer = subject.standard(condition)
         lengths = [bone_lengths(answer.motion(row).astype(np.float64)) for row in range(len(answer.batch))]
@@ -132,10 +159,13 @@ def bones(subject: Subject) -> Iterator[Observation]:
             yield passed(text, **numbers)
 
 
-@check("goal", "how near it comes to the goal", needs=("doctor",), of_motions=True)
+@check("goal", "how near it comes to the goal", of_motions=True)
 def goal(subject: Subject) -> Iterator[Observation]:
     """Distance to the goal at the end; reported, never judged: that is what a run is for."""
     given = [name for name in subject.working if name in (Condition.GOAL_LOCATION, Condition.GOAL_POSE)]
+    if hidden := _hidden_by(subject, _ELSEWHERE | {"heading"}, given):
+        yield hidden
+        return
     for condition in given:
         answer = subject.standard(condition)
         distances = np.array([_to_goal(answer, row) for row in range(len(answer.batch))])

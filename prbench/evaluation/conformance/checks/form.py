@@ -9,19 +9,30 @@ import numpy as np
 from prbench.contract import Condition, Motions
 from prbench.evaluation.conformance.answer import Answer
 from prbench.evaluation.conformance.check import check
-from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.evaluation.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
 
-_GENERATE = (
+_GENERATE = Remedy(
     "Run generate() on this batch and repair what it raises; a method may only refuse options, weights and goals that"
-    " nobody could reach."
+    " nobody could reach.",
+    "Repair what keeps the program from answering 'generate' with 'motions': its log (stderr) is shown with the error."
+    " A program may only refuse options, weights and goals that nobody could reach.",
 )
-_SHAPES = (
+_SHAPES = Remedy(
     "Return prbench.contract.Motions(joints, batch.n_frames): joints is a NumPy array (sequences, frames, 22, 3) with"
-    " at least batch.n_frames.max() frames; behind a shorter motion stands padding. A program sends opaque_id and"
-    " joints, n_frames times 66 numbers a row (docs/wire-protocol.md)."
+    " at least batch.n_frames.max() frames; behind a shorter motion stands padding.",
+    "Send one row a sequence: its opaque_id, and joints with exactly n_frames times 66 numbers, frame by frame and"
+    " joint by joint, without padding (docs/wire-protocol.md).",
 )
-_DTYPE = "Return decimals: joints.astype(np.float32), in metres."
+_DTYPE = Remedy("Return decimals: joints.astype(np.float32), in metres.", "Send joints as list<float>, in metres.")
+_COARSE = Remedy(
+    "Compute the last steps (the sum of velocities above all) in float32 and return float32.",
+    "Compute the last steps (the sum of velocities above all) in 32 bits and send list<float>.",
+)
+_LIMIT = Remedy(
+    "Raise max_frames (the protocol's sequences have 41 to 241 frames at 20 a second), or set it to None.",
+    "Raise max_frames in the hello (the protocol's sequences have 41 to 241 frames at 20 a second), or leave it out.",
+)
 _REFUSED_PAYLOAD = "sent motions that cannot be used"
 _FINITE = (
     "Look for a division by zero or by a length that can be zero (an empty step, a single frame) and for weights that"
@@ -36,7 +47,7 @@ def generates(subject: Subject) -> Iterator[Observation]:
         yield failed(
             f"max_frames is {subject.declared.max_frames}, and the shortest of the sequences has"
             f" {int(subject.cases.source.n_frames.min())} frames at {subject.cases.source.fps:g} a second.",
-            "Raise max_frames (the protocol's sequences have 41 to 241 frames at 20 a second), or set it to None.",
+            _LIMIT,
         )
         return
     answers = {condition: subject.standard(condition) for condition in subject.conditions}
@@ -74,7 +85,7 @@ def dtype(subject: Subject) -> Iterator[Observation]:
     if coarse:
         yield warning(
             f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin.",
-            "Compute the last steps (the sum of velocities above all) in float32 and return float32.",
+            _COARSE,
         )
 
 
@@ -97,7 +108,7 @@ def _answered(subject: Subject) -> dict[Condition, Answer]:
 
 
 def _by_condition(
-    answers: dict[Condition, Answer], is_wrong: Callable[[Answer], bool], remedy: str, *, said: str
+    answers: dict[Condition, Answer], is_wrong: Callable[[Answer], bool], remedy: str | Remedy, *, said: str
 ) -> Iterator[Observation]:
     wrong = {condition: answer for condition, answer in answers.items() if is_wrong(answer)}
     for condition, answer in wrong.items():

@@ -10,9 +10,17 @@ import numpy as np
 from prbench.contract import GIVEN, ConditionBatch
 from prbench.evaluation.conformance.check import check
 from prbench.evaluation.conformance.comparing import largest_changes, metres
-from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.evaluation.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import RICHEST_FIRST, Subject
 
+_LENGTHS = Remedy(
+    "Generate batch.n_frames.max() frames (pad the shorter rows), and declare max_frames if there is a limit.",
+    "Answer every row with its own n_frames, and name max_frames in the hello if there is a limit.",
+)
+_REFUSE = Remedy(
+    "Refuse a condition (raise) before anything of the method's own is changed.",
+    'Refuse a condition ({"message": "error"}) before anything of the method\'s own is changed.',
+)
 _ODD_TEXTS = {
     "an empty text": "",
     "a text of blanks": "  \n\t ",
@@ -29,7 +37,7 @@ def lengths(subject: Subject) -> Iterator[Observation]:
     if answer.motions is None:
         yield failed(
             f"{shortest} and {subject.longest} frames in one batch: {answer.error}",
-            "Generate batch.n_frames.max() frames (pad the shorter rows), and declare max_frames if there is a limit.",
+            _LENGTHS,
         )
         return
     wanted = subject.protocols_longest
@@ -77,7 +85,7 @@ def conditions(subject: Subject) -> Iterator[Observation]:
         what = after.error or f"it moved joints by up to {metres(moved)}."
         yield failed(
             f"asked under {_listed(undeclared)}, which it does not declare, and then again as before: {what}",
-            "Refuse a condition (raise) before anything of the method's own is changed.",
+            _REFUSE,
         )
         return
     refused = [condition for condition, answer in answers.items() if answer.motions is None]

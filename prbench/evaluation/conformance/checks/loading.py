@@ -12,7 +12,7 @@ from pathlib import Path
 from prbench.errors import PrbenchError
 from prbench.evaluation.adapters import find_adapter
 from prbench.evaluation.conformance.check import check
-from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.evaluation.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
 from prbench.evaluation.weights import used_weights, weights_digest
 
@@ -20,6 +20,17 @@ IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""
 _HEAVY = ("torch", "tensorflow", "jax", "transformers", "pytorch_lightning", "lightning")
 _NO_SUCH_OPTION, _NO_SUCH_WEIGHTS = "prbench-no-such-option", Path("prbench-no-such-weights")
+_NAME = Remedy(
+    "Set name to the word that users type behind --method.", "Put the name of the method under 'name' into the hello."
+)
+_ANSWER = 'Answer the hello with {"message": "error", "text": "…"}'
+_OPTIONS = Remedy(
+    "Raise ValueError in load() for keys that you do not know:", f"{_ANSWER} to options that you do not know:"
+)
+_WEIGHTS = Remedy(
+    "Raise ValueError in load() for weights that you cannot find, or if the method has none.",
+    f"{_ANSWER} to weights that you cannot find, or if the method has none.",
+)
 _LATE = "Import heavy packages and open weights inside load() or generate(), not at the top of the module."
 
 
@@ -30,6 +41,7 @@ def imports(subject: Subject) -> Iterator[Observation]:
         yield skipped("a program imports nothing into the harness.")
         return
     target = find_adapter(subject.spec.name).target.partition(":")[0]
+    subject.starting(f"while importing {target}")
     before, started = set(sys.modules), time.perf_counter()
     try:
         importlib.import_module(target)
@@ -48,6 +60,7 @@ def imports(subject: Subject) -> Iterator[Observation]:
 @check("load", "it loads and declares what the harness needs")
 def load(subject: Subject) -> Iterator[Observation]:
     """Load it as a run does, fit it if it learns, and read its attributes."""
+    subject.starting("while starting its program" if subject.is_program else "while loading it")
     started = time.perf_counter()
     try:
         declared, name = subject.declared, subject.adapter.name
@@ -56,7 +69,7 @@ def load(subject: Subject) -> Iterator[Observation]:
         return
     seconds = time.perf_counter() - started
     if not isinstance(name, str) or not name:
-        yield failed(f"its attribute 'name' is {name!r}.", "Set name to the word that users type behind --method.")
+        yield failed(f"its attribute 'name' is {name!r}.", _NAME)
         return
     if subject.is_installed and name != subject.spec.name:
         yield warning(
@@ -76,14 +89,13 @@ def settings(subject: Subject) -> Iterator[Observation]:
     if _loads(subject, options=tuple(sorted(options))):
         yield failed(
             f"--option {_NO_SUCH_OPTION}=1 was taken without a word.",
-            "Raise ValueError in load() for keys that you do not know: a misspelt option would be recorded as if it"
-            " had been used.",
+            _OPTIONS.then("a misspelt option would be recorded as if it had been used."),
         )
         return
     if _loads(subject, weights=_NO_SUCH_WEIGHTS):
         yield warning(
             f"--weights {_NO_SUCH_WEIGHTS} was taken without a word.",
-            "Raise ValueError in load() for weights that you cannot find, or if the method has none.",
+            _WEIGHTS,
         )
         return
     yield passed("refuses an unknown option and unknown weights.")

@@ -10,12 +10,14 @@ import numpy as np
 from prbench.evaluation.conformance.answer import STATE_SEED, Answer
 from prbench.evaluation.conformance.check import check
 from prbench.evaluation.conformance.comparing import TOLERANCE, largest_changes, metres, same_bytes
-from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.evaluation.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
 
-_OWN_GENERATORS = (
+_OWN_GENERATORS = Remedy(
     "Draw from one generator a sequence, made of its noise_seed alone:"
-    " prbench.randomness.sequence_generator(noise_seed), or torch.Generator().manual_seed(noise_seed)."
+    " prbench.randomness.sequence_generator(noise_seed), or torch.Generator().manual_seed(noise_seed).",
+    "Draw from one generator a sequence, made of the noise_seed of its row alone (numpy.random.default_rng(noise_seed),"
+    " SplitMix64 …).",
 )
 
 
@@ -27,7 +29,7 @@ def determinism(subject: Subject) -> Iterator[Observation]:
     again = subject.ask(first.batch)
     yield _compared(
         first, again, "asked for the same batch a second time",
-        f"Something is left over from earlier calls, or drawn from time or the system. {_OWN_GENERATORS}",
+        _OWN_GENERATORS.after("Something is left over from earlier calls, or drawn from time or the system."),
     )  # fmt: skip
 
 
@@ -44,7 +46,9 @@ def global_random(subject: Subject) -> Iterator[Observation]:
         if subject.drew_from:
             yield warning(
                 f"it sets or draws from {drew}, though its motions do not change with it.",
-                f"Leave global generators alone: another method or test in the process may use them. {_OWN_GENERATORS}",
+                _OWN_GENERATORS.after(
+                    "Leave global generators alone: another method or test in the process may use them."
+                ),
             )
         else:
             yield passed("no global generator is touched.")
@@ -60,7 +64,7 @@ def noise_seed(subject: Subject) -> Iterator[Observation]:
     other_run = subject.ask(dataclasses.replace(first.batch, opaque_id=renamed), seed=1)
     finding = _compared(
         first, other_run, "with another 'seed' and other opaque ids, but the same noise seeds",
-        f"Both are for the record only: noise_seed alone tells sequences and samples apart. {_OWN_GENERATORS}",
+        _OWN_GENERATORS.after("Both are for the record only: noise_seed alone tells sequences and samples apart."),
     )  # fmt: skip
     if finding.remedy:
         yield finding
@@ -76,7 +80,7 @@ def noise_seed(subject: Subject) -> Iterator[Observation]:
         still = int((changes == 0).sum())
         yield failed(
             f"with other noise seeds, {still} of {len(changes)} motions stayed the same and the others changed.",
-            f"Use the noise_seed of each row, not that of the first. {_OWN_GENERATORS}",
+            _OWN_GENERATORS.after("Use the noise_seed of each row, not that of the first."),
         )
     else:
         yield passed(
@@ -108,7 +112,7 @@ def process(subject: Subject) -> Iterator[Observation]:
     yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
 
 
-def _compared(first: Answer, second: Answer, when: str, remedy: str) -> Observation:
+def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
     """Equal bytes pass, rounding is a remark, anything else a failure."""
     if second.motions is None:
         return failed(f"{when}: {second.error}", remedy)

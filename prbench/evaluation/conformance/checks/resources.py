@@ -11,6 +11,10 @@ import psutil
 from prbench.evaluation.conformance.check import check
 from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
+from prbench.evaluation.methods import unload_method
+from prbench.evaluation.remote.adapter import RemoteAdapter
+from prbench.evaluation.remote.faults import exit_story
+from prbench.evaluation.remote.process import EXIT_SECONDS
 
 _ROUNDS, _FEWEST_ROUNDS, _SETTLING = 14, 8, 3
 _PATIENCE = 20.0  # seconds for all rounds
@@ -67,6 +71,28 @@ def speed(subject: Subject) -> Iterator[Observation]:
     )
 
 
+@check("exit", "its program ends by itself, with status 0", needs=("generates",), of_motions=True)
+def exits(subject: Subject) -> Iterator[Observation]:
+    """Close its stdin after a batch, as a run does at its end."""
+    if subject.is_installed or not isinstance(subject.adapter, RemoteAdapter):
+        yield skipped("it has no program of its own.")
+        return
+    program = subject.adapter
+    subject.ask(subject.batch(subject.rows[:1], subject.main))
+    unload_method()
+    status = program.exit_status
+    subject.load_again()
+    if status == 0:
+        yield passed("it ended with exit status 0 when its stdin was closed.")
+        return
+    did = f"was still running after {EXIT_SECONDS:g} s and had to be ended" if status is None else exit_story(status)
+    yield warning(
+        f"when its stdin was closed, the program {did}.",
+        "At the end of its input a program exits with status 0; motions are not touched by it, but schedulers and"
+        " fences take it for a failure (docs/wire-protocol.md).",
+    )
+
+
 def resident_bytes() -> int:
     """Memory of this process and its children; what has just ended counts no more."""
     gc.collect()
@@ -94,4 +120,4 @@ def growth_per_round(resident: np.ndarray) -> float:
     return max(slope, 0.0)
 
 
-CHECKS = (memory, speed)
+CHECKS = (memory, speed, exits)
