@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -62,12 +63,12 @@ class ProcessPool:
         ) as pool:
             waiting = iter(items)
             running: list[Future[Result]] = [
-                pool.submit(function, item) for item in itertools.islice(waiting, 2 * self.workers)
+                pool.submit(_call, function, item) for item in itertools.islice(waiting, 2 * self.workers)
             ]
             try:
                 while running:
                     result = running.pop(0).result()
-                    running.extend(pool.submit(function, item) for item in itertools.islice(waiting, 1))
+                    running.extend(pool.submit(_call, function, item) for item in itertools.islice(waiting, 1))
                     yield result
             except BrokenProcessPool as error:
                 raise PrbenchError(
@@ -75,8 +76,9 @@ class ProcessPool:
                     " Finished parts are kept; run the same command again with fewer --workers."
                 ) from error
             finally:
-                for future in running:
-                    future.cancel()
+                # By the pool itself: a future that is cancelled from here while Ctrl-C ends idle workers, too, makes
+                # its thread print a traceback.
+                pool.shutdown(cancel_futures=True)
 
 
 def engine_for(workers: int) -> Engine:
@@ -84,7 +86,35 @@ def engine_for(workers: int) -> Engine:
     return InProcess() if workers <= 1 else ProcessPool(workers)
 
 
+class _CtrlC:
+    """What Ctrl-C does in a worker: it ends the item under way, and all that follow at once, without a traceback."""
+
+    def __init__(self) -> None:
+        self.working = self.pressed = False
+
+    def __call__(self, *_: object) -> None:
+        """Of the signal's handler."""
+        self.pressed = True
+        if self.working:
+            raise KeyboardInterrupt
+
+
+_ctrl_c = _CtrlC()
+
+
+def _call(function: Callable[[Item], Result], item: Item) -> Result:
+    """In a worker."""
+    if _ctrl_c.pressed:
+        raise KeyboardInterrupt
+    _ctrl_c.working = True
+    try:
+        return function(item)
+    finally:
+        _ctrl_c.working = False
+
+
 def _start_worker(threads: int) -> None:
+    signal.signal(signal.SIGINT, _ctrl_c)
     # Numerical libraries read these when they load, which in a spawned worker is after this.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(threads)
