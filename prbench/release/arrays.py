@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import io
 import math
-import tokenize
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from prbench.errors import InputFileError
+from prbench.runs.numpy_files import ArrayHeader, read_header
 
 _ACCEPTED = (np.dtype(np.float32), np.dtype(np.float64))
 _REMEDY = "Copy or download the file again."
 _HEADER_BYTES = 12_000  # numpy's own limit is 10,000
-
-
-@dataclass(frozen=True)
-class ArrayHeader:
-    """What a ``.npy`` file says that it holds."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    fortran_order: bool
-    offset: int
-    """Bytes before the values."""
 
 
 def parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
@@ -39,21 +27,11 @@ def parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
     Raises:
         InputFileError: if this is no ``.npy`` file, holds objects, or is truncated.
     """
-    stream = io.BytesIO(content)
-    try:
-        version = np.lib.format.read_magic(stream)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran_order, dtype = read(stream)
-    except (ValueError, EOFError, SyntaxError, TypeError, tokenize.TokenError) as error:
-        raise _no_array(path, "a NumPy array (.npy)", f"something else ({error})") from error
-    if dtype.hasobject:
-        raise InputFileError(
-            path, "", expected="an array of numbers", found="Python objects", remedy="Objects are never unpickled."
-        )
-    expected = stream.tell() + math.prod(shape) * dtype.itemsize
+    header = read_header(io.BytesIO(content), path, "", remedy=_REMEDY)
+    expected = header.offset + header.nbytes
     if size != expected:
-        raise _no_array(path, f"{expected} bytes for shape {shape}", f"{size}")
-    return ArrayHeader(shape, dtype, fortran_order, stream.tell())
+        raise _no_array(path, f"{expected} bytes for shape {header.shape}", f"{size}")
+    return header
 
 
 def scan_header(path: Path) -> ArrayHeader:
@@ -76,8 +54,7 @@ def parse_array(path: Path, content: bytes) -> np.ndarray:
         InputFileError: see :func:`parse_header`.
     """
     header = parse_header(path, content, len(content))
-    values = np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset)
-    return values.reshape(header.shape, order="F" if header.fortran_order else "C")
+    return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset))
 
 
 def require_frames(path: Path, header: ArrayHeader, per_frame: tuple[int, ...]) -> int:

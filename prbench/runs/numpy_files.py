@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -60,13 +61,14 @@ class ArrayHeader:
         return values.reshape(self.shape, order="F" if self.fortran_order else "C")
 
 
-def read_header(stream: ByteStream, path: Path, where: str) -> ArrayHeader:
+def read_header(stream: ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
         stream: At its beginning.
         path: The file, for messages.
         where: The array in it, for messages.
+        remedy: What to do if it is no ``.npy``, for messages.
 
     Raises:
         InputFileError: if it is no ``.npy``, or holds Python objects, which are never unpickled.
@@ -75,9 +77,11 @@ def read_header(stream: ByteStream, path: Path, where: str) -> ArrayHeader:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran_order, dtype = read(stream)
-    except (ValueError, SyntaxError, TypeError, EOFError, UnicodeError) as error:
+    except (ValueError, SyntaxError, TypeError, EOFError, tokenize.TokenError) as error:
         first = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
-        raise InputFileError(path, where, expected="an array as np.save writes it", found=first) from error
+        raise InputFileError(
+            path, where, expected="an array as np.save writes it", found=first, remedy=remedy
+        ) from error
     if dtype.hasobject:
         raise InputFileError(path, where, expected="numbers or text", found="Python objects", remedy=_NO_OBJECTS)
     if any(size < 0 for size in shape):

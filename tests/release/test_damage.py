@@ -56,8 +56,14 @@ def with_nan(motion):
 LEFT_OUT = {
     "no motion": (lambda release: (release / "motions" / f"{KEY}.npy").unlink(), "no file in motions"),
     "truncated": (cut, r"motion: expected \d+ bytes for shape"),
-    "empty file": (lambda release: (release / "motions" / f"{KEY}.npy").write_bytes(b""), "a NumPy array"),
-    "a page of HTML": (lambda r: (r / "motions" / f"{KEY}.npy").write_text("<html>" * 99), "a NumPy array"),
+    "empty file": (
+        lambda release: (release / "motions" / f"{KEY}.npy").write_bytes(b""),
+        "an array as np.save writes it",
+    ),
+    "a page of HTML": (
+        lambda r: (r / "motions" / f"{KEY}.npy").write_text("<html>" * 99),
+        "an array as np.save writes it",
+    ),
     "objects": (changed_array("motions", lambda _: np.array([{"a": 1}], dtype=object)), "found Python objects"),
     "integers": (changed_array("motions", lambda m: m.astype(np.int32)), "float32 or float64"),
     "24 joints": (changed_array("motions", lambda m: np.zeros((9, 24, 3), np.float32)), r"shape \(N, 22, 3\)"),

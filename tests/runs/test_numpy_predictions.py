@@ -12,7 +12,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from prbench.errors import PredictionsError, StorageError
+from prbench.errors import InputFileError, PredictionsError, StorageError
 from prbench.runs import numpy_files
 from prbench.runs.predictions import Numbering, Predictions, npz
 
@@ -190,6 +190,14 @@ def with_member(path, name, content):
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(f"{name}.npy", content)
     return path
+
+
+def test_a_header_that_ends_in_the_middle_is_refused(tmp_path):
+    text = b"{'descr': (" + b" " * 52 + b"\n"
+    with zipfile.ZipFile(tmp_path / "p.npz", "w") as archive:
+        archive.writestr("joints.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text)
+    with pytest.raises(InputFileError, match=r"p\.npz, 'joints': expected an array as np\.save writes it"):
+        numpy_files.Archive(tmp_path / "p.npz").header("joints")
 
 
 @pytest.mark.parametrize("shape", [(10**9, 22, 3), (10, 22, 3, 0), (-1, 22, 3)])
