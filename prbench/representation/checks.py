@@ -33,7 +33,7 @@ def check_joints(
         InputFileError: naming the source and, where one is to blame, frame and joint.
     """
     _check_shape(joints, source, min_frames)
-    _check_finite(joints, source)
+    check_finite(joints, source)
     _check_unit(joints, source)
     if upright:
         _check_up_axis(joints, source)
@@ -59,7 +59,12 @@ def _check_shape(joints: np.ndarray, source: Path | str, min_frames: int) -> Non
         )
 
 
-def _check_finite(joints: np.ndarray, source: Path | str) -> None:
+def check_finite(joints: np.ndarray, source: Path | str) -> None:
+    """Refuse a motion (frames, 22, 3) with a position that is not a number or infinite.
+
+    Raises:
+        InputFileError: naming the source, the first such frame and its joint.
+    """
     bad = np.argwhere(~np.isfinite(joints).all(axis=-1))
     if bad.size:
         frame, joint = bad[0]

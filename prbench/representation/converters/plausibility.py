@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.checks import IN_MEMORY
+from prbench.representation.checks import IN_MEMORY, check_finite
 from prbench.representation.converters.axes import UNITS
 from prbench.skeleton import PARENTS, Joint
 
@@ -36,7 +36,9 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
             75 cm in the median frame (with the unit that would explain it), or left and right differ by more than a
             factor of 1.6.
     """
-    _require_positions(joints, source)
+    check_finite(joints, source)
+    if not len(joints):
+        raise InputFileError(source, "", expected="one frame or more", found="none")
     lengths = {limb: _median_length(joints, limb) for pair in _LIMB_PAIRS for limb in pair}
     _check_unit(lengths, source)
     for left, right in _LIMB_PAIRS:
@@ -51,20 +53,6 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
 
 _LIMB_PAIRS = tuple((Joint[f"LEFT_{end}"], Joint[f"RIGHT_{end}"]) for end in ("KNEE", "ANKLE", "ELBOW", "WRIST"))
 """Joints in which thighs, shins, upper arms and forearms end."""
-
-
-def _require_positions(joints: np.ndarray, source: Path | str) -> None:
-    bad = np.argwhere(~np.isfinite(joints).all(axis=-1))
-    if bad.size:
-        frame, joint = bad[0]
-        raise InputFileError(
-            source,
-            f"frame {frame}, {Joint(joint).name.lower()}",
-            expected="a finite position",
-            found=str(joints[frame, joint].tolist()),
-        )
-    if not len(joints):
-        raise InputFileError(source, "", expected="one frame or more", found="none")
 
 
 def _check_unit(lengths: dict[Joint, float], source: Path | str) -> None:
