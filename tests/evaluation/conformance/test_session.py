@@ -93,7 +93,7 @@ def test_an_import_that_never_ends_has_a_limit_of_its_own_and_is_told_meanwhile(
 
 def test_findings_come_in_the_order_in_which_they_are_announced(site, data):
     announced = []
-    report = check(CheckRequest("static", data=data), lambda name, _place, _total: announced.append(name))
+    report = check(CheckRequest("glide", data=data), lambda name, _place, _total: announced.append(name))
     assert list(outcomes(report)) == [name for name in announced if ":" not in name]
     assert announced[-1] == "process"
 
