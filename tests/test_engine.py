@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -60,3 +64,33 @@ def test_items_are_taken_up_lazily():
 def test_one_worker_stays_in_this_process():
     assert isinstance(engine_for(1), InProcess)
     assert engine_for(3) == ProcessPool(3)
+
+
+def _slow(folder: str) -> None:
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(60)
+
+
+def _interrupted_run(folder: str) -> None:
+    """A program whose two workers are at work, or idle, when Ctrl-C comes."""
+    for _ in ProcessPool(2).map(_slow, [folder] * 3):
+        pass
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of a process group are POSIX")
+def test_ctrl_c_ends_workers_at_once_and_without_a_traceback_of_theirs(tmp_path):
+    source = (
+        "from tests.test_engine import _interrupted_run\nif __name__ == '__main__':\n"
+        f"    try: _interrupted_run({str(tmp_path)!r})\n    except KeyboardInterrupt: print('interrupted')\n"
+    )
+    script = tmp_path / "program.py"
+    script.write_text(source)
+    root = str(Path(__file__).parents[1])
+    popen = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        start_new_session=True, env={**os.environ, "PYTHONPATH": root},
+    )  # fmt: skip
+    while len(list(tmp_path.iterdir())) < 3 and popen.poll() is None:
+        time.sleep(0.02)
+    os.killpg(popen.pid, signal.SIGINT)  # as a terminal does: to everybody
+    assert popen.communicate(timeout=30)[0] == "interrupted\n"

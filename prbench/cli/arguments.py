@@ -17,8 +17,9 @@ def command(
     summary: str,
     example: str,
     execute: Callable[[argparse.Namespace], int],
+    resumes: bool = False,
 ) -> argparse.ArgumentParser:
-    """Add one command with a help page that ends in an example."""
+    """Add one command with a help page that ends in an example; say whether it takes up what Ctrl-C has left."""
     parser = commands.add_parser(
         name,
         help=summary,
@@ -26,7 +27,7 @@ def command(
         epilog=f"example:\n  {example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(execute=execute)
+    parser.set_defaults(execute=execute, resumes=resumes)
     return parser
 
 

@@ -23,6 +23,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         summary="turn text-motion data into a corpus for pre-training",
         example="prbench build-corpus nymeria --root /data/Nymeria --out corpora/nymeria --workers 4",
         execute=_build,
+        resumes=True,
     )
     parser.add_argument("corpus", help="nymeria, humanml3d or synthetic")
     parser.add_argument("--root", type=Path, metavar="DIR", help="your copy of the dataset (not for synthetic)")

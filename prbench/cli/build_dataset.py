@@ -34,6 +34,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         summary="turn a dataset's recordings into a table of prime-and-reach sequences",
         example="prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4",
         execute=_build,
+        resumes=True,
     )
     parser.add_argument("dataset", help="name of the dataset, for example adt; 'all' for whatever lies below --root")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -69,5 +70,5 @@ def _export(arguments: argparse.Namespace) -> int:
     for line in report.notices:
         print(f"notice: {line}")
     print(f"{report.rows} motions to generate: {report.out}")
-    print(f"then: prbench score PREDICTIONS --conditions {report.out} --data …", file=sys.stderr)
+    print(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(report.out))} --data …", file=sys.stderr)
     return 0

@@ -86,7 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"prbench: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        print("prbench: interrupted; finished parts are kept, the same command resumes.", file=sys.stderr)
+        kept = "; finished parts are kept, the same command resumes" if chosen.resumes else ""
+        print(f"prbench: interrupted{kept}.", file=sys.stderr)
         return 130
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output went away, as `| head` does

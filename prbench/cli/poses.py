@@ -27,6 +27,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         summary="say which recordings lack a body pose, and have EgoAllo estimate it",
         example="prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml",
         execute=_poses,
+        resumes=True,
     )
     parser.add_argument("estimator", choices=["egoallo"], help="what estimates bodies")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")

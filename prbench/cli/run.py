@@ -38,6 +38,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         summary="run a method over tables and score what it generates",
         example="prbench run --method static --condition none --data tables/adt --out runs/static",
         execute=_run,
+        resumes=True,
     )
     parser.add_argument(
         "--method",
@@ -121,7 +122,20 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
         )
     if report.batches_found:
         print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
+    _tell_crashes(report)
     return report
+
+
+def _tell_crashes(report: RunReport) -> None:
+    """What a program did that the motions do not show."""
+    from prbench.runs.cost import RunCost
+
+    for table in report.folder.record.tables:
+        cost = report.folder.dataset(table.dataset).cost
+        crashes = sum(RunCost.read(cost).restarts.values())
+        if crashes:
+            times = "once" if crashes == 1 else f"{crashes} times"
+            print(f"its program crashed {times} and was started again: {cost}, restarts.", file=sys.stderr)
 
 
 def _tell_isolation(method: str) -> None:

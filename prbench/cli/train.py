@@ -24,6 +24,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         example="prbench train --method pr --config small --stage finetune --data tables/adt --init mdm.safetensors"
         " --out trained/pr",
         execute=_train,
+        resumes=True,
     )
     parser.add_argument("--method", required=True, metavar="NAME", help="what to train: mdm, pr, t2m-evaluator …")
     parser.add_argument("--stage", metavar="STAGE", help="pretrain or finetune (default: the method's first)")

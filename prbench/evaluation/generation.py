@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import psutil
 
 from prbench.contract import ConditionBatch, Motions
@@ -58,7 +59,7 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
     method = task.method.load()
     warm_up = not method.warmed_up
     _reset_device_peak()
-    samples, halvings, peak = [], 0, 0
+    samples, halvings, peak, crashes_before = [], 0, 0, method.restarts
     started = _synchronised_time()
     with computing_threads(task.method.threads):
         for batch in task.conditions:
@@ -72,7 +73,8 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
     peak += method.program_bytes()
     method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
-    return samples, _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
+    cost = _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
+    return samples, msgspec.structs.replace(cost, restarts=method.restarts - crashes_before)
 
 
 def _controlled(task: BatchTask) -> tuple[list[Motions], BatchCost]:

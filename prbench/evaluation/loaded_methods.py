@@ -43,6 +43,11 @@ class LoadedMethod:
             return 0
         return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
 
+    @property
+    def restarts(self) -> int:
+        """How often the method's program was started again after a crash; 0 in process."""
+        return self.adapter.restarts if isinstance(self.adapter, RemoteAdapter) else 0
+
     def close(self) -> None:
         """End its program, if it has one."""
         if isinstance(self.adapter, RemoteAdapter):

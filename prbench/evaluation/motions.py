@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -138,7 +139,7 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
 def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
     """A message of a method that knows opaque ids alone, with the names that a user knows."""
     for opaque_id, name in zip(batch.opaque_id, ids, strict=True):
-        message = message.replace(opaque_id, name)
+        message = re.sub(rf"\b{re.escape(opaque_id)}\b", lambda _: name, message)  # noqa: B023 - called at once
     return message
 
 

@@ -25,6 +25,8 @@ class BatchCost(msgspec.Struct, frozen=True, kw_only=True):
     halvings: int
     """How often a batch that did not fit in memory was cut in two."""
     network_passes: int | None
+    restarts: int = 0
+    """How often the method's program crashed and was started again."""
 
     def write(self, path: Path) -> None:
         """Write as JSON."""
@@ -50,10 +52,24 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     batches: int
     batches_measured: int
     """Fewer than ``batches`` if measurements were lost."""
+    restarts: dict[str, int] = {}
+    """Crashes after which the method's program was started again, by planned batch."""
 
     def write(self, path: Path) -> None:
         """Write as JSON."""
         write_json(path, msgspec.to_builtins(self))
+
+    @classmethod
+    def read(cls, path: Path) -> RunCost:
+        """Read ``cost.json``.
+
+        Raises:
+            RunError: if it is missing or damaged.
+        """
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except (FileNotFoundError, msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise RunError(f"{path}: not a valid measurement: {error}. Run the same command again.") from error
 
 
 def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
@@ -91,4 +107,5 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
         network_passes_declared=sum(passes) if passes else None,
         batches=batches,
         batches_measured=len(costs),
+        restarts={f"{cost.batch:05d}": cost.restarts for cost in costs if cost.restarts},
     )

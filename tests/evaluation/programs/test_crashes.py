@@ -6,6 +6,7 @@ import pytest
 
 from prbench.errors import AdapterError
 from prbench.evaluation.run import run_method
+from prbench.runs.cost import RunCost
 from tests.evaluation.test_run import reproducible_bytes, request
 
 CRASH = """
@@ -25,6 +26,7 @@ def test_one_crash_does_no_harm_and_after_two_on_a_batch_the_same_command_resume
     run_method(request(table, tmp_path / "once", own.method))
     assert (own.folder / "crashed").exists()
     assert reproducible_bytes(tmp_path / "once") == reproducible_bytes(tmp_path / "whole")
+    assert RunCost.read(tmp_path / "once/cost.json").restarts == {"00001": 1}
 
     (own.folder / "crashed").unlink()
     own.write(body=CRASH.format(when="header['batch'] == 1 or os.path.exists('crashed')"))
