@@ -16,15 +16,15 @@ from prbench.cli import main
 from prbench.storage import file_digest, read_json
 from prbench.training.weights import read_weights
 from tests.fakes import fake_dataset
-from tests.training.toy import SIGNAL_VARIABLE, entry_points
+from tests.training.toy import SIGNAL_VARIABLE, entry_points_of
 
 ROOT = Path(__file__).parents[2]
 VALIDATED = ["--set", "validation.every=4", "--set", "validation.condition=goal-loc", "--set", "validation.sequences=3"]
 SCRIPT = """
 import sys
 import prbench.training.installed
-from tests.training.toy import entry_points
-prbench.training.installed.entry_points = entry_points
+from tests.training.toy import entry_points_of
+prbench.training.installed.entry_points_of = entry_points_of
 from prbench.cli import main
 sys.exit(main(sys.argv[1:]))
 """
@@ -32,7 +32,7 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.fixture(autouse=True)
 def toy_is_installed(monkeypatch, tmp_path_factory):
-    monkeypatch.setattr("prbench.training.installed.entry_points", entry_points)
+    monkeypatch.setattr("prbench.training.installed.entry_points_of", entry_points_of)
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
     monkeypatch.setattr("prbench.training.log.draw_curves", lambda *arguments: None)  # once is enough, in `trained`
 
@@ -52,7 +52,7 @@ def trained(data, tmp_path_factory):
     out = tmp_path_factory.mktemp("trained")
     printed, said = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("prbench.training.installed.entry_points", entry_points)
+        patch.setattr("prbench.training.installed.entry_points_of", entry_points_of)
         patch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
             assert main(command(data, out, *VALIDATED)) == 0, said.getvalue()

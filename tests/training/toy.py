@@ -80,7 +80,7 @@ class ToyTask:
         return toy
 
 
-def entry_points(*, group: str) -> list[EntryPoint]:
+def entry_points_of(group: str) -> list[EntryPoint]:
     """In place of the installed ones."""
     return [EntryPoint("toy", "tests.training.toy:ToyTask", group)]
 
