@@ -32,8 +32,8 @@ def examine_left_right(patient: Patient) -> Finding:
     if by_hips > _WRONG_SIDE and by_shoulders > _WRONG_SIDE:
         return healthy(patient)
     evidence = (
-        "toes, knees and head point to the front (mean cosine"
-        f" {by_hips:+.2f} with the front that left and right hip give, {by_shoulders:+.2f} with that of the shoulders)"
+        "where toes, knees and head point has a mean cosine of"
+        f" {by_hips:+.2f} with the front that left and right hip give, {by_shoulders:+.2f} with that of the shoulders"
     )
     if by_hips * by_shoulders < 0:
         return _half(patient, evidence, arms=by_shoulders < by_hips)

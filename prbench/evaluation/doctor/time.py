@@ -10,11 +10,11 @@ from prbench.evaluation.doctor.recorded_clock import examine_recorded_clock
 
 def examine_time(patient: Patient) -> Finding:
     """One diagnosis of the clock: a stumbling clock also changes speeds, and a wrong rate also moves instants."""
-    for examine in (examine_clock, examine_recorded_clock, examine_frame_rate):
-        finding = examine(patient)
-        if any(diagnosis.certain for diagnosis in finding.diagnoses) or examine is examine_frame_rate:
-            return finding
-        if finding.diagnoses:
-            rest = examine_frame_rate(finding.patient)
-            return Finding((*finding.diagnoses, *rest.diagnoses), rest.patient)
-    return Finding((), patient)
+    findings = []
+    for examine in (examine_clock, examine_recorded_clock):  # what the recording proves outweighs a suspicion
+        findings.append(examine(patient))
+        if any(diagnosis.certain for diagnosis in findings[-1].diagnoses):
+            return findings[-1]
+    suspicion = next((finding for finding in findings if finding.diagnoses), Finding((), patient))
+    rest = examine_frame_rate(suspicion.patient)
+    return Finding((*suspicion.diagnoses, *rest.diagnoses), rest.patient)

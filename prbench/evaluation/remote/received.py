@@ -165,4 +165,4 @@ def _some(values: Sequence[object] | np.ndarray) -> str:
     """A count with the first of them, or the few numbers themselves."""
     if isinstance(values, np.ndarray):
         return " and ".join(str(value) for value in values[:2])
-    return f"{len(values)} ({str(values[0])[:64]})" if values else "0"
+    return f"{len(values)} ({str(values[0])[:100]})" if values else "0"
