@@ -37,7 +37,9 @@ def _repeats(patient: Patient) -> Finding:
     gaps = np.concatenate([np.diff(np.flatnonzero(inside)) for inside in found.values()])
     period = int(np.bincount(gaps).argmax())
     regular = float((gaps == period).mean())
-    rhythm = f", every {period} frames in {regular:.0%} of the cases" if period > 1 and regular > 0.5 else ", at no fixed distance"
+    rhythm = ", at no fixed distance"
+    if period > 1 and regular > 0.5:
+        rhythm = f", every {period} frames in {regular:.0%} of the cases"
     evidence = (
         f"{sum(counts)} frames of {of_motions(len(found), patient)} equal the frame before them in the midst of"
         f" movement{rhythm}"
