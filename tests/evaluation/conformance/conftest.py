@@ -25,7 +25,7 @@ BROKEN["neverimported"] = "import time; time.sleep(500)"
 EXTRA = ("takesanyoption", "takesanyweights", "misnamed")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")  # tests elsewhere list what is installed
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder on ``sys.path`` with one package that offers all of them."""
     folder = tmp_path_factory.mktemp("site")

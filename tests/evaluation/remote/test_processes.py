@@ -183,6 +183,7 @@ HARNESS = """
 import sys, os, signal, time
 from pathlib import Path
 from tests.evaluation.remote.programs import Workshop, started, standard_batch
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 workshop = Workshop(Path(sys.argv[1]), sys.argv[2])
 adapter = started(workshop.program(sys.argv[3]))
 print("ready", flush=True)
