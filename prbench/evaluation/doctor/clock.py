@@ -72,30 +72,37 @@ def _filled_in(motion: np.ndarray, repeated: np.ndarray) -> np.ndarray:
 
 def _holds(patient: Patient) -> Finding:
     """Ends and beginnings that stand still although the body is in full speed next to them."""
-    diagnoses = []
-    ends, starts = _held(patient, at_end=True), _held(patient, at_end=False)
-    if len(ends) * 3 >= len(patient):
-        abrupt = sum(speed > _FULL_SPEED for _, speed in ends.values())
-        frames = int(np.median([count for count, _ in ends.values()]))
-        evidence = (
-            f"the last {frames} frames (median) of {of_motions(len(ends), patient)} are one and the same;"
-            f" in {abrupt} the body stops from {_median_speed(ends):.2f} m/s (median) at once"
-        )
-        cause = "the end was padded with the last frame: the motion is shorter than was asked for"
-        remedy = "Generate the asked number of frames, or let the motion take the asked time by interpolation."
-        diagnoses.append(Diagnosis("clock", abrupt * 2 > len(ends), evidence, cause, remedy))
-    if len(starts) * 3 >= len(patient):
-        abrupt = sum(speed > _FULL_SPEED for _, speed in starts.values())
-        frames = int(np.median([count for count, _ in starts.values()]))
-        evidence = (
-            f"the first {frames + 1} frames (median) of {of_motions(len(starts), patient)} are one and the same;"
-            f" in {abrupt} the body then starts at {_median_speed(starts):.2f} m/s (median)"
-        )
-        cause = "the motion comes too late: the first frame was repeated, or the clock starts before the motion"
-        remedy = "Begin with the motion's own first frame; frame 0 is 2 s before the prime."
-        diagnoses.append(Diagnosis("clock", abrupt * 2 > len(starts), evidence, cause, remedy))
+    ends = _hold(
+        patient,
+        at_end=True,
+        told="the last {frames} frames (median) of {motions} are one and the same; in {abrupt} the body stops from"
+        " {speed:.2f} m/s (median) at once",
+        cause="the end was padded with the last frame: the motion is shorter than was asked for",
+        remedy="Generate the asked number of frames, or let the motion take the asked time by interpolation.",
+    )
+    starts = _hold(
+        patient,
+        at_end=False,
+        told="the first {frames} frames (median) of {motions} are one and the same; in {abrupt} the body then starts"
+        " at {speed:.2f} m/s (median)",
+        cause="the motion comes too late: the first frame was repeated, or the clock starts before the motion",
+        remedy="Begin with the motion's own first frame; frame 0 is 2 s before the prime.",
+    )
+    diagnoses = (*ends, *starts)
     held = [_without_holds(motion) for motion in patient.motions]
-    return Finding(tuple(diagnoses), patient.with_motions(held) if diagnoses else patient)
+    return Finding(diagnoses, patient.with_motions(held) if diagnoses else patient)
+
+
+def _hold(patient: Patient, *, at_end: bool, told: str, cause: str, remedy: str) -> tuple[Diagnosis, ...]:
+    """One side: certain if most of the motions that are held there are in full speed next to it."""
+    held = _held(patient, at_end=at_end)
+    if len(held) * 3 < len(patient):
+        return ()
+    abrupt = sum(speed > _FULL_SPEED for _, speed in held.values())
+    frames = int(np.median([count for count, _ in held.values()])) + (not at_end)
+    motions = of_motions(len(held), patient)
+    evidence = told.format(frames=frames, motions=motions, abrupt=abrupt, speed=_median_speed(held))
+    return (Diagnosis("clock", abrupt * 2 > len(held), evidence, cause, remedy),)
 
 
 def _median_speed(held: dict[int, tuple[int, float]]) -> float:

@@ -116,6 +116,14 @@ def _npz(path: Path) -> Iterator[NamedMotion]:
     if "joints" in headers:
         yield from _npz_columns(archive)
         return
+    if "noise_seed" in headers:
+        raise InputFileError(
+            path,
+            "",
+            expected="an array 'joints' with motions",
+            found="the conditions that motions are to be made from",
+            remedy="Give the file of motions here, and this one with --conditions.",
+        )
     if not names:
         found = ", ".join(f"{name} {header.shape}" for name, header in headers.items()) or "nothing"
         raise InputFileError(path, "", expected="arrays of two axes or more", found=found)

@@ -81,12 +81,14 @@ def test_what_is_no_file_of_numbers_is_refused_with_a_reason(tmp_path: Path) -> 
     (tmp_path / "motions.pkl").write_bytes(b"\x80\x04.")
     np.save(tmp_path / "objects.npy", np.array([{}, {}], dtype=object), allow_pickle=True)
     np.savez(tmp_path / "nothing.npz", name=np.array("x"))
+    np.savez(tmp_path / "conditions.npz", noise_seed=np.arange(2), initial_joints=np.zeros((2, 22, 3)))
     pq.write_table(pa.table({"positions": [[1.0]]}), tmp_path / "column.parquet")
     (tmp_path / "empty").mkdir()
     for name, message in (
         ("motions.pkl", "never opened"),
         ("objects.npy", "Python objects"),
         ("nothing.npz", "two axes or more"),
+        ("conditions.npz", "with --conditions"),
         ("column.parquet", "column 'joints'"),
         ("empty", "expected motions, found none"),
         ("missing.npy", "no such file"),
