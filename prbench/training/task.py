@@ -1,7 +1,8 @@
 """What a training task is: the seam between the loop, which knows no network, and a network, which knows no loop.
 
 An installed package offers a task by an entry point in the group ``prbench.training_tasks`` that names a callable
-without arguments which returns a :class:`TrainingTask`. A task builds a :class:`TrainingModule`; the loop of
+without arguments which returns a :class:`TrainingTask`; so does a method, by a callable ``training_task`` in the module
+that its own entry point names. A task builds a :class:`TrainingModule`; the loop of
 :mod:`prbench.training.loop` feeds it batches, minimises its ``loss`` and saves its weights.
 """
 
