@@ -11,7 +11,7 @@ _SUFFIX = ".safetensors"
 
 
 def bundled_names(folder: Path | None = None) -> list[str]:
-    """Names of the bundled weights, sorted: those of a method's own folder, or those that the diffusion methods share."""
+    """Names of the bundled weights, sorted: those in a method's own folder, or those that the others share."""
     return sorted(path.name.removesuffix(_SUFFIX) for path in (folder or _folder()).glob(f"*{_SUFFIX}"))
 
 
