@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import torch
 
-from prbench.errors import AdapterError
 from prbench.training.weights import Weights, read_weights
+from prbench_adapters.diffusion import bundled
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.wandr.configuration import WandrConfiguration
 from prbench_adapters.wandr.network import WandrNetwork
@@ -16,8 +16,9 @@ from prbench_adapters.wandr.network import WandrNetwork
 KIND = "wandr"
 REPRESENTATION = "wandr-135"
 
+DEFAULT_WEIGHTS = "wandr-small"
+
 _FOLDER = Path(__file__).with_name("weights")
-_SUFFIX = ".safetensors"
 
 
 def contents(network: WandrNetwork) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
@@ -62,24 +63,6 @@ def resolve(weights: Path | None) -> Path:
     Raises:
         AdapterError: if there is nothing of that kind.
     """
-    bundled = {path.stem: path for path in sorted(_FOLDER.glob(f"*{_SUFFIX}"))}
-    if weights is None and "wandr-small" not in bundled:
-        raise AdapterError(
-            "wandr: no weights come with this version of prbench. Train some"
-            " (`prbench train --method wandr --config small --data …`) and give --weights."
-        )
-    chosen = Path("wandr-small") if weights is None else weights
-    if chosen.is_file():
-        return chosen
-    if chosen.is_dir():
-        found = sorted(chosen.glob(f"*{_SUFFIX}"))
-        if len(found) == 1:
-            return found[0]
-        listed = ", ".join(path.name for path in found) or "none"
-        raise AdapterError(f"weights {chosen}: expected one {_SUFFIX} file in the folder, found {listed}.")
-    if str(chosen) in bundled:
-        return bundled[str(chosen)]
-    known = ", ".join(bundled) or "none in this installation"
-    raise AdapterError(
-        f"weights '{chosen}': expected a file, a folder, or bundled weights ({known}); found none of these."
-    )
+    if weights is None:
+        bundled.require_default("wandr", DEFAULT_WEIGHTS, _FOLDER)
+    return bundled.resolve(weights, DEFAULT_WEIGHTS, folder=_FOLDER)
