@@ -1,4 +1,4 @@
-"""DartControl: short motion primitives of a latent diffusion model, steered by their noise (``methods/dart.md``)."""
+"""DartControl: short primitives of a latent diffusion model, steered by their noise. torch is imported on first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a DART model is: sizes of its two networks, its primitives, text and diffusion; stands in the weights' header."""
+"""What a DART model is: sizes of both networks, primitives, text and diffusion; stands in the header of its weights."""
 
 from __future__ import annotations
 
