@@ -1,0 +1,67 @@
+"""The number of sequences of a table whose user named none: as many as fit into a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from prbench.engine import Engine, ProcessPool
+from prbench.evaluation.planning import select
+from prbench.sequences import SequenceTable
+from prbench.workflows.table_two.budget import DatasetSize, Pace, RowCost, largest_limit
+from prbench.workflows.table_two.measuring import measure, measured_name
+from prbench.workflows.table_two.plan import PlannedRow
+from prbench.workflows.table_two.request import TableRequest
+from prbench.workflows.table_two.state import TablePlan
+
+
+def with_limit(
+    plan: TablePlan,
+    request: TableRequest,
+    tables: list[SequenceTable],
+    planned: list[PlannedRow],
+    *,
+    engine: Engine,
+    measuring: Callable[[int, int, str], None],
+    folder: Path,
+) -> TablePlan:
+    """The plan with its limit, found by timing a batch of every row; every timing is kept at once.
+
+    Args:
+        plan: With what an earlier call has timed.
+        request: What is asked for.
+        tables: In printed order.
+        planned: Its lines; the skipped ones cost nothing.
+        engine: The one that the rows will be run with.
+        measuring: Called with timed rows, all rows, and the next one's label.
+        folder: Of the table, where the plan is written.
+    """
+    started = time.monotonic()
+    runnable = [row for row in planned if row.skipped is None]
+    costs = dict(plan.costs)
+
+    def keep(name: str, cost: RowCost) -> None:
+        costs[name] = cost
+        msgspec.structs.replace(plan, costs=costs).write(folder)
+
+    measure(runnable, plan.costs, engine, measured=keep, measuring=measuring)
+    known = [costs[measured_name(row)] for row in runnable if measured_name(row) in costs]
+    sizes = [dataset_size(table, request.split) for table in tables]
+    pace = Pace(request.batch_size, engine.workers if isinstance(engine, ProcessPool) else 1, request.samples)
+    seconds = 60 * request.minutes - (time.monotonic() - started)
+    limited = msgspec.structs.replace(plan, costs=costs, limit=largest_limit(known, sizes, pace, seconds=seconds))
+    limited.write(folder)
+    return limited
+
+
+def dataset_size(table: SequenceTable, split: str) -> DatasetSize:
+    """Number and length of the sequences of a split.
+
+    Raises:
+        TableError: if there are none.
+    """
+    selection = select(table, split=split, limit=None)
+    return DatasetSize(len(selection), float(selection.n_frames.mean()))
