@@ -35,7 +35,9 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     max_frames: int = 241
     padded_frames: int = 224
     """Every motion is padded with zeros to this length before a network sees it: group normalisation takes its
-    statistics over padding too, so the length must not depend on the batch. Longer ones go to :meth:`window`."""
+    statistics over padding too, so the length must not depend on the batch."""
+    padding_step: int = 8
+    """Motions that are longer than ``padded_frames`` are padded to the next multiple of this."""
     uniform_skeleton: bool = False
     """Whether the features are those of bodies rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section 3)."""
 
@@ -51,11 +53,12 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
             raise ValueError(f"'condition_width' must be even and positive, found {self.condition_width}")
         if self.emphasis <= 0 or self.fps <= 0:
             raise ValueError(f"'emphasis' and 'fps' must be positive, found {self.emphasis} and {self.fps}")
-        if self.padded_frames < 1 or self.padded_frames % self.stride:
-            raise ValueError(
-                f"'padded_frames' must be a multiple of {self.stride}, which the levels of the networks ask for,"
-                f" found {self.padded_frames}"
-            )
+        for name in ("padded_frames", "padding_step"):
+            if getattr(self, name) < 1 or getattr(self, name) % self.stride:
+                raise ValueError(
+                    f"'{name}' must be a multiple of {self.stride}, because the levels of the networks halve the"
+                    f" frames, found {getattr(self, name)}"
+                )
 
     @property
     def stride(self) -> int:
@@ -63,5 +66,5 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         return 2 ** (max(len(self.motion_widths), len(self.trajectory_widths)) - 1)
 
     def window(self, n_frames: int) -> int:
-        """Frames with padding: ``padded_frames``, for longer motions the next multiple of :attr:`stride`."""
-        return max(self.padded_frames, -(-n_frames // self.stride) * self.stride)
+        """Frames with padding: ``padded_frames``, for longer motions the next multiple of ``padding_step``."""
+        return max(self.padded_frames, -(-n_frames // self.padding_step) * self.padding_step)

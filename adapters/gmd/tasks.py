@@ -57,7 +57,7 @@ class GMDTask:
             "the model",
             representation=configuration.representation,
             fps=configuration.fps,
-            max_frames=min(configuration.max_frames, configuration.padded_frames),
+            max_frames=configuration.max_frames,
         )
         texts = _text_vectors(configuration)
         start = read_weights(initial, kind=KIND) if initial is not None else None
@@ -88,7 +88,7 @@ def _space_of(data: TrainingData, configuration: GMDConfiguration) -> FeatureSpa
     """Statistics of the training split with absolute roots; x and z of the root share one deviation."""
     accumulator = StatisticsAccumulator()
     for index in range(len(data.train)):
-        accumulator.add(with_absolute_root(torch.as_tensor(data.train[index].features)).numpy())
+        accumulator.add(with_absolute_root(torch.tensor(data.train[index].features)).numpy())
     found = accumulator.result()
     projection = emphasis_projection(configuration.emphasis)
     return FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
