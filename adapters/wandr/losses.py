@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 import torch
 from jaxtyping import Float
@@ -23,6 +25,10 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Frames that the network runs on its own output at most."""
     steps_per_chunk_frame: int = 1000
     """Training steps after which chunks may be one frame longer (the original: five epochs)."""
+    own_latents: Literal["encoded", "drawn"] = "encoded"
+    """Where the latents of chunks come from: the encoder, which sees the change that is wanted, as in the original, or
+    the standard normal distribution, as in generation. What corrects a body that has strayed may come from the encoder
+    in the first case; generation has none. In the second it must come from state and goal."""
     frames_per_step: int = 0
     """Of all frames in a batch so many are drawn for a step, and as many for the network's own output; 0 takes all."""
 

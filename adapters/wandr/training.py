@@ -93,7 +93,7 @@ class WandrTraining(TrainingModule):
             here = places.later(step)
             condition = self._condition(recordings, here, goals, state, delta=delta, joints=joints)
             wanted = self.network.delta(state.delta_to(recordings.states[here.later(1).index]))
-            decoded, _, _ = self._reconstructed(wanted, condition, generator)
+            decoded = self._own_change(wanted, condition, generator)
             delta = clean_delta(self.network.delta.undone(decoded))
             state = state.changed(delta)
             joints = state.joints(offsets)
@@ -143,6 +143,13 @@ class WandrTraining(TrainingModule):
         mean, log_variance = self.network.encode(wanted, condition)
         noise = torch.randn(mean.shape, generator=generator).to(mean)
         return self.network.decode(self.network.draw(mean, log_variance, noise), condition), mean, log_variance
+
+    def _own_change(self, wanted: torch.Tensor, condition: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """The change that a chunk goes on with, standardised."""
+        if self.objective.own_latents == "encoded":
+            return self._reconstructed(wanted, condition, generator)[0]
+        latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
+        return self.network.decode(latent.to(condition), condition)
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The network with its statistics, and the header of its file."""
