@@ -79,10 +79,12 @@ def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> Tabl
 
 def print_layout(layout: TableLayout) -> None:
     """Print each dataset's part, and what a reader has to know of them."""
-    from prbench.workflows.table_two.as_markdown import heading, notes
+    from prbench.workflows.table_two.as_markdown import heading, notes, orders
 
     for dataset in layout.datasets:
         _print_dataset(dataset, heading(dataset, layout))
+        for text in orders(dataset):
+            print(text)
     for note in notes(layout):
         print(note)
 

@@ -13,6 +13,7 @@ from prbench.workflows.table_two.layout import (
     TableLayout,
     metric_title,
 )
+from prbench.workflows.table_two.order import Step
 
 DASH = "–"
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
@@ -23,6 +24,7 @@ def as_markdown(layout: TableLayout) -> str:
     parts = ["# Table 2"]
     for dataset in layout.datasets:
         parts += [f"## {heading(dataset, layout)}", _grid(dataset)]
+        parts += ["\n".join(f"- {_plain(text)}" for text in orders(dataset))] if dataset.is_ranked else []
     parts.append("\n".join(f"- {note}" for note in notes(layout)))
     return "\n\n".join(parts) + "\n"
 
@@ -32,6 +34,20 @@ def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
     plural = "" if dataset.recordings == 1 else "s"
     counts = f"n = {dataset.sequences} sequences of {dataset.recordings} recording{plural}"
     return f"{dataset.title}: {counts}, split {layout.split}"
+
+
+def orders(dataset: DatasetLayout) -> Iterable[str]:
+    """For each block the order by Prime Success, with the difference at each step and what the data say of it."""
+    for block in (block for block in dataset.blocks if block.order):
+        labels = {line.name: line.label for line in block.lines}
+        steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
+        yield f"{block.title}, by Prime Success: {' > '.join(steps)}"
+
+
+def _step(step: Step) -> str:
+    bounds = "" if step.low is None or step.high is None else f" [{step.low:.2f}, {step.high:.2f}]"
+    p = "" if step.p is None else f", p = {step.p:.3f}"
+    return f"{step.difference:.2f}{bounds} lower{p}{'' if step.supported else ', not supported by the data'}"
 
 
 def notes(layout: TableLayout) -> Iterable[str]:

@@ -7,7 +7,7 @@ controls.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,6 +19,7 @@ from prbench.metrics import MetricInfo
 from prbench.runs.cost import RunCost, read_run_cost
 from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
+from prbench.workflows.table_two.order import METRIC, Step, order_of
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.rows import load_table_two
 
@@ -98,6 +99,8 @@ class BlockLayout:
     condition: str
     """``control`` for the controls."""
     lines: tuple[Line, ...]
+    order: tuple[Step, ...] = ()
+    """From the best to the worst by Prime Success; empty where nothing is ranked."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,7 @@ def lay_out(
 
 def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple[str, str], TableRow]) -> DatasetLayout:
     info = chosen.table.info
+    folders = {outcome.planned.name: outcome.folder for outcome in outcomes if outcome.folder is not None}
     lines = [(outcome.planned, _line(outcome, rows.get((info.dataset, outcome.planned.name)))) for outcome in outcomes]
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
@@ -182,8 +186,18 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
         redistribution=info.redistribution,
         sequences=len(chosen),
         recordings=len(set(chosen.recording_ids)),
-        blocks=tuple(BlockLayout(title, name, tuple(under[name])) for name, title in titles.items() if name in under),
+        blocks=tuple(
+            BlockLayout(title, name, tuple(under[name]), _order(under[name], folders, info.dataset))
+            for name, title in titles.items()
+            if name in under
+        ),
     )
+
+
+def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> tuple[Step, ...]:
+    cells = {line.name: line.cells[METRIC] for line in lines}
+    ranked = {name: cell.mean for name, cell in cells.items() if cell is not None and cell.rank is not None}
+    return order_of(ranked, folders, dataset)
 
 
 def _line(outcome: RowOutcome, row: TableRow | None) -> Line:

@@ -54,6 +54,9 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
         request: What is asked for.
         data: Its dataset folders, in printed order.
         folder: Of the table; every row gets a run folder in it.
+
+    Raises:
+        AdapterError: if a method refuses its options.
     """
     planned = [_planned(request, row, data, folder) for row in request.rows]
     controls = [_control(request, name, data, folder) for name in CONTROLS]
@@ -89,6 +92,8 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
         load_adapter(row.method, run.weights, {}, "cpu")
     except PrbenchError as error:
         return f"its weights ({weights.variant}) are not there: {error}"
+    if run.options:
+        load_adapter(row.method, run.weights, run.options, run.device)  # a slip of the pen shows before hours of work
     return None
 
 

@@ -111,7 +111,8 @@ class TableRequest:
             return self.out
         tables = self.tables()
         datasets = "+".join(table.info.dataset for table in tables)
-        name = f"table-2-{datasets}-{text_digest(*self.deciding(tables))[:8]}"
+        weights = "" if self.weights is None else str(self.weights.resolve())
+        name = f"table-2-{datasets}-{text_digest(weights, *self.deciding(tables))[:8]}"
         return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
 
     def deciding(self, tables: list[SequenceTable]) -> list[str]:
