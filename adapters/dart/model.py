@@ -65,7 +65,8 @@ class DartModel:
         texts: TextVectors,
         digest: str | None = None,
     ) -> None:
-        self.vae, self.denoiser = (network.eval().requires_grad_(False) for network in (vae, denoiser))
+        self.vae = vae.eval().requires_grad_(False)
+        self.denoiser = denoiser.eval().requires_grad_(False)
         self.device = denoiser.head.weight.device
         self.scaling = FeatureScaling(scaling.mean.to(self.device), scaling.std.to(self.device))
         self.latent_std, self.texts, self.digest = latent_std, texts, digest
