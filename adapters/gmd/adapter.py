@@ -56,8 +56,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
     """Entry point ``gmd``.
 
     Options: ``keyframes`` (root, or pose to impute both given poses), ``guidance`` (2.5), ``goal-scale`` (100, weight
-    of the goal's gradient), ``goal-loss`` (absolute or squared), ``imputation`` (end, demo or evaluation: how long the
-    root is imputed), ``steps`` (of each stage; all of the training's), ``text-path`` (files of the text encoder, if the
+    of the goal's gradient), ``goal-loss`` (absolute or squared), ``imputation`` (end, demo or evaluation: until when is
+    imputed), ``steps`` (of each stage; all of the training's), ``text-path`` (files of the text encoder, if the
     weights need one that has some).
 
     Args:

@@ -30,12 +30,14 @@ from prbench_adapters.gmd.sampling import (
 from prbench_adapters.gmd.unet import TemporalUNet
 
 Imputation = Literal["end", "demo", "evaluation"]
-"""How long the second stage imputes: in all steps, in all but the last, or while t ≥ 20 of 1000."""
+"""How long is imputed: ``end`` in all steps of both stages, so that the root meets its keyframes exactly. The original
+imputes the trajectory while t ≥ 20 of 1000, the motion while t ≥ 1 (``demo``) or t ≥ 20 (``evaluation``)."""
 
 _THOUSAND = 1000
 _GUIDED_FROM = 20
 _LINE_FROM = 100
-_IMPUTED_FROM: dict[Imputation, int] = {"end": 0, "demo": 1, "evaluation": 20}
+_IMPUTED_FROM: dict[Imputation, tuple[int, int]] = {"end": (0, 0), "demo": (20, 1), "evaluation": (20, 20)}
+"""In stage 1 and in stage 2."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ def sample_trajectory(
     at_keyframes = imputed_root(keyframes, space, N_ROOT)
     on_line = imputed_root(ends.straight_line(), space, N_ROOT)
     guided_from, line_from = _step(schedule, _GUIDED_FROM), _step(schedule, _LINE_FROM)
+    imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][0])
     state = noise.draw(N_ROOT)
     for i in range(len(chain) - 1, -1, -1):
         index = int(chain.indices[i])
@@ -121,7 +124,7 @@ def sample_trajectory(
             settings.goal_scale,
         )
         state = noised(chain, i, mean, noise.draw(N_ROOT)) if i else mean
-        if index >= guided_from:
+        if index >= imputed_from:
             imputed = on_line if index >= line_from else at_keyframes
             state = imputed_by_noising(chain, i, state, imputed, noise.draw(N_ROOT))
     return space.restored(state)
@@ -142,7 +145,7 @@ def sample_motion(
     imputed = imputed_root(goal, space, len(space.mean))
     if settings.keyframes == "pose":
         imputed = ends.impute_poses(imputed, space)
-    guided_from, imputed_from = _step(schedule, _GUIDED_FROM), _step(schedule, _IMPUTED_FROM[settings.imputation])
+    guided_from, imputed_from = _step(schedule, _GUIDED_FROM), _step(schedule, _IMPUTED_FROM[settings.imputation][1])
     loss = _root_loss(goal, settings, lambda clean: space.restored(space.unprojected(clean)))
     state = noise.draw()
     for i in range(len(chain) - 1, -1, -1):

@@ -107,10 +107,10 @@ def model():
 
 
 @pytest.mark.parametrize(("keyframes", "seed"), [("root", 0), ("root", 1), ("pose", 2)])
-def test_the_root_is_within_ten_centimetres_of_its_keyframes_whatever_the_networks_say(keyframes, seed):
+def test_the_root_is_at_its_keyframes_whatever_the_networks_say(keyframes, seed):
     batch = tiny.batch()
     motions = generate(tiny.model(seed=seed), batch, GMDSettings(keyframes=keyframes, steps=10))
-    assert _errors(batch, motions.joints).max() < 0.1
+    assert _errors(batch, motions.joints).max() < 1e-3
 
 
 def test_another_goal_moves_the_end_there(model):
@@ -146,10 +146,12 @@ def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
 
 
 def test_until_when_is_imputed_is_a_choice(model):
+    """Only the default holds the keyframes to the end; the original's choices let go of them."""
     batch = tiny.batch((12,))
-    settings = [GMDSettings(imputation=until, steps=5) for until in ("end", "demo")]
-    roots = [_root(generate(model, batch, each).joints[0]) for each in settings]
-    assert not np.allclose(*roots, atol=1e-4)
+    settings = [GMDSettings(imputation=until, steps=10) for until in ("end", "demo")]
+    held, free = (_errors(batch, generate(model, batch, each).joints).max() for each in settings)
+    assert held < 1e-3
+    assert free > 1e-3
 
 
 def test_batch_size_and_order_leave_no_trace(model):
