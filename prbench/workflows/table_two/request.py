@@ -58,6 +58,7 @@ class TableRequest:
     def __post_init__(self) -> None:
         if not self.data:
             raise UsageError("a table needs one dataset folder or more (--data DIR).")
+        load_table_two().chosen(self.method, self.condition)
         if self.weights is not None and not self.weights.is_dir():
             raise UsageError(
                 f"--weights {self.weights}: expected a folder of weights for --method all, found none. It holds NAME or"

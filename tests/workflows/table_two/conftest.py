@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from prbench.sequences import SequenceTable
-from prbench.workflows.table_two import rows
+from prbench.workflows.table_two import plan, rows
 from prbench.workflows.table_two.rows import TableTwo
 from tests.fakes import fake_dataset
 
@@ -120,7 +120,7 @@ class MadeUp:
 
 @pytest.fixture(autouse=True)
 def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MadeUp]:
-    """The table above in place of the study's, its methods installed, and a cache of the test's own."""
+    """The table above in place of the study's, with one control; its methods installed, and a cache of its own."""
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
     made = MadeUp(tmp_path)
     site = tmp_path / "site"
@@ -134,6 +134,7 @@ def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MadeUp]
     (site / "reacher-small").write_text("bundled")
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(rows, "read_toml", lambda package, name, form: msgspec.convert(TABLE, TableTwo))
+    monkeypatch.setattr(plan, "CONTROLS", ("ground-truth",))
     rows.load_table_two.cache_clear()
     yield made
     rows.load_table_two.cache_clear()
@@ -150,5 +151,3 @@ def small_tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[SequenceTabl
 def large_table(tmp_path_factory: pytest.TempPathFactory) -> SequenceTable:
     """52 sequences in the test split, of twelve recordings of which three are tested."""
     return fake_dataset(tmp_path_factory.mktemp("tables") / "large", 208, recordings=24)
-
-

@@ -38,7 +38,7 @@ def test_the_limit_is_the_largest_that_fits(seconds):
 
     assert total(limit) <= (1 - RESERVE) * seconds
     assert limit == 96 or total(limit + 1) > (1 - RESERVE) * seconds
-    assert 1 < limit
+    assert limit > 1
 
 
 def test_it_is_one_at_least_and_never_more_than_there_are():

@@ -10,8 +10,10 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
-from prbench.workflows.table_two import TableRequest, run_table
+from prbench.storage import text_digest
+from prbench.workflows.table_two import TableRequest, plan, run_table
 from prbench.workflows.table_two.budget import RowCost
+from prbench.workflows.table_two.request import CONTROLS
 from prbench.workflows.table_two.run import Say
 from prbench.workflows.table_two.state import TablePlan
 
@@ -30,7 +32,8 @@ def results(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
 
 
-def test_rows_end_well_break_or_are_skipped_and_the_table_goes_on(small_tables, made_up, tmp_path):
+def test_rows_end_well_break_or_are_skipped_and_the_table_goes_on(small_tables, made_up, tmp_path, monkeypatch):
+    monkeypatch.setattr(plan, "CONTROLS", CONTROLS)
     said = []
     report = run_table(
         request(small_tables[0], out=tmp_path / "t", weights=made_up.weights), say=Say(notice=said.append)
@@ -147,7 +150,6 @@ def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table,
         "weights": made_up.weights,
         "condition": Condition.GOAL_LOCATION,
         "options": {"reacher.spread": "0.2"},
-        "shuffled_goal": True,
     }
     few = run_table(request(large_table, out=tmp_path / "few", limit=FEWEST_RANKED - 1, **asked))
     assert not [cell for line in lines(few).values() for cell in line.cells.values() if cell and cell.rank]
@@ -170,8 +172,6 @@ def test_shuffled_goals_stand_among_the_controls(small_tables, tmp_path):
     assert controls.title == "Controls"
     assert [line.label for line in controls.lines] == [
         "ground-truth",
-        "ground-truth-resampled",
-        "scripted",
         "Reacher †, goal-loc, shuffled-goal",
         "Reacher, goal-loc, shuffled-goal",
     ]
@@ -187,22 +187,21 @@ def test_the_subset_follows_from_a_measured_batch_and_is_kept(small_tables, made
     assert report.layout.limit == 5  # all: made-up motions cost nothing
     assert "synthetic-adt n = 5 of 5: what fits into 10 minutes here" in said[-1]
     assert "n is what fitted into 10 minutes" in (tmp_path / "t/table_2.md").read_text()
-    assert made_up.calls()[0] == "reacher goal-loc 5"  # the batch that is timed, in one piece
-    plan = json.loads((tmp_path / "t/plan.json").read_text())
-    assert plan["limit"] == 5
-    assert set(plan["costs"]) == {"goal-loc-reacher-finetuned", "ground-truth", "ground-truth-resampled", "scripted"}
+    batches = [f"reacher goal-loc {size}" for size in (5, 2, 2, 1)]
+    assert made_up.calls() == batches  # the one that is timed, in one piece, and those that count
+    written = json.loads((tmp_path / "t/plan.json").read_text())
+    assert written["limit"] == 5
+    assert set(written["costs"]) == {"goal-loc-reacher-finetuned", "ground-truth"}
     run_table(asked)
-    assert made_up.calls()[-1] == "reacher goal-loc 1"  # batches of two, and no second timing
+    assert made_up.calls() == []
 
 
 def test_a_slow_row_makes_the_subset_smaller(small_tables, made_up, tmp_path):
     asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
-    run_table(request(small_tables[0], out=tmp_path / "other", limit=None, minutes=10, method="reacher"))
-    plan = json.loads((tmp_path / "other/plan.json").read_text())
-    costs = dict.fromkeys(plan["costs"], RowCost(seconds_per_frame=0.0, overhead=0.0))
-    costs["goal-loc-reacher-finetuned"] = RowCost(seconds_per_frame=2.0, overhead=1.0)  # about 170 s a sequence
-    TablePlan(asked=plan["asked"], limit=None, minutes=10, costs=costs).write(tmp_path / "t")
-    made_up.calls()
+    slow = RowCost(seconds_per_frame=2.0, overhead=1.0)  # about 170 s a sequence
+    costs = {"goal-loc-reacher-finetuned": slow, "ground-truth": RowCost(seconds_per_frame=0.0, overhead=0.0)}
+    digest = text_digest(*asked.deciding(asked.tables()))
+    TablePlan(asked=digest, limit=None, minutes=10, costs=costs).write(tmp_path / "t")
     report = run_table(asked)
     assert report.layout.limit == 3
     assert made_up.calls() == ["reacher goal-loc 3"]  # nothing was timed again
