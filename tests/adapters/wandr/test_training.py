@@ -6,6 +6,7 @@ import dataclasses
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -17,13 +18,15 @@ from prbench.representation import mirror
 from prbench.skeleton import Joint
 from prbench.training import SequenceDataset, collate
 from prbench.training.batch import MotionBatch
+from prbench.training.configuration import load_configuration
 from prbench.training.installed import list_tasks, load_task
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
 from prbench_adapters.kinematics.worlds import WANDR as WORLD
 from prbench_adapters.wandr.losses import delta_loss, divergence, joint_loss
+from prbench_adapters.wandr.network import WandrNetwork
 from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
-from prbench_adapters.wandr.task import WandrTask
+from prbench_adapters.wandr.task import WandrTask, read_model_table
 from prbench_adapters.wandr.training import WandrTraining
 from tests.adapters.wandr import tiny
 from tests.adapters.wandr.tiny import TINY
@@ -289,3 +292,25 @@ def test_the_smoke_configuration_trains_and_its_weights_generate(folder, tmp_pat
 def test_the_method_is_trainable_by_its_one_line():
     assert "wandr" in list_tasks()
     assert isinstance(load_task("wandr"), WandrTask)
+
+
+@pytest.mark.parametrize("name", ["paper", "small", "smoke"])
+def test_configurations_are_complete_and_of_their_size(name):
+    configuration = load_configuration(name, package="prbench_adapters.wandr", task="wandr", stage="finetune")
+    network, _ = read_model_table(configuration.model)
+    parameters = sum(parameter.numel() for parameter in WandrNetwork(network).parameters())
+    assert parameters == pytest.approx({"paper": 4.15e6, "small": 1.19e6, "smoke": 3.1e4}[name], rel=0.01)
+
+
+def test_small_is_trained_like_the_small_model_of_the_study():
+    ours = load_configuration("small", package="prbench_adapters.wandr", task="wandr", stage="finetune")
+    theirs = load_configuration("small", package="prbench_adapters.configurations", task="pr", stage="finetune")
+    assert msgspec.structs.replace(ours.training, precision=theirs.training.precision) == theirs.training
+    assert ours.data == theirs.data
+
+
+def test_chunks_with_drawn_latents_never_ask_the_encoder(data, batch):
+    module = _build(data, own_latents="drawn")
+    module.network.encode = None
+    losses = module._chunks(Recordings.of(batch, 30.0), 3, torch.Generator().manual_seed(0))
+    assert float(losses["own_changes"].detach()) > 0
