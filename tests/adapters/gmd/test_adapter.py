@@ -102,8 +102,8 @@ def test_a_run_predicts_every_sequence_and_ends_at_its_goal(weights, tmp_path, m
                 data=(table.folder,),
                 condition=Condition.GOAL_POSE,
                 weights=weights,
-                options={"steps": "4"},
-                limit=4,
+                options={"steps": "3"},
+                limit=3,
                 control=control,
                 out=out,
             )

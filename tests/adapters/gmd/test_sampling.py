@@ -106,10 +106,10 @@ def model():
     return tiny.model()
 
 
-@pytest.mark.parametrize(("keyframes", "seed"), [("root", 0), ("root", 1), ("pose", 2)])
+@pytest.mark.parametrize(("keyframes", "seed"), [("root", 1), ("pose", 2)])
 def test_the_root_is_at_its_keyframes_whatever_the_networks_say(keyframes, seed):
     batch = tiny.batch()
-    motions = generate(tiny.model(seed=seed), batch, GMDSettings(keyframes=keyframes, steps=10))
+    motions = generate(tiny.model(seed=seed), batch, GMDSettings(keyframes=keyframes, steps=5))
     assert _errors(batch, motions.joints).max() < 1e-3
 
 
@@ -117,18 +117,18 @@ def test_another_goal_moves_the_end_there(model):
     batch = tiny.batch()
     assert batch.goal_joints is not None
     shuffled = dataclasses.replace(batch, goal_joints=batch.goal_joints[[1, 2, 0]])
-    motions = generate(model, shuffled, GMDSettings(steps=10))
+    motions = generate(model, shuffled, GMDSettings(steps=5))
     assert _errors(shuffled, motions.joints)[1].max() < 0.1
     assert _errors(batch, motions.joints)[1].min() > 0.2
 
 
 def test_whole_poses_are_met_when_they_are_imputed(model):
     batch = tiny.batch()
-    joints = generate(model, batch, GMDSettings(keyframes="pose", steps=10)).joints
+    joints = generate(model, batch, GMDSettings(keyframes="pose", steps=5)).joints
     last = joints[np.arange(3), batch.n_frames - 1]
     assert np.allclose(joints[:, 0], batch.initial_joints, atol=1e-3)
     assert np.allclose(last, batch.goal_joints, atol=1e-3)
-    rooted = generate(model, batch, GMDSettings(steps=10)).joints
+    rooted = generate(model, batch, GMDSettings(steps=5)).joints
     assert not np.allclose(rooted[:, 0], batch.initial_joints, atol=0.1)
 
 
@@ -148,7 +148,7 @@ def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
 def test_until_when_is_imputed_is_a_choice(model):
     """Only the default holds the keyframes to the end; the original's choices let go of them."""
     batch = tiny.batch((12,))
-    settings = [GMDSettings(imputation=until, steps=10) for until in ("end", "demo")]
+    settings = [GMDSettings(imputation=until, steps=5) for until in ("end", "demo")]
     held, free = (_errors(batch, generate(model, batch, each).joints).max() for each in settings)
     assert held < 1e-3
     assert free > 1e-3
@@ -180,9 +180,9 @@ def test_passes_of_both_stages_are_counted(model, guidance, each):
 
 def test_the_goal_scale_matters_and_zero_takes_no_gradient(model, monkeypatch):
     batch = tiny.batch((12,))
-    guided = generate(model, batch, GMDSettings(steps=10)).joints
+    guided = generate(model, batch, GMDSettings(steps=5)).joints
     monkeypatch.setattr(torch.autograd, "grad", None)
-    free = generate(model, batch, GMDSettings(steps=10, goal_scale=0.0)).joints
+    free = generate(model, batch, GMDSettings(steps=5, goal_scale=0.0)).joints
     assert not np.allclose(guided, free, atol=1e-3)
 
 
