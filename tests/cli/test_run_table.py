@@ -42,7 +42,7 @@ def test_a_table_is_printed_in_the_studys_layout(table, tmp_path, capsys):
         (["--method", "all", "--sequence", "x"], "--sequence: belongs to a run of one method"),
         (["--method", "all", "--isolate"], "--isolate: belongs to a run of one method"),
         (["--method", "all", "--option", "steps=3"], "expected METHOD.steps="),
-        (["--method", "all", "--weights", "mdm-small"], "expected a folder of weights for --method all"),
+        (["--method", "all", "--weights", "mdm-small"], "expected a folder of weights for a table, found no folder"),
         (["--method", "scripted", "--condition", "all"], "Table 2 has no rows of 'scripted'"),
         (["--method", "static", "--minutes", "3"], "--minutes: belongs to --method all"),
     ],

@@ -34,7 +34,8 @@ def measure(
     *,
     measured: Callable[[str, RowCost], None],
     measuring: Callable[[int, int, str], None],
-) -> None:
+    seconds: float,
+) -> bool:
     """Time what is not known yet; a row that fails here will say so when it is run.
 
     Args:
@@ -43,15 +44,23 @@ def measure(
         engine: The one that the table will be run with.
         measured: Called with every new cost.
         measuring: Called with finished rows, all rows and the next one's label.
+        seconds: After which no further row is timed.
+
+    Returns:
+        Whether there was time for all.
     """
+    started = time.monotonic()
     missing = {measured_name(row): row for row in reversed(planned) if measured_name(row) not in known}
     ordered = [row for row in planned if missing.get(measured_name(row)) is row]
     for done, row in enumerate(ordered):
+        if time.monotonic() - started > seconds:
+            return False
         measuring(done, len(ordered), row.label)
         cost = _cost(row, engine)
         if cost is not None:
             measured(measured_name(row), cost)
     measuring(len(ordered), len(ordered), "")
+    return True
 
 
 def _cost(planned: PlannedRow, engine: Engine) -> RowCost | None:

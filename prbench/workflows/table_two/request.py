@@ -59,10 +59,11 @@ class TableRequest:
         if not self.data:
             raise UsageError("a table needs one dataset folder or more (--data DIR).")
         load_table_two().chosen(self.method, self.condition)
-        if self.weights is not None and not self.weights.is_dir():
+        if self.weights is not None and not any(self._weights_named(name) for name in load_table_two().weights):
+            found = "a folder without any" if self.weights.is_dir() else "no folder"
             raise UsageError(
-                f"--weights {self.weights}: expected a folder of weights for --method all, found none. It holds NAME or"
-                f" NAME.safetensors for any of: {', '.join(load_table_two().weights)}."
+                f"--weights {self.weights}: expected a folder of weights for a table, found {found}. It holds NAME or"
+                f" NAME.safetensors for one or more of: {', '.join(load_table_two().weights)}."
             )
         for key in self.options:
             method = key.partition(".")[0] if "." in key else self.method
@@ -85,12 +86,13 @@ class TableRequest:
 
     def user_weights(self, row: Row) -> Path | None:
         """The user's own weights of a row: a file, or a folder such as ``prbench train`` leaves."""
+        return self._weights_named(row.weights)
+
+    def _weights_named(self, name: str) -> Path | None:
         if self.weights is None:
             return None
-        for path in (self.weights / row.weights, self.weights / f"{row.weights}.safetensors"):
-            if path.exists():
-                return path
-        return None
+        paths = (self.weights / name, self.weights / f"{name}.safetensors")
+        return next((path for path in paths if path.exists()), None)
 
     def tables(self) -> list[SequenceTable]:
         """The tables, in the study's order, others behind by name.

@@ -17,6 +17,9 @@ from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import TableRequest
 from prbench.workflows.table_two.state import TablePlan
 
+TIMING_SHARE = 1 / 3
+"""Of the time, after which no further row is timed; what is not counts as the slowest that was."""
+
 
 def with_limit(
     plan: TablePlan,
@@ -47,14 +50,24 @@ def with_limit(
         costs[name] = cost
         msgspec.structs.replace(plan, costs=costs).write(folder)
 
-    measure(runnable, plan.costs, engine, measured=keep, measuring=measuring)
+    share = TIMING_SHARE * 60 * request.minutes
+    all_timed = measure(runnable, plan.costs, engine, measured=keep, measuring=measuring, seconds=share)
     known = [costs[measured_name(row)] for row in runnable if measured_name(row) in costs]
+    if not all_timed and known:
+        known += [_dearest(known)] * (len(runnable) - len(known))
     sizes = [dataset_size(table, request.split) for table in tables]
     pace = Pace(request.batch_size, engine.workers if isinstance(engine, ProcessPool) else 1, request.samples)
     seconds = 60 * request.minutes - (time.monotonic() - started)
     limited = msgspec.structs.replace(plan, costs=costs, limit=largest_limit(known, sizes, pace, seconds=seconds))
     limited.write(folder)
     return limited
+
+
+def _dearest(costs: list[RowCost]) -> RowCost:
+    """A row that is as slow as any that was timed, in every respect."""
+    return RowCost(
+        seconds_per_frame=max(cost.seconds_per_frame for cost in costs), overhead=max(cost.overhead for cost in costs)
+    )
 
 
 def dataset_size(table: SequenceTable, split: str) -> DatasetSize:

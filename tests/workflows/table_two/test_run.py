@@ -11,7 +11,7 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.storage import text_digest
-from prbench.workflows.table_two import TableRequest, plan, run_table
+from prbench.workflows.table_two import TableRequest, plan, run_table, subset
 from prbench.workflows.table_two.budget import RowCost
 from prbench.workflows.table_two.request import CONTROLS
 from prbench.workflows.table_two.run import Say
@@ -207,6 +207,16 @@ def test_a_slow_row_makes_the_subset_smaller(small_tables, made_up, tmp_path):
     assert made_up.calls() == ["reacher goal-loc 3"]  # nothing was timed again
 
 
+def test_rows_that_there_was_no_time_to_time_count_as_the_slowest(small_tables, made_up, tmp_path, monkeypatch):
+    monkeypatch.setattr(subset, "TIMING_SHARE", -1.0)
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
+    slow = RowCost(seconds_per_frame=2.0, overhead=1.0)  # two rows of about 170 s a sequence in nine minutes
+    digest = text_digest(*asked.deciding(asked.tables()))
+    TablePlan(asked=digest, limit=None, minutes=10, costs={"ground-truth": slow}).write(tmp_path / "t")
+    assert run_table(asked).layout.limit == 1
+    assert made_up.calls() == ["reacher goal-loc 1"]
+
+
 def test_another_request_is_refused_in_the_same_folder(small_tables, tmp_path):
     run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
     with pytest.raises(RunError, match="--limit, --seed"):
@@ -223,8 +233,12 @@ def test_requests_that_do_not_fit_together_are_refused(small_tables, tmp_path):
         request(table, out=tmp_path / "t", options={"spread": "1"})
     with pytest.raises(UsageError, match=r"expected METHOD\.spread="):
         request(table, out=tmp_path / "t", options={"reachr.spread": "1"})
-    with pytest.raises(UsageError, match="expected a folder of weights"):
+    with pytest.raises(UsageError, match="expected a folder of weights for a table, found no folder"):
         request(table, out=tmp_path / "t", weights=tmp_path / "nowhere")
+    (tmp_path / "misnamed").mkdir()
+    (tmp_path / "misnamed/reacher.safetensors").touch()
+    with pytest.raises(UsageError, match=r"found a folder without any.*reacher-finetuned"):
+        request(table, out=tmp_path / "t", weights=tmp_path / "misnamed")
     with pytest.raises(UsageError, match="synthetic-adt more than once"):
         run_table(request(table, table, out=tmp_path / "t"))
     with pytest.raises(AdapterError, match="unknown option 'spraed'"):
