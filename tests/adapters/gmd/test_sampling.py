@@ -11,6 +11,7 @@ import torch
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
 from prbench.skeleton import Joint
+from prbench_adapters.diffusion.noise import SequenceNoise
 from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.gmd import stages
 from prbench_adapters.gmd.generation import generate
@@ -203,3 +204,37 @@ def test_motions_of_one_and_of_two_frames_are_generated(model):
 def test_longer_motions_than_the_model_knows_are_refused(model):
     with pytest.raises(AdapterError, match="at most 60 frames, and was asked for 61"):
         generate(model, tiny.batch((61,)), GMDSettings())
+
+
+@pytest.mark.parametrize(("imputation", "last_imputed"), [("end", (0, 0)), ("demo", (2, 1)), ("evaluation", (2, 2))])
+def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch, imputation, last_imputed):
+    """100 steps: the line while t ≥ 10, then the keyframes; gradients while t ≥ 2; a body of five frames follows."""
+    imputed: list[list[tuple[int, int]]] = [[], []]
+    guided: list[int] = []
+
+    def noising(chain, i, state, overwritten, noise):
+        imputed[0].append((i, int(overwritten.where[0].any(dim=1).sum())))
+        return state
+
+    def in_mean(space, chain, i, state, mean, overwritten):
+        imputed[1].append((i, int(overwritten.where[0].any(dim=1).sum())))
+        return mean
+
+    def mean_of(estimate, chain, i, state, loss, scale):
+        guided.extend([i] if loss is not None else [])
+        return state
+
+    monkeypatch.setattr(stages, "imputed_by_noising", noising)
+    monkeypatch.setattr(stages, "imputed_in_mean", in_mean)
+    monkeypatch.setattr(stages, "guided_mean", mean_of)
+    model, ends, settings = tiny.model(diffusion_steps=100), _ends(), GMDSettings(imputation=imputation)
+    noise = SequenceNoise([1, 2], ends.n_frames.numpy())
+    text, window = torch.zeros(2, 64), model.configuration.window(5)
+    network = stages.GuidedNetwork(model.networks.motion, text, ends.n_frames, window=window, scale=1.0)
+    trajectory = stages.sample_trajectory(network, model.schedule, model.space, ends, noise, settings)
+    stages.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
+
+    line = [(t, 5) for t in range(99, 9, -1)]
+    assert imputed[0] == line + [(t, 2) for t in range(9, last_imputed[0] - 1, -1)]
+    assert imputed[1] == [(t, 5) for t in range(99, last_imputed[1] - 1, -1)]
+    assert guided == 2 * list(range(99, 1, -1))
