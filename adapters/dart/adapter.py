@@ -9,8 +9,9 @@ from pathlib import Path
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench_adapters.dart.generation import generate
 from prbench_adapters.dart.model import DartModel
-from prbench_adapters.dart.settings import DartSettings, dart_settings
+from prbench_adapters.dart.settings import OPTIONS, DartSettings, dart_settings
 from prbench_adapters.diffusion.bundled import require_default, resolve
+from prbench_adapters.diffusion.options import require_known
 from prbench_adapters.pr import require_goals_within_reach
 
 NAME = "dart"
@@ -45,9 +46,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
     """Entry point ``dart``.
 
     Options: ``optimise`` (on, or off for text alone), ``iterations`` (100), ``learning-rate`` (0.05), ``noise-scale``
-    (0.1), ``guidance`` (5), ``gradient-norm`` (sequence, or batch as the original), ``seeding`` (velocity or repeat),
-    ``hand`` (right, nearest or left), ``jerk`` (0), ``checkpointing`` (off or on), ``text-path`` (files of the text
-    encoder, if the weights need one that has some).
+    (0.1), ``ddim-steps`` (all of the training's), ``guidance`` (5), ``gradient-norm`` (sequence, or batch as the
+    original), ``seeding`` (velocity or repeat), ``hand`` (right, nearest or left), ``jerk`` (0), ``checkpointing`` (off
+    or on), ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``dart-small``.
@@ -59,9 +60,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
         InputFileError: if the file is not one of DART.
         ValueError: for options that are unknown or have impossible values.
     """
-    settings = dart_settings(options)
+    require_known(options, OPTIONS)
     folder = Path(str(files("prbench_adapters.dart.weights")))
     if weights is None:
         require_default(NAME, DEFAULT_WEIGHTS, folder)
     path = resolve(weights, DEFAULT_WEIGHTS, folder=folder)
-    return DartControl(DartModel.load(path, device, text_path=options.get("text-path")), path, settings)
+    model = DartModel.load(path, device, text_path=options.get("text-path"))
+    return DartControl(model, path, dart_settings(options, diffusion_steps=model.configuration.diffusion_steps))

@@ -38,6 +38,9 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     text_dimension: int = 768
     diffusion_steps: int = 10
     fps: float = 20.0
+    uniform_skeleton: bool = False
+    """Whether the model has learnt bodies that were rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section
+    3); conditions are then put onto it, and motions scaled back."""
 
     def __post_init__(self) -> None:
         for name in _COUNTS:

@@ -20,6 +20,7 @@ from prbench_adapters.dart.settings import DartSettings
 from prbench_adapters.diffusion.batching import parts_of_similar_length
 from prbench_adapters.diffusion.noise import SequenceNoise
 from prbench_adapters.diffusion.noise_optimisation.generation import targets_of
+from prbench_adapters.diffusion.skeletons import ModelBodies
 from prbench_adapters.kinematics.worlds import DART
 
 _LARGEST_PART = {"cpu": 8}  # sequences rolled out side by side; all their passes are kept for the gradient
@@ -40,15 +41,16 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     """
     _require_frame_rate(batch, model)
     _require_headings(batch)
+    bodies = ModelBodies.of(batch, model.configuration)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
     largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
     for rows in parts_of_similar_length(batch.n_frames, largest):
-        part = _Part(model, _rows(batch, rows), settings)
+        part = _Part(model, _rows(bodies.batch, rows), settings)
         own = part.motions()
         joints[rows, : own.shape[1]] = own
         passes += part.passes
-    return Motions(joints, batch.n_frames, Cost(passes))
+    return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
 
 
 class _Part:
@@ -94,7 +96,7 @@ class _Part:
 
     def _from_noise(self, noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
         self.decoded += self.primitives * len(self.batch)
-        sample = by_ddim(self.denoiser, self.model.schedule, noise)
+        sample = by_ddim(self.denoiser, self.model.schedule, noise, steps=self.settings.ddim_steps)
         checkpointing = self.settings.checkpointing
         return self._joints(
             roll_out(self.model, self.history, self.placement, sample, self.primitives, checkpointing=checkpointing)

@@ -48,10 +48,14 @@ class GuidedDenoiser:
 
 
 def by_ddim(
-    denoiser: GuidedDenoiser, schedule: CosineSchedule, noise: Float[Tensor, "primitives batch 1 latent"]
+    denoiser: GuidedDenoiser,
+    schedule: CosineSchedule,
+    noise: Float[Tensor, "primitives batch 1 latent"],
+    *,
+    steps: int | None = None,
 ) -> SampleLatent:
-    """A fixed, differentiable map from the noise of each primitive to its latent: all steps, η = 0."""
-    return lambda number, history: sample_ddim(denoiser.under(history), schedule, noise[number])
+    """A fixed, differentiable map from the noise of each primitive to its latent: η = 0, all steps unless given."""
+    return lambda number, history: sample_ddim(denoiser.under(history), schedule, noise[number], steps=steps)
 
 
 def by_ddpm(

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import Literal, cast
 
 from prbench_adapters.diffusion.noise_optimisation.settings import Hand
-from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
+from prbench_adapters.diffusion.options import choice, number, whole_number
 
 GradientNorm = Literal["sequence", "batch"]
 Seeding = Literal["velocity", "repeat"]
 
-OPTIONS = (
-    "optimise", "iterations", "learning-rate", "noise-scale", "guidance", "gradient-norm", "seeding", "hand", "jerk",
-    "checkpointing", "text-path",
+_OF_OPTIMISATION = (
+    "iterations", "learning-rate", "noise-scale", "ddim-steps", "gradient-norm", "hand", "jerk", "checkpointing",
 )  # fmt: skip
-_OF_OPTIMISATION = ("iterations", "learning-rate", "noise-scale", "gradient-norm", "hand", "jerk", "checkpointing")
+OPTIONS = ("optimise", *_OF_OPTIMISATION, "guidance", "seeding", "text-path")
 _MOST_ITERATIONS = 100_000
 
 
@@ -32,6 +31,8 @@ class DartSettings:
     """Of Adam in the first iteration; falls linearly, to a hundredth of it in the last of 100."""
     noise_scale: float = 0.1
     """Standard deviation of the noise that optimisation starts from (the original's setting for in-betweening)."""
+    ddim_steps: int | None = None
+    """Of the chain from noise to latent; None for all of the training's, as in the original."""
     guidance: float = 5.0
     gradient_norm: GradientNorm = "sequence"
     """Whose gradient is brought to length 1 in each primitive: each sequence's, or that of the whole batch, with which
@@ -50,13 +51,16 @@ class DartSettings:
             raise ValueError(f"'iterations': expected 1 or more, found {self.iterations}.")
 
 
-def dart_settings(options: Mapping[str, str]) -> DartSettings:
+def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSettings:
     """The settings that options ask for.
 
+    Args:
+        options: As given.
+        diffusion_steps: Steps that the model was trained with.
+
     Raises:
-        ValueError: naming an option that is unknown, has an impossible value, or does not go with another.
+        ValueError: naming an option that has an impossible value, or does not go with another.
     """
-    require_known(options, OPTIONS)
     default = DartSettings()
     optimised = choice(options, "optimise", ("on", "off")) == "on"
     idle = [] if optimised else [key for key in _OF_OPTIMISATION if key in options]
@@ -67,6 +71,7 @@ def dart_settings(options: Mapping[str, str]) -> DartSettings:
         iterations=whole_number(options, "iterations", most=_MOST_ITERATIONS) or default.iterations,
         learning_rate=number(options, "learning-rate", default.learning_rate),
         noise_scale=number(options, "noise-scale", default.noise_scale),
+        ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps),
         guidance=number(options, "guidance", default.guidance),
         gradient_norm=cast(GradientNorm, choice(options, "gradient-norm", ("sequence", "batch"))),
         seeding=cast(Seeding, choice(options, "seeding", ("velocity", "repeat"))),

@@ -20,7 +20,7 @@ from prbench_adapters.dart.training import DartTraining
 from prbench_adapters.dart.windows import feature_scaling
 from prbench_adapters.diffusion.text_vectors import TextVectors
 
-FREE_TO_CHANGE = frozenset({"dropout"})
+FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
 """What fine-tuning may set otherwise than the weights that it starts from."""
 
 

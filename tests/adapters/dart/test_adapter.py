@@ -9,6 +9,7 @@ from prbench.contract import Adapter, Condition
 from prbench.errors import AdapterError, InputFileError
 from prbench_adapters import dart
 from prbench_adapters.dart.configuration import DartConfiguration
+from prbench_adapters.diffusion.skeletons import ModelBodies
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 
@@ -84,6 +85,21 @@ def test_repeated_seeding_forgets_the_initial_velocity(weights):
 def test_memory_may_be_bought_with_time(weights):
     kept, again = (_generated(weights, BATCH, checkpointing=value).joints for value in ("off", "on"))
     np.testing.assert_allclose(kept, again, atol=1e-6)
+
+
+def test_fewer_steps_take_fewer_passes(weights):
+    assert _generated(weights, BATCH, **{"ddim-steps": "1"}).cost.network_passes == 3 * 2 * 2 * (2 * 1 + 1)
+
+
+def test_a_model_of_one_skeleton_moves_bodies_of_their_own_size(tmp_path):
+    """Conditions are put on the model's skeleton and the motion is scaled back (methods/pr-model.md section 3)."""
+    path = tiny.write(tmp_path / "uniform.safetensors", diffusion_steps=2, uniform_skeleton=True)
+    adapter = dart.load(path, options=QUICK, device="cpu")
+    bodies = ModelBodies.of(BATCH, adapter.model.configuration)
+    assert not np.allclose(bodies.batch.goal_location, BATCH.goal_location)
+    plain = tiny.write(tmp_path / "plain.safetensors", diffusion_steps=2)
+    inside = _generated(plain, bodies.batch).joints
+    np.testing.assert_allclose(adapter.generate(BATCH, seed=0).joints, bodies.own(inside), atol=1e-6)
 
 
 @pytest.mark.parametrize("value", [np.nan, 40.0])
