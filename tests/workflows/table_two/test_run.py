@@ -11,7 +11,7 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.storage import text_digest
-from prbench.workflows.table_two import TableRequest, plan, run_table, subset
+from prbench.workflows.table_two import TableRequest, plan, run, run_table, subset
 from prbench.workflows.table_two.budget import RowCost
 from prbench.workflows.table_two.request import CONTROLS
 from prbench.workflows.table_two.run import Say
@@ -59,6 +59,23 @@ def test_rows_end_well_break_or_are_skipped_and_the_table_goes_on(small_tables, 
     assert "synthetic-adt n = 3 of 5" in text
     assert [outcome.planned.name for outcome in report.failed] == ["text-breaker-finetuned"]
     assert all(cell is None for cell in lines(report)["text-breaker-finetuned"].cells.values())
+
+
+def test_a_defect_costs_one_row_and_a_full_disk_all(small_tables, tmp_path, monkeypatch):
+    def run_method(asked, **settings):
+        if asked.method == "reacher":
+            raise error
+        return real(asked, **settings)
+
+    real = run.run_method
+    monkeypatch.setattr(run, "run_method", run_method)
+    error: Exception = RecursionError("round and round")
+    report = run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
+    assert lines(report)["goal-loc-reacher-finetuned"].reason == "RecursionError: round and round"
+    assert lines(report)["ground-truth"].state == "run"
+    error = StorageError("no space left on the device")
+    with pytest.raises(StorageError, match="no space left"):
+        run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
 
 
 def test_cells_hold_what_the_runs_say(small_tables, tmp_path):
