@@ -59,10 +59,11 @@ def _build(data: SequenceDataset, *, initial: Path | None = None, seed: int = 0,
     return WandrTask().build({**TINY, **TRAINED_FOR, **model}, data=given, initial=initial, stage="finetune")
 
 
-def _walk(n_frames: int, *, metres_a_frame: float = 0.1, wrist: Joint = Joint.RIGHT_WRIST) -> MotionBatch:
-    """One body that slides along +Z at a constant speed; its goal is where a wrist ends."""
-    moved = np.arange(-1, n_frames)[:, None, None] * np.array([0.0, 0.0, metres_a_frame])
+def _walk(n_frames: int, *, wrist: Joint = Joint.RIGHT_WRIST, goal_known: bool = True) -> MotionBatch:
+    """One body that slides along +Z, 10 cm a frame; its goal is where a wrist ends."""
+    moved = np.arange(-1, n_frames)[:, None, None] * np.array([0.0, 0.0, 0.1])
     joints = (STANDING + moved).astype(np.float32)
+    joints[:, Joint.RIGHT_WRIST, 1] += 0.2  # otherwise it is its own mirror image
     item = dataclasses.make_dataclass("Item", [field.name for field in dataclasses.fields(MotionBatch)])
     values = {field.name: None for field in dataclasses.fields(MotionBatch)} | {
         "features": torch.zeros(1, n_frames, 263),
@@ -73,7 +74,7 @@ def _walk(n_frames: int, *, metres_a_frame: float = 0.1, wrist: Joint = Joint.RI
         "initial_joints": torch.from_numpy(joints[None, 1]),
         "previous_joints": torch.from_numpy(joints[None, 0]),
         "goal_joints": torch.from_numpy(joints[None, -1]),
-        "goal_location": torch.from_numpy(joints[None, -1, wrist]),
+        "goal_location": torch.from_numpy(joints[None, -1, wrist]) * (1.0 if goal_known else torch.nan),
         "fps": 20.0,
         "sequence_id": ("one",),
     }
@@ -99,6 +100,7 @@ def test_the_same_rate_changes_nothing(batch):
 
 def test_left_handed_reaches_are_learnt_from_as_right_handed_ones():
     right, left = (Recordings.of(_walk(30, wrist=wrist), 30.0) for wrist in (Joint.RIGHT_WRIST, Joint.LEFT_WRIST))
+    assert torch.allclose(right.joints, Recordings.of(_walk(30, goal_known=False), 30.0).joints)
     seen = mirror(WORLD.to_y_up(right.joints).numpy())
     assert np.allclose(WORLD.to_y_up(left.joints), seen, atol=1e-5)
 
@@ -230,6 +232,21 @@ def test_conditions_hold_the_goal_and_nothing_else_of_the_future(data, batch):
         delta=recordings.deltas[places.row, goals - 1],
         joints=recordings.joints[at_goal.index],
     )[:, -9:].any()
+
+
+@pytest.mark.parametrize("losses", ["single", "chunks"])
+def test_the_change_that_is_wanted_is_no_part_of_the_condition(losses, data, batch, monkeypatch):
+    module, recordings = _build(data, frames_per_step=0), Recordings.of(batch, 30.0)
+    given, inner = [], module.network.condition
+    monkeypatch.setattr(
+        module.network, "condition", lambda seen, delta, i: (given.append(delta), inner(seen, delta, i))[1]
+    )
+    if losses == "single":
+        module._single_changes(recordings, torch.Generator())
+    else:
+        module._chunks(recordings, 2, torch.Generator())
+    places = starts(recordings, 1 if losses == "single" else 2)
+    assert torch.equal(given[0], recordings.deltas[places.row, places.frame - 1])
 
 
 def test_it_learns(data):
