@@ -14,6 +14,7 @@ from prbench.errors import AdapterError, InputFileError
 from prbench.evaluation.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint, bone_lengths
+from prbench_adapters.wandr import weights_file
 from prbench_adapters.wandr.adapter import WANDR, Generation
 from prbench_adapters.wandr.state import TRANSLATION
 from tests.adapters.wandr import tiny
@@ -176,3 +177,11 @@ def test_files_of_something_else_are_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(AdapterError, match=r"expected one \.safetensors file in the folder, found none"):
         load_adapter("wandr", tmp_path / "empty", {}, "cpu")
+
+
+def test_a_version_without_weights_says_how_to_get_some(tmp_path, monkeypatch):
+    monkeypatch.setattr(weights_file, "_FOLDER", tmp_path)
+    with pytest.raises(AdapterError, match="wandr: no weights come with this version of prbench. Train some"):
+        load_adapter("wandr", None, {}, "cpu")
+    bundled = tiny.write(tmp_path / "wandr-small.safetensors")
+    assert load_adapter("wandr", None, {}, "cpu").weights_for(Condition.GOAL_LOCATION) == bundled
