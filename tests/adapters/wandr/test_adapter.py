@@ -181,7 +181,7 @@ def test_files_of_something_else_are_refused(tmp_path):
 
 def test_a_version_without_weights_says_how_to_get_some(tmp_path, monkeypatch):
     monkeypatch.setattr(weights_file, "_FOLDER", tmp_path)
-    with pytest.raises(AdapterError, match="wandr: no weights come with this version of prbench. Train some"):
+    with pytest.raises(AdapterError, match="wandr: no weights come with this version of prbench"):
         load_adapter("wandr", None, {}, "cpu")
     bundled = tiny.write(tmp_path / "wandr-small.safetensors")
     assert load_adapter("wandr", None, {}, "cpu").weights_for(Condition.GOAL_LOCATION) == bundled
