@@ -54,7 +54,7 @@ def with_limit(
     all_timed = measure(runnable, plan.costs, engine, measured=keep, measuring=measuring, seconds=share)
     known = [costs[measured_name(row)] for row in runnable if measured_name(row) in costs]
     if not all_timed and known:
-        known += [_dearest(known)] * (len(runnable) - len(known))
+        known += [_dearest(known, row) for row in runnable if measured_name(row) not in costs]
     sizes = [dataset_size(table, request.split) for table in tables]
     pace = Pace(request.batch_size, engine.workers if isinstance(engine, ProcessPool) else 1, request.samples)
     seconds = 60 * request.minutes - (time.monotonic() - started)
@@ -63,11 +63,10 @@ def with_limit(
     return limited
 
 
-def _dearest(costs: list[RowCost]) -> RowCost:
-    """A row that is as slow as any that was timed, in every respect."""
-    return RowCost(
-        seconds_per_frame=max(cost.seconds_per_frame for cost in costs), overhead=max(cost.overhead for cost in costs)
-    )
+def _dearest(costs: list[RowCost], row: PlannedRow) -> RowCost:
+    """As slow as any that was timed, in every respect; a control generates nothing."""
+    slowest = 0.0 if row.row is None else max(cost.seconds_per_frame for cost in costs)
+    return RowCost(seconds_per_frame=slowest, overhead=max(cost.overhead for cost in costs))
 
 
 def dataset_size(table: SequenceTable, split: str) -> DatasetSize:
