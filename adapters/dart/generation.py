@@ -23,7 +23,7 @@ from prbench_adapters.diffusion.noise_optimisation.generation import targets_of
 from prbench_adapters.diffusion.skeletons import ModelBodies
 from prbench_adapters.kinematics.worlds import DART
 
-_LARGEST_PART = {"cpu": 8}  # sequences rolled out side by side; all their passes are kept for the gradient
+_LARGEST_PART = {"cpu": 16}  # sequences rolled out side by side; all their passes are kept for the gradient
 _LARGEST_PART_ELSEWHERE = 64
 _SHORTEST_ACROSS = 1e-6  # metres between the hips, along the ground
 
