@@ -10,21 +10,25 @@ from prbench.errors import AdapterError, did_you_mean
 _SUFFIX = ".safetensors"
 
 
-def bundled_names() -> list[str]:
-    """Names of the bundled weights, sorted."""
-    return sorted(path.name.removesuffix(_SUFFIX) for path in _folder().glob(f"*{_SUFFIX}"))
+def bundled_names(folder: Path | None = None) -> list[str]:
+    """Names of the bundled weights, sorted: those in a method's own folder, or those that the others share."""
+    return sorted(path.name.removesuffix(_SUFFIX) for path in (folder or _folder()).glob(f"*{_SUFFIX}"))
 
 
-def bundled_weights(name: str) -> Path:
+def bundled_weights(name: str, folder: Path | None = None) -> Path:
     """The file of bundled weights.
+
+    Args:
+        name: Without its suffix.
+        folder: Of a method that keeps its weights beside its code; None for the folder that the others share.
 
     Raises:
         AdapterError: if there are none of this name; says what there is.
     """
-    path = _folder() / f"{name}{_SUFFIX}"
+    path = (folder or _folder()) / f"{name}{_SUFFIX}"
     if path.is_file():
         return path
-    names = bundled_names()
+    names = bundled_names(folder)
     hint = did_you_mean(name, names)
     known = ", ".join(names) or "none in this installation"
     raise AdapterError(
@@ -32,26 +36,40 @@ def bundled_weights(name: str) -> Path:
     )
 
 
-def resolve(weights: Path | None, default: str) -> Path:
+def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -> Path:
     """The weights file that is meant.
 
     Args:
         weights: A file; a folder with one weights file in it, such as ``prbench train`` makes; the name of bundled
             weights; None for the default.
         default: Name of bundled weights.
+        folder: Where the bundled weights are, as for :func:`bundled_weights`.
 
     Raises:
         AdapterError: if nothing of that kind is there, or the folder holds none or several.
     """
     if weights is None:
-        return bundled_weights(default)
+        return bundled_weights(default, folder)
     if weights.is_file():
         return weights
     if weights.is_dir():
         return _only_file(weights)
     if len(weights.parts) > 1 or weights.suffix == _SUFFIX:
         raise AdapterError(f"weights {weights}: expected a file or folder, found neither.")
-    return bundled_weights(weights.name)
+    return bundled_weights(weights.name, folder)
+
+
+def require_default(method: str, default: str, folder: Path) -> None:
+    """Say how to get weights where a method's default is not among those that come with this version.
+
+    Raises:
+        AdapterError: with the command that trains some.
+    """
+    if default not in bundled_names(folder):
+        raise AdapterError(
+            f"{method}: no weights come with this version of prbench. Train some (`prbench train --method {method}"
+            " --config small --data …`) and give --weights."
+        )
 
 
 def _only_file(folder: Path) -> Path:

@@ -27,11 +27,11 @@ class SequenceNoise:
         self._generators = [sequence_generator(seed) for seed in noise_seed]
         self._n_frames, self._device = n_frames, device
 
-    def draw(self) -> Float[torch.Tensor, "batch frames 263"]:
+    def draw(self, columns: int = N_FEATURES) -> Float[torch.Tensor, "batch frames columns"]:
         """The next noise of every sequence; as long as the longest."""
-        noise = np.zeros((len(self._n_frames), int(self._n_frames.max()), N_FEATURES), dtype=np.float32)
+        noise = np.zeros((len(self._n_frames), int(self._n_frames.max()), columns), dtype=np.float32)
         for row, (generator, n) in enumerate(zip(self._generators, self._n_frames, strict=True)):
-            noise[row, :n] = generator.standard_normal((int(n), N_FEATURES), dtype=np.float32)
+            noise[row, :n] = generator.standard_normal((int(n), columns), dtype=np.float32)
         return torch.from_numpy(noise).to(self._device)
 
 

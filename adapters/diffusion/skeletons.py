@@ -8,13 +8,23 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from prbench.contract import ConditionBatch
 from prbench.representation import UniformSkeleton
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+
+
+@runtime_checkable
+class KnowsItsSkeleton(Protocol):
+    """A model's configuration."""
+
+    @property
+    def uniform_skeleton(self) -> bool:
+        """Whether the model has learnt bodies that were rescaled to HumanML3D's skeleton."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -26,7 +36,7 @@ class ModelBodies:
     """The change of skeleton; None if there is none."""
 
     @classmethod
-    def of(cls, batch: ConditionBatch, configuration: DenoiserConfiguration) -> ModelBodies:
+    def of(cls, batch: ConditionBatch, configuration: KnowsItsSkeleton) -> ModelBodies:
         """The batch on the skeleton of the model.
 
         Without an initial pose (condition ``text``) the body is not known; then the motion keeps the model's size.

@@ -21,6 +21,7 @@ from prbench.cli.arguments import (
 from prbench.cli.progress import progress
 from prbench.cli.sequence_scores import print_sequence_scores
 from prbench.cli.summaries import print_side_by_side, print_summary
+from prbench.cli.table_two import run_and_print, wants_table
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from prbench.evaluation.run import RunReport
 
 _FIRST_RUN_WORKERS = 2
+_TABLE_WORKERS = 2
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -45,13 +47,23 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         required=True,
         metavar="NAME|cmd:…|FILE",
         help="an installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
-        " ground-truth, ground-truth-resampled, scripted",
+        " ground-truth, ground-truth-resampled, scripted; all: the rows of the study's Table 2",
     )
-    parser.add_argument("--condition", choices=CONDITIONS, default="none", help="what the method is given")
+    parser.add_argument(
+        "--condition",
+        choices=[*CONDITIONS, "all"],
+        help="what the method is given (default: none; all for --method all); all: every row that Table 2 has of it",
+    )
     add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
     parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: one under ./runs); resumes")
     add_split(parser)
     add_limit(parser)
+    parser.add_argument(
+        "--minutes",
+        type=positive,
+        metavar="N",
+        help="with all: run as many sequences of each dataset as fit into this time (default 30), unless --limit says",
+    )
     parser.add_argument(
         "--sequence",
         action="append",
@@ -85,6 +97,10 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     from prbench.engine import engine_for
 
+    if wants_table(arguments):
+        engine = engine_for(arguments.workers or _TABLE_WORKERS)
+        return run_and_print(arguments, tuple(arguments.data or ()) or (_embedded_table(engine),), engine)
+    _require_no_minutes(arguments)
     if arguments.view is not None:
         from prbench.viewing.replay.file_kind import file_kind
 
@@ -107,6 +123,13 @@ def _run(arguments: argparse.Namespace) -> int:
     elif first_run:
         print(f"look at it: prbench view {report.folder.path} --out motions.png   (or .mp4, .html)")
     return 0
+
+
+def _require_no_minutes(arguments: argparse.Namespace) -> None:
+    from prbench.errors import UsageError
+
+    if arguments.minutes is not None:
+        raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
 
 
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
@@ -184,7 +207,7 @@ def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunReques
     return RunRequest(
         method=arguments.method,
         data=data,
-        condition=Condition(arguments.condition),
+        condition=Condition(arguments.condition or Condition.NONE),
         weights=arguments.weights,
         options=dict(arguments.option),
         split=arguments.split,

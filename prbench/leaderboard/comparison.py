@@ -44,7 +44,7 @@ def compare_runs(first: Path, second: Path) -> list[ComparedMetric]:
     shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
-    scores = {name: _paired_scores(*runs, name) for name in shared}
+    scores = {name: paired_scores(*runs, name) for name in shared}
     found = compare({key: pair for name in shared for key, pair in scores[name].items()})
     infos = {info.id: info for info in METRICS}
     return [
@@ -53,8 +53,12 @@ def compare_runs(first: Path, second: Path) -> list[ComparedMetric]:
     ]
 
 
-def _paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str, PairedValues]:
-    """The main metrics that both runs have, by dataset and metric."""
+def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str, PairedValues]:
+    """The main metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
+
+    Raises:
+        RunError: if they were run on different tables, or scored on different sequences.
+    """
     tables = [_sequence_means(read_scores(run.dataset(dataset).scores)) for run in (first, second)]
     digests = {next(t.content_digest for t in run.record.tables if t.dataset == dataset) for run in (first, second)}
     if len(digests) > 1:

@@ -109,3 +109,19 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
         batches_measured=len(costs),
         restarts={f"{cost.batch:05d}": cost.restarts for cost in costs if cost.restarts},
     )
+
+
+def read_run_cost(path: Path) -> RunCost:
+    """Read ``cost.json``.
+
+    Raises:
+        RunError: if it is missing or damaged.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=RunCost)
+    except FileNotFoundError as error:
+        raise RunError(
+            f"{path}: expected the cost of a run, found no file. Run the method again: it resumes."
+        ) from error
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise RunError(f"{path}: not a valid cost.json: {error}. Delete it and run the method again.") from error

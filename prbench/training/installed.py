@@ -1,10 +1,18 @@
-"""Installed training tasks: listed from package metadata alone, loaded by name."""
+"""Installed training tasks: listed without importing any, loaded by name.
+
+A task has an entry point of its own, or stands beside a method: then a callable ``training_task`` in the module that
+the method's entry point names makes it, and the method needs no second line.
+"""
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from prbench.contract import ENTRY_POINT_GROUP as METHODS
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
 from prbench.evaluation.installed import entry_points_of, list_adapters
 
@@ -12,11 +20,17 @@ if TYPE_CHECKING:
     from prbench.training.task import TrainingTask
 
 ENTRY_POINT_GROUP = "prbench.training_tasks"
+BESIDE_THE_METHOD = "training_task"
+"""The callable without arguments that makes the task of a method, in the module of the method's ``load``."""
+
+_DEFINITION = re.compile(rf"^def {BESIDE_THE_METHOD}\b", re.MULTILINE)
 
 
 def list_tasks() -> tuple[str, ...]:
     """Names of all installed tasks, without importing any of them."""
-    return tuple(sorted({point.name for point in entry_points_of(ENTRY_POINT_GROUP)}))
+    named = {point.name for point in entry_points_of(ENTRY_POINT_GROUP)}
+    beside = {point.name for point in entry_points_of(METHODS) if _defines_a_task(point)}
+    return tuple(sorted(named | beside))
 
 
 def load_task(name: str) -> TrainingTask:
@@ -43,6 +57,10 @@ def load_task(name: str) -> TrainingTask:
 
 def _find(name: str) -> EntryPoint:
     found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
+    if not found:
+        found = [
+            _beside(point) for point in entry_points_of(METHODS) if point.name == name and _defines_a_task(point)
+        ]
     if len({point.value for point in found}) > 1:
         offers = ", ".join(point.value for point in found)
         raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
@@ -55,3 +73,22 @@ def _find(name: str) -> EntryPoint:
             )
         raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
     return found[0]
+
+
+def _beside(method: EntryPoint) -> EntryPoint:
+    """The task that stands beside a method, as if it had an entry point."""
+    return EntryPoint(method.name, f"{_module(method)}:{BESIDE_THE_METHOD}", ENTRY_POINT_GROUP)
+
+
+def _defines_a_task(method: EntryPoint) -> bool:
+    """Whether the source of a method's module has the callable; read, not run, because a module may be broken."""
+    try:
+        spec = find_spec(_module(method))
+        source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin else ""
+    except (ImportError, ValueError, OSError):  # no such module, no source, no text: no task
+        return False
+    return _DEFINITION.search(source) is not None
+
+
+def _module(point: EntryPoint) -> str:
+    return point.value.partition(":")[0].strip()

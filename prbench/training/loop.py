@@ -88,6 +88,7 @@ def fit(
     """
     fabric = fabric or make_fabric("cpu", precision=configuration.training.precision)
     module.seed, module.rank = configuration.training.seed, fabric.global_rank
+    module.calls = configuration.training.steps * configuration.training.micro_batches
     module.train().to(fabric.device)
     state = TrainingState.start(module, configuration.training)
     checkpoints = Checkpoints(out / CHECKPOINTS)
@@ -171,7 +172,7 @@ class _Session:
         """One step of the optimiser over ``micro_batches`` batches."""
         state, settings = self.state, self.settings
         for group in state.optimiser.param_groups:
-            group["lr"] = learning_rate(state.step, settings)
+            group["lr"] = self._learning_rate(state.step)
         for micro in range(settings.micro_batches):
             started = time.perf_counter()
             batch = next(incoming).to(self.fabric.device)
@@ -189,6 +190,10 @@ class _Session:
         state.optimiser.zero_grad()
         state.step += 1
         state.average.update(state.step)
+
+    def _learning_rate(self, step: int) -> float:
+        factor = self.state.module.learning_rate_factor(step * self.settings.micro_batches)
+        return factor * learning_rate(step, self.settings)
 
     def _means(self) -> dict[str, float]:
         """Mean losses since the last line of the log, over all processes; waits for the device.
@@ -216,7 +221,7 @@ class _Session:
     def _log(self, means: dict[str, float]) -> Row:
         state = self.state
         state.tally = Tally()
-        rate = learning_rate(state.step - 1, self.settings)
+        rate = self._learning_rate(state.step - 1)
         clock = {"learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
         row: Row = {"step": state.step, **means, **clock}
         state.rows.append(row)

@@ -1,7 +1,8 @@
 """What a training task is: the seam between the loop, which knows no network, and a network, which knows no loop.
 
 An installed package offers a task by an entry point in the group ``prbench.training_tasks`` that names a callable
-without arguments which returns a :class:`TrainingTask`. A task builds a :class:`TrainingModule`; the loop of
+without arguments which returns a :class:`TrainingTask`; so does a method, by a callable ``training_task`` in the module
+that its own entry point names. A task builds a :class:`TrainingModule`; the loop of
 :mod:`prbench.training.loop` feeds it batches, minimises its ``loss`` and saves its weights.
 """
 
@@ -68,14 +69,17 @@ class TrainingData:
 class TrainingModule(nn.Module):
     """A network with its losses. Subclasses implement :meth:`forward` and :meth:`weights`.
 
-    The loop sets :attr:`seed` and :attr:`rank` before the first step, seeds torch's global generator before every call
-    of :meth:`forward` (dropout draws from that), and calls everything else outside of gradients.
+    The loop sets :attr:`seed`, :attr:`rank` and :attr:`calls` before the first step, seeds torch's global generator
+    before every call of :meth:`forward` (dropout draws from that), and calls everything else outside of gradients.
     """
 
     seed: int = 0
     """Of the configuration."""
     rank: int = 0
     """Which of the processes that train together this is; each draws other noise."""
+    calls: int = 1
+    """How often the whole training calls :meth:`forward`, validation apart: where modules that train one network after
+    the other take the time of their phases from."""
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
         """Losses of one batch: scalars by name.
@@ -106,6 +110,10 @@ class TrainingModule(nn.Module):
     def learned_from(self) -> tuple[str, ...]:
         """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
         return ()
+
+    def learning_rate_factor(self, step: int) -> float:  # noqa: ARG002 - for those that have phases of their own
+        """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""
+        return 1.0
 
     def gradient_groups(self) -> Sequence[Sequence[nn.Parameter]]:
         """The parameters whose gradients are clipped together, by the norm of each group: all of them by default."""

@@ -17,7 +17,12 @@ from prbench.cli.main import _parser
 
 ROOT = Path(__file__).parents[2]
 PAGES = "\n".join(
-    path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    path.read_text(encoding="utf-8")
+    for path in (
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "docs" / "methods").glob("*.md")),
+    )
 )
 
 
@@ -45,6 +50,8 @@ NAMED_ONLY = (
     ["synthesize", "--gallery"],
     ["explain", "--draw"],
     ["export-release"],
+    ["run"],
+    ["train"],
 )
 """Named in running text, without what they need."""
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.metadata import EntryPoint
 
 import msgspec
 import pytest
 
+from prbench.contract import ENTRY_POINT_GROUP as METHODS
 from prbench.errors import AdapterError, StorageError, TrainingError
 from prbench.storage import write_json
 from prbench.training import installed
@@ -85,8 +87,8 @@ class Incomplete:
     name = "incomplete"
 
 
-def points(*targets: str):
-    return lambda group: [EntryPoint("mine", target, group) for target in targets]
+def points(*targets: str, group: str = installed.ENTRY_POINT_GROUP):
+    return lambda asked: [(EntryPoint("mine", target, asked), None) for target in targets if asked == group]
 
 
 @pytest.mark.parametrize(
@@ -102,3 +104,54 @@ def test_a_task_that_cannot_be_had_is_explained(targets, message, monkeypatch):
     monkeypatch.setattr(installed, "entry_points_of", points(*targets))
     with pytest.raises(AdapterError, match=message):
         load_task("mine")
+
+
+METHOD = """
+def load(weights, *, options, device):
+    raise NotImplementedError
+"""
+TASK = """
+class Task:
+    name, configurations = "mine", "nowhere"
+    def build(self, model, *, data, initial, stage):
+        raise NotImplementedError
+
+def training_task():
+    return Task()
+"""
+
+
+@pytest.fixture
+def method(tmp_path, monkeypatch):
+    """Installs a module as the method ``mine``, with the one line that a method needs."""
+
+    def install(source: str) -> None:
+        (tmp_path / "made_up_method.py").write_text(source)
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "made_up_method", raising=False)
+        monkeypatch.setattr(installed, "entry_points_of", points("made_up_method:load", group=METHODS))
+
+    return install
+
+
+def test_a_task_beside_its_method_needs_no_entry_point_of_its_own(method):
+    method(METHOD + TASK)
+    assert installed.list_tasks() == ("mine",)
+    assert "made_up_method" not in sys.modules  # listing imports nothing
+    assert load_task("mine").name == "mine"
+
+
+def test_methods_without_a_task_and_broken_ones_are_no_tasks(method):
+    method(METHOD)
+    assert installed.list_tasks() == ()
+    with pytest.raises(AdapterError, match="nothing to train is called 'mine'"):
+        load_task("mine")
+    method("import no_such_module\n" + METHOD + TASK)
+    assert installed.list_tasks() == ("mine",)
+    with pytest.raises(AdapterError, match=r"made_up_method:training_task.: cannot be loaded: ModuleNotFoundError"):
+        load_task("mine")
+
+
+def test_methods_whose_module_is_not_there_are_no_tasks(monkeypatch):
+    monkeypatch.setattr(installed, "entry_points_of", points("nowhere.at_all:load", "a b:load", group=METHODS))
+    assert installed.list_tasks() == ()

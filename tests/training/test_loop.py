@@ -218,3 +218,13 @@ def test_a_validation_that_a_stop_came_before_is_made_up_for(tmp_path):
         fit(toy(), signalled_in(5, signal.SIGTERM), validated, tmp_path, validate=lambda module: {"loss": 1.0})
     state = fit(toy(), random_batches, validated, tmp_path, validate=lambda module: {"loss": 2.0})
     assert [row["step"] for row in state.validations] == [5, 7]
+
+
+def test_a_module_knows_how_often_it_will_be_called_and_may_scale_the_learning_rate(tmp_path):
+    """Seven steps of two batches; the module halves the rate from its eighth call on."""
+    module = toy()
+    module.learning_rate_factor = lambda step: 0.5 if step >= 8 else 1.0
+    state = fit(module, random_batches, configuration(schedule="constant", warmup_steps=0, log_every=1), tmp_path)
+    assert module.calls == 14
+    assert [row["learning_rate"] for row in state.rows] == pytest.approx([1e-2] * 4 + [5e-3] * 3)
+    assert state.optimiser.param_groups[0]["lr"] == pytest.approx(5e-3)

@@ -1,0 +1,105 @@
+"""What primitives are trained for (``methods/dart.md``, "Training"); every loss is Huber's with δ = 1."""
+
+from __future__ import annotations
+
+import msgspec
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from prbench_adapters.dart.configuration import HISTORY_FRAMES
+from prbench_adapters.dart.frames import Frames
+from prbench_adapters.kinematics.skeleton import forward_kinematics
+
+PerMotion = Float[Tensor, " batch"]
+Shares = tuple[float, float, float]
+
+
+class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Weights of the losses, and how the training is divided; the defaults are the original's.
+
+    Raises:
+        ValueError: for shares that divide nothing.
+    """
+
+    vae_share: float = 0.4
+    """Of the whole training: the VAE's phase, after which it is frozen and the denoiser trained. 0 keeps the VAE of the
+    initial weights."""
+    vae_stages: Shares = (0.5, 0.25, 0.25)
+    """Shares of the phase in which primitives start from recorded history, ever more often from the end of what was
+    just predicted, and always from that."""
+    denoiser_stages: Shares = (1 / 3, 1 / 3, 1 / 3)
+    primitives: int = 4
+    """Consecutive ones of each training motion."""
+    windows: int = 1
+    """How often they are drawn from each motion of a batch."""
+    vae_batch_size: int | None = None
+    """Motions of each batch that the VAE's phase looks at; None for all."""
+    kl_weight: float = 1e-6
+    joint_weight: float = 10.0
+    """Of joints that follow from predicted rotations, against the recorded."""
+    consistency_weight: float = 10.0
+    """Of predicted joints against those that follow from predicted rotations."""
+    vae_delta_weight: float = 100.0
+    """Of predicted deltas against differences of predictions: translation, orientation and joints each."""
+    latent_weight: float = 1.0
+    denoiser_delta_weight: float = 1e4
+    text_drop: float = 0.1
+    """Share of motions whose text is hidden, so that guidance has an unconditional model."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.vae_share < 1:
+            raise ValueError(f"'vae_share' must be at least 0 and below 1, found {self.vae_share}")
+        for name in ("vae_stages", "denoiser_stages"):
+            shares = getattr(self, name)
+            if min(shares) < 0 or abs(sum(shares) - 1) > 1e-6:
+                raise ValueError(f"'{name}' must be three shares that sum to 1, found {shares}")
+        if self.primitives < 1 or self.windows < 1 or (self.vae_batch_size is not None and self.vae_batch_size < 1):
+            raise ValueError("'primitives', 'windows' and 'vae_batch_size' must be at least 1")
+        if not 0 <= self.text_drop <= 1:
+            raise ValueError(f"'text_drop' must be between 0 and 1, found {self.text_drop}")
+
+
+def huber(predicted: Float[Tensor, "batch *values"], wanted: Float[Tensor, "batch *values"]) -> PerMotion:
+    """Mean of each motion's values."""
+    return functional.huber_loss(predicted, wanted, reduction="none").flatten(1).mean(dim=1)
+
+
+def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor, "batch 1 latent"]) -> PerMotion:
+    """From the standard normal distribution, mean over dimensions."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).flatten(1).mean(dim=1)
+
+
+def body_losses(
+    predicted: Frames, recorded: Frames, offsets: Float[Tensor, "batch 22 3"]
+) -> tuple[PerMotion, PerMotion]:
+    """Of joints that follow from predicted rotations: against the recorded joints, and of the predicted against them.
+
+    Args:
+        predicted: Future frames.
+        recorded: The same in the recording.
+        offsets: Bones of each motion (:func:`prbench_adapters.kinematics.skeleton.rest_offsets`).
+    """
+    moved = forward_kinematics(predicted.rotations(), predicted.translation, offsets[:, None])
+    return huber(moved, recorded.joints), huber(predicted.joints, moved)
+
+
+def delta_loss(predicted: Frames, history: Frames) -> PerMotion:
+    """Of deltas against the differences that they announce, from the last frame of the history on; sum of three.
+
+    Args:
+        predicted: Future frames.
+        history: The frames before them, in the same frame of reference.
+    """
+    before = history.part(HISTORY_FRAMES - 1, HISTORY_FRAMES)
+
+    def chain(name: str) -> Tensor:
+        return torch.cat((getattr(before, name), getattr(predicted, name)), dim=1)
+
+    orientation = chain("orientation")
+    return (
+        huber(chain("translation_delta")[:, :-1], chain("translation").diff(dim=1))
+        + huber(chain("orientation_delta")[:, :-1], orientation[:, 1:] @ orientation[:, :-1].mT)
+        + huber(chain("joints_delta")[:, :-1], chain("joints").diff(dim=1))
+    )

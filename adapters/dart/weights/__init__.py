@@ -1,0 +1,1 @@
+"""Weights of DartControl that come with prbench."""

@@ -1,0 +1,124 @@
+"""Consecutive primitives cut out of training motions, and the statistics of their features."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from prbench.errors import UsageError
+from prbench.training import MotionBatch, SequenceDataset, collate
+from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartConfiguration
+from prbench_adapters.dart.frames import N_FEATURES, Frames
+from prbench_adapters.dart.model import FeatureScaling
+from prbench_adapters.kinematics.worlds import DART
+
+_STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
+"""Of positions and rotations, their deltas, joints, theirs: bones that never turn must not be blown up (the original
+divided 12 such features of a user's data by zero)."""
+_ITEMS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Window:
+    """Consecutive primitives of B motions."""
+
+    frames: Frames
+    """All of them, in the motions' own worlds with Z up; primitive k has the frames k·F to k·F + H + F."""
+    valid: Bool[Tensor, "batch primitives"]
+    """Which primitives lie inside their motion, the step that leads on from their last frame included."""
+
+    def primitive(self, number: int, future_frames: int) -> Frames:
+        """One of them, in its own frame of reference."""
+        start = number * future_frames
+        return self.frames.part(start, start + HISTORY_FRAMES + future_frames).canonical()[0]
+
+
+def window(
+    batch: MotionBatch,
+    rows: Int[Tensor, " windows"],
+    start: Int[Tensor, " windows"],
+    primitives: int,
+    configuration: DartConfiguration,
+) -> Window:
+    """Cut primitives out of motions, of which the frame before the first belongs to them.
+
+    Args:
+        batch: The motions.
+        rows: Which motion each window is cut out of.
+        start: First frame of each window, 0 for the frame before the motion's first.
+        primitives: How many; those that reach over the end repeat the last frame and are marked.
+        configuration: Frames of a primitive.
+    """
+    motions = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
+    last = batch.n_frames[rows]  # its index in these
+    length = HISTORY_FRAMES + primitives * configuration.future_frames + 1
+    wanted = start[:, None] + torch.arange(length, device=motions.device)
+    places = torch.minimum(wanted, last[:, None])
+    joints = motions[rows[:, None], places]
+    ends = start[:, None] + _ends(primitives, configuration).to(motions.device)
+    return Window(Frames.of_joints(DART.from_y_up(joints)), ends <= last[:, None])
+
+
+def drawn_starts(
+    n_frames: Int[Tensor, " batch"], primitives: int, configuration: DartConfiguration, generator: torch.Generator
+) -> Int[Tensor, " batch"]:
+    """A uniformly drawn first frame for each motion, from which the whole window fits where it can."""
+    latest = (n_frames - HISTORY_FRAMES - primitives * configuration.future_frames).clamp_min(0)
+    drawn = torch.rand(len(n_frames), generator=generator, dtype=torch.float64)
+    return (drawn * (latest + 1)).long().clamp_max(latest)
+
+
+def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> FeatureScaling:
+    """Mean and floored standard deviation of the features of all primitives, each in its own frame of reference.
+
+    Raises:
+        UsageError: if no motion is long enough for a primitive.
+    """
+    total, squares, count = torch.zeros(N_FEATURES).double(), torch.zeros(N_FEATURES).double(), 0
+    for features in _all_primitives(data, configuration):
+        total += features.double().sum(dim=0)
+        squares += features.double().square().sum(dim=0)
+        count += len(features)
+    if not count:
+        raise UsageError(
+            f"data.max_frames: a motion primitive takes {configuration.primitive_frames} frames, found no motion in the"
+            " training split that has as many. Raise it, or use other tables."
+        )
+    mean = total / count
+    floor = torch.cat([torch.full((n,), value) for n, value in _STD_FLOORS]).double()
+    std = (squares / count - mean.square()).clamp_min(0.0).sqrt().maximum(floor)
+    return FeatureScaling(mean.float(), std.float())
+
+
+def _all_primitives(data: SequenceDataset, configuration: DartConfiguration) -> Iterator[Float[Tensor, "frames 276"]]:
+    for primitives in primitives_of(data, range(len(data)), configuration):
+        yield primitives.pack().flatten(0, 1)
+
+
+def primitives_of(
+    data: SequenceDataset,
+    places: Sequence[int],
+    configuration: DartConfiguration,
+    device: torch.device | str = "cpu",
+) -> Iterator[Frames]:
+    """The primitives of some motions, end to end from the first frame, each in its own frame of reference."""
+    for first in range(0, len(places), _ITEMS_AT_ONCE):
+        items = [data[place] for place in places[first : first + _ITEMS_AT_ONCE]]
+        batch = collate(items).to(device)
+        primitives = configuration.primitives_for(int(batch.n_frames.max()) + 1)
+        rows = torch.arange(len(batch), device=batch.n_frames.device)
+        cut = window(batch, rows, torch.zeros_like(rows), primitives, configuration)
+        for number in range(primitives):
+            inside = cut.valid[:, number]
+            if bool(inside.any()):
+                frames = cut.primitive(number, configuration.future_frames)
+                yield Frames(**{name: value[inside] for name, value in vars(frames).items()})
+
+
+def _ends(primitives: int, configuration: DartConfiguration) -> Int[Tensor, " primitives"]:
+    """Index in a window of the frame that the last delta of each primitive leads to."""
+    return HISTORY_FRAMES + configuration.future_frames * torch.arange(1, primitives + 1)

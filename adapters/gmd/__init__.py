@@ -1,0 +1,25 @@
+"""GMD (Guided Motion Diffusion): everything of this method is in this folder. torch is imported on first use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from prbench.training.task import TrainingTask
+    from prbench_adapters.gmd.adapter import GMD
+
+
+def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GMD:
+    """Entry point ``gmd``: :func:`prbench_adapters.gmd.adapter.load`."""
+    from prbench_adapters.gmd import adapter
+
+    return adapter.load(weights, options=options, device=device)
+
+
+def training_task() -> TrainingTask:
+    """What ``prbench train --method gmd`` trains."""
+    from prbench_adapters.gmd.tasks import GMDTask
+
+    return GMDTask()

@@ -1,0 +1,118 @@
+"""The guided, imputed sampling steps of both stages (``methods/gmd.md``, "Sampling").
+
+A step goes from x_t to x_{t-1}: the network's clean estimate, the posterior mean, the mean moved against the gradient
+of the goal **through the network** (so that a goal of one frame moves all others), noise, and imputation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from prbench_adapters.diffusion.sampling import Denoise
+from prbench_adapters.diffusion.schedule import Chain
+from prbench_adapters.gmd.features import FeatureSpace
+
+GoalLoss = Literal["absolute", "squared"]
+RowLoss = Callable[[Tensor], Tensor]
+"""From the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
+_MOST_DEVIATIONS = 6.0
+
+
+@dataclass(frozen=True)
+class RootGoal:
+    """Where the pelvis is wanted: canonical frame, metres."""
+
+    xz: Float[Tensor, "batch frames 2"]
+    wanted: Bool[Tensor, "batch frames"]
+
+    def loss(self, root: Float[Tensor, "batch frames 2"], kind: GoalLoss = "absolute") -> Float[Tensor, " batch"]:
+        """Mean error of each row over its wanted coordinates, metres or square metres."""
+        error = root - self.xz
+        error = error.abs() if kind == "absolute" else error.square()
+        summed = torch.where(self.wanted[..., None], error, 0.0).sum(dim=(1, 2))
+        return summed / (2 * self.wanted.sum(dim=1)).clamp_min(1)
+
+
+@dataclass(frozen=True)
+class Imputed:
+    """Columns that sampling overwrites, in standardised features."""
+
+    values: Float[Tensor, "batch frames columns"]
+    where: Bool[Tensor, "batch frames columns"]
+
+
+def clean_of_noise(
+    chain: Chain, i: int, state: Float[Tensor, "batch frames columns"], noise: Float[Tensor, "batch frames columns"]
+) -> Float[Tensor, "batch frames columns"]:
+    """The clean estimate that belongs to an estimate of the noise, at most six standard deviations."""
+    level = float(chain.alphas_cumprod[i])
+    return ((state - math.sqrt(1 - level) * noise) / math.sqrt(level)).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+
+
+def guided_mean(
+    clean_estimate: Denoise,
+    chain: Chain,
+    i: int,
+    state: Float[Tensor, "batch frames columns"],
+    loss: RowLoss | None,
+    scale: float,
+) -> Float[Tensor, "batch frames columns"]:
+    """The posterior mean, moved by scale · β̃ · ∂loss/∂x_t; without a loss no gradient is taken.
+
+    Args:
+        clean_estimate: State and index in the training schedule, to the clean estimate.
+        chain: The steps that are walked.
+        i: Place in the chain.
+        state: x_t.
+        loss: Of the goal.
+        scale: Of the gradient.
+    """
+    index = int(chain.indices[i])
+    of_clean, of_noisy = float(chain.posterior_mean_clean[i]), float(chain.posterior_mean_noisy[i])
+    if loss is None:
+        with torch.no_grad():
+            return of_clean * clean_estimate(state, index) + of_noisy * state
+    with torch.enable_grad():
+        leaf = state.detach().requires_grad_()
+        clean = clean_estimate(leaf, index)
+        (gradient,) = torch.autograd.grad(loss(clean).sum(), leaf)
+    mean = of_clean * clean.detach() + of_noisy * state
+    return mean - float(chain.posterior_variance[i]) * scale * gradient
+
+
+def noised(chain: Chain, i: int, mean: Tensor, noise: Tensor) -> Tensor:
+    """A draw from the posterior; at the last step the mean itself."""
+    return mean + math.sqrt(chain.posterior_variance[i]) * noise if i else mean
+
+
+def imputed_by_noising(
+    chain: Chain, i: int, state: Float[Tensor, "batch frames columns"], imputed: Imputed, noise: Tensor
+) -> Float[Tensor, "batch frames columns"]:
+    """Overwrite x_{t-1} by the values, noised to its level: for a network that estimates the noise."""
+    level = float(chain.alphas_cumprod_previous[i])
+    return torch.where(imputed.where, math.sqrt(level) * imputed.values + math.sqrt(1 - level) * noise, state)
+
+
+def imputed_in_mean(
+    space: FeatureSpace,
+    chain: Chain,
+    i: int,
+    state: Float[Tensor, "batch frames 263"],
+    mean: Float[Tensor, "batch frames 263"],
+    imputed: Imputed,
+) -> Float[Tensor, "batch frames 263"]:
+    """Overwrite columns of the mean by those of the posterior whose clean estimate holds the values.
+
+    State and mean are projected; which columns are taken from which mean is decided in plain features. The posterior
+    mean is linear, so only the columns in question are computed.
+    """
+    plain, noisy = space.unprojected(mean), space.unprojected(state)
+    of_clean, of_noisy = float(chain.posterior_mean_clean[i]), float(chain.posterior_mean_noisy[i])
+    return space.projected(torch.where(imputed.where, of_clean * imputed.values + of_noisy * noisy, plain))

@@ -1,0 +1,1 @@
+"""Weights that come with GMD, each with its card."""

@@ -1,0 +1,131 @@
+"""Rotations fitted to joints, and joints moved by rotations (after ``formats/humanml3d.md`` section 2, step 7).
+
+The fit is analytical and exact: every bone keeps its direction, whatever its length. It differs from that of HumanML3D
+in three points, so that a method may add small rotations to it frame by frame: the root has a full orientation (from
+hips and lowest spine joint; there it is a heading), each rotation is relative to the bone before in the tree, so that
+none but the root's changes when the body turns or leans, and the rest pose is a T, because arms do point straight up,
+where a rest pose with hanging arms has its singularity.
+
+The rotation of joint j turns the bone that *ends* in j. Twist about a bone moves no joint, so none is fitted.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float
+
+from prbench.skeleton import N_JOINTS, PARENTS, Joint
+from prbench_adapters.kinematics.rotations import shortest_rotations, unit
+
+_NO_HEADING = 1e-3  # sine between hips and spine below which the shoulders say where left is
+
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_REST = {
+    _X: (Joint.LEFT_HIP, Joint.LEFT_COLLAR, Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
+    _Y: (Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK),
+    _Z: (Joint.LEFT_FOOT, Joint.RIGHT_FOOT, Joint.HEAD),
+    (-1.0, 0.0, 0.0): (
+        Joint.RIGHT_HIP, Joint.RIGHT_COLLAR, Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST,
+    ),
+    (0.0, -1.0, 0.0): (Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
+}  # fmt: skip
+"""Where bones point at rest, by the joint in which they end: body frame, x left, y up, z to the front."""
+
+
+def fitted_rotations(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 22 3 3"]:
+    """Rotations that give every bone its direction.
+
+    Args:
+        joints: Any world, metres. Hips, shoulders and spine must not all lie on one line.
+
+    Returns:
+        The root's orientation (world from body), and for each other joint the rotation of the bone that ends in it,
+        relative to the bone before.
+    """
+    tree = _tree(joints.dtype, joints.device)
+    world = [root_orientation(joints)[..., None, :, :]]
+    local = list(world)
+    bones = unit(joints[..., 1:, :] - joints[..., PARENTS[1:], :])
+    for level in tree.levels:
+        before = world[-1].index_select(-3, level.parents)
+        seen = (before.mT @ bones.index_select(-2, level.joints - 1)[..., None])[..., 0]
+        local.append(shortest_rotations(tree.rest[level.joints], tree.half_turns[level.joints], seen))
+        world.append(before @ local[-1])
+    return torch.cat(local, -3).index_select(-3, tree.order)
+
+
+def root_orientation(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 3 3"]:
+    """World from body: left along the hips, up along the lowest spine bone as far as orthogonal to that.
+
+    Where the hips lie along the spine, which no body does, the shoulders stand in for them.
+    """
+    up = unit(joints[..., Joint.SPINE1, :] - joints[..., Joint.PELVIS, :])
+    hips = unit(joints[..., Joint.LEFT_HIP, :] - joints[..., Joint.RIGHT_HIP, :])
+    shoulders = unit(joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :])
+    sine = torch.linalg.cross(hips, up).square().sum(-1, keepdim=True)
+    left = torch.where(sine > _NO_HEADING**2, hips, shoulders)
+    front = unit(torch.linalg.cross(left, up))
+    return torch.stack((left, torch.linalg.cross(front, left), front), -1)
+
+
+def forward_kinematics(
+    rotations: Float[torch.Tensor, "*batch 22 3 3"],
+    pelvis: Float[torch.Tensor, "*batch 3"],
+    offsets: Float[torch.Tensor, "... 22 3"],
+) -> Float[torch.Tensor, "*batch 22 3"]:
+    """Joints of a skeleton moved by rotations; the world is that of pelvis and root.
+
+    Args:
+        rotations: As :func:`fitted_rotations` returns them.
+        pelvis: Its position, metres.
+        offsets: Of each joint from its parent at rest (:func:`rest_offsets`), metres; broadcasts against ``batch``.
+    """
+    tree = _tree(rotations.dtype, rotations.device)
+    world, joints = [rotations[..., :1, :, :]], [pelvis[..., None, :]]
+    for level in tree.levels:
+        before = world[-1].index_select(-3, level.parents)
+        world.append(before @ rotations.index_select(-3, level.joints))
+        bones = (world[-1] @ offsets.index_select(-2, level.joints)[..., None])[..., 0]
+        joints.append(joints[-1].index_select(-2, level.parents) + bones)
+    return torch.cat(joints, -2).index_select(-2, tree.order)
+
+
+def rest_offsets(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 22 3"]:
+    """The skeleton at rest with the bone lengths of a pose: offset of each joint from its parent, metres."""
+    lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1, keepdim=True)
+    return torch.nn.functional.pad(lengths, (0, 0, 1, 0)) * _tree(joints.dtype, joints.device).rest
+
+
+class _Level:
+    """The joints that are equally many bones away from the pelvis."""
+
+    def __init__(self, joints: list[int], above: list[int], device: torch.device) -> None:
+        self.joints = torch.tensor(joints, device=device)
+        self.parents = torch.tensor([above.index(PARENTS[joint]) for joint in joints], device=device)
+        """Their places in the level above."""
+
+
+class _Tree:
+    """The skeleton as tensors."""
+
+    def __init__(self, dtype: torch.dtype, device: torch.device) -> None:
+        self.levels: list[_Level] = []
+        listed, above = [0], [0]
+        while below := [joint for joint in range(N_JOINTS) if PARENTS[joint] in above]:
+            self.levels.append(_Level(below, above, device))
+            listed, above = listed + below, below
+        self.order = torch.tensor([listed.index(joint) for joint in range(N_JOINTS)], device=device)
+        """From the joints level by level to the usual order."""
+        rest = torch.zeros(N_JOINTS, 3)
+        for direction, joints in _REST.items():
+            rest[list(joints)] = torch.tensor(direction)
+        axis = torch.where(rest[:, 2:].abs() > 0, torch.tensor(_Y), torch.tensor(_Z))
+        self.rest = rest.to(device, dtype)
+        self.half_turns = torch.linalg.cross(axis, rest).to(device, dtype)
+
+
+@lru_cache(maxsize=8)
+def _tree(dtype: torch.dtype, device: torch.device) -> _Tree:
+    return _Tree(dtype, device)

@@ -1,0 +1,168 @@
+"""The method ``wandr``: initial state and object location in, motion out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from prbench.contract import Condition, ConditionBatch, Cost, Motions
+from prbench.errors import AdapterError
+from prbench.randomness import sequence_generator
+from prbench.representation import check_joints, mirror
+from prbench.skeleton import Joint
+from prbench_adapters.diffusion.options import choice, number, require_known
+from prbench_adapters.kinematics.skeleton import rest_offsets
+from prbench_adapters.kinematics.worlds import WANDR as WORLD
+from prbench_adapters.pr import require_goals_within_reach
+from prbench_adapters.wandr.network import WandrNetwork
+from prbench_adapters.wandr.rollout import Start, roll_out
+from prbench_adapters.wandr.state import BodyState
+from prbench_adapters.wandr.weights_file import load_network, resolve
+
+Hand = Literal["right", "nearest", "left"]
+FirstChange = Literal["recorded", "random"]
+
+_HANDS: tuple[Hand, ...] = get_args(Hand)
+_FIRST_CHANGES: tuple[FirstChange, ...] = get_args(FirstChange)
+_MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Generation:
+    """How motions are made."""
+
+    hand: Hand = "right"
+    """That reaches. The network knows right hands only: for left ones body and goal are mirrored, and the motion back.
+    ``nearest`` takes the one that is nearer to the goal in the first frame."""
+    first_change: FirstChange = "recorded"
+    """What led to the first frame: the recorded change, or noise as in the original."""
+    deviation: float = 1.0
+    """Of the latent of every step."""
+
+
+class WANDR:
+    """Moves a body frame by frame, so that its wrist is at the goal in the last one.
+
+    Args:
+        network: In evaluation mode.
+        weights: The file that it came from.
+        generation: Settings.
+    """
+
+    name = "wandr"
+    conditions = frozenset({Condition.GOAL_LOCATION})
+
+    def __init__(self, network: WandrNetwork, weights: Path, generation: Generation | None = None) -> None:
+        self.network, self.weights, self.generation = network, weights, generation or Generation()
+        self.native_fps = network.configuration.fps
+
+    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model
+        """The weights file in use."""
+        return self.weights
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
+        """Generate one motion for each row.
+
+        Raises:
+            AdapterError: for a goal that no body can reach, or another frame rate than the network's.
+            InputFileError: for poses that are no bodies.
+        """
+        self._require_fit(batch)
+        assert batch.initial_joints is not None
+        left = self._left_handed(batch)
+        start, noise = self._start(_mirrored_where(left, batch))
+        joints = WORLD.to_y_up(roll_out(self.network, start, noise)).float().cpu().numpy()
+        joints[left] = mirror(joints[left])
+        joints[:, 0] = batch.initial_joints
+        return Motions(joints, batch.n_frames, Cost(noise.shape[1]))
+
+    def _require_fit(self, batch: ConditionBatch) -> None:
+        if batch.fps != self.native_fps:
+            raise AdapterError(f"wandr: expected {self.native_fps:g} frames per second, found {batch.fps:g}.")
+        for name in ("initial_joints", "previous_joints"):
+            check_joints(getattr(batch, name), source=name, min_frames=0, upright=False)
+        require_goals_within_reach(batch, adapter=self.name)
+
+    def _left_handed(self, batch: ConditionBatch) -> Bool[np.ndarray, " batch"]:
+        if self.generation.hand != "nearest":
+            return np.full(len(batch), self.generation.hand == "left")
+        assert batch.initial_joints is not None and batch.goal_location is not None  # noqa: PT018
+        wrists = batch.initial_joints[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]]
+        distance = np.linalg.norm(wrists - batch.goal_location[:, None], axis=-1)
+        return distance[:, 0] < distance[:, 1]
+
+    def _start(self, batch: ConditionBatch) -> tuple[Start, Float[torch.Tensor, "batch steps latent"]]:
+        """Where the rows begin, and the noise of all their steps."""
+        initial, previous, goal = (
+            WORLD.from_y_up(self._tensor(points))
+            for points in (batch.initial_joints, batch.previous_joints, batch.goal_location)
+        )
+        state = BodyState.fitted(initial)
+        noise = self._noise(batch)
+        delta = BodyState.fitted(previous).delta_to(state)
+        if self.generation.first_change == "random":
+            delta = self.network.delta.undone(noise.first)
+        n_frames = torch.as_tensor(batch.n_frames, device=goal.device)
+        return Start(state, delta, rest_offsets(initial), goal, n_frames), noise.latents
+
+    def _noise(self, batch: ConditionBatch) -> _Noise:
+        """What each row draws from its own seed; its length and its batch mates leave no trace in it."""
+        size, steps = self.network.configuration.latent, int(batch.n_frames.max()) - 1
+        first = np.zeros((len(batch), len(self.network.delta.mean)))
+        latents = np.zeros((len(batch), steps, size))
+        for row, (seed, n) in enumerate(zip(batch.noise_seed, batch.n_frames, strict=True)):
+            generator = sequence_generator(seed)
+            first[row] = generator.standard_normal(first.shape[1])
+            latents[row, : n - 1] = generator.standard_normal((n - 1, size))
+        return _Noise(self._tensor(first), self.generation.deviation * self._tensor(latents))
+
+    def _tensor(self, values: np.ndarray | None) -> torch.Tensor:
+        mean = self.network.delta.mean
+        return torch.as_tensor(values, dtype=mean.dtype, device=mean.device)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    first: Float[torch.Tensor, "batch 135"]
+    latents: Float[torch.Tensor, "batch steps latent"]
+
+
+def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
+    """The batch with the rows of left hands as a mirror shows them."""
+    assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
+    assert batch.goal_location is not None
+    initial, previous, goal = batch.initial_joints.copy(), batch.previous_joints.copy(), batch.goal_location.copy()
+    initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
+    return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
+
+
+def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WANDR:
+    """Make the adapter.
+
+    Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
+    (1) of the latents.
+
+    Args:
+        weights: File, folder or name of bundled weights; None for ``wandr-small``.
+        options: See above.
+        device: ``cpu``, ``cuda`` …
+
+    Raises:
+        AdapterError: if there is no such device, or no such weights.
+        InputFileError: if the file is not one of WANDR.
+        ValueError: for options that are unknown or have impossible values.
+    """
+    require_known(options, ("hand", "first-change", "deviation"))
+    generation = Generation(
+        hand=_HANDS[_HANDS.index(choice(options, "hand", _HANDS))],
+        first_change=_FIRST_CHANGES[_FIRST_CHANGES.index(choice(options, "first-change", _FIRST_CHANGES))],
+        deviation=number(options, "deviation", 1.0),
+    )
+    path = resolve(weights)
+    return WANDR(load_network(path, device), path, generation)

@@ -1,0 +1,165 @@
+"""Training of WANDR: each recorded change by itself, and chunks of changes on the network's own output."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, Int
+
+from prbench.contract import Adapter
+from prbench.skeleton import Joint
+from prbench.training import MotionBatch
+from prbench.training.task import TrainingModule
+from prbench_adapters.wandr.adapter import WANDR
+from prbench_adapters.wandr.intentions import intentions
+from prbench_adapters.wandr.losses import Objective, delta_loss, divergence, joint_loss
+from prbench_adapters.wandr.network import WandrNetwork
+from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
+from prbench_adapters.wandr.state import BodyState, clean_delta, yaw_rotation
+from prbench_adapters.wandr.weights_file import contents
+
+
+class WandrTraining(TrainingModule):
+    """A network with its losses.
+
+    Args:
+        network: In its state before the first step, with statistics.
+        objective: Weights of the losses.
+        origin: Lines for the card about what the weights build upon.
+    """
+
+    def __init__(self, network: WandrNetwork, objective: Objective, origin: tuple[str, ...] = ()) -> None:
+        super().__init__()
+        self.network, self.objective, self.origin = network, objective, origin
+
+    def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """The loss of one batch, and its parts.
+
+        Returns:
+            ``loss``; ``changes``, ``divergence`` and ``positions`` (square centimetres) of single changes, unweighted;
+            ``own_changes`` and ``own_positions`` of chunks, 0 in steps without.
+        """
+        with torch.autocast(batch.joints.device.type, enabled=False):  # rotations and positions add up: float32 only
+            generator = self.generator(step)
+            recordings = Recordings.of(batch, self.network.configuration.fps)
+            length = self.chunk_length(step, generator)
+            losses = self._single_changes(recordings, generator) | self._chunks(recordings, length, generator)
+            objective = self.objective
+            weights = {"divergence": objective.kl_weight}
+            weights |= dict.fromkeys(("positions", "own_positions"), objective.joint_loss_weight)
+            total = torch.stack([weights.get(name, 1.0) * value for name, value in losses.items()]).sum()
+            return {"loss": total, **{name: value.detach() for name, value in losses.items()}}
+
+    def chunk_length(self, step: int, generator: torch.Generator) -> int:
+        """Frames that the network runs on its own output in a step: from 0 to a number that grows; 0 in validation."""
+        longest = min(self.objective.longest_chunk, max(step, 0) // self.objective.steps_per_chunk_frame)
+        return int(torch.randint(longest + 1, (), generator=generator))
+
+    def _single_changes(self, recordings: Recordings, generator: torch.Generator) -> dict[str, torch.Tensor]:
+        places = starts(recordings, 1).some(self.objective.frames_per_step, generator)
+        state = recordings.states[places.index]
+        condition = self._condition(
+            recordings,
+            places,
+            goal_frames(recordings, places, generator),
+            state,
+            delta=recordings.deltas[places.row, places.frame - 1],
+            joints=recordings.joints[places.index],
+        )
+        wanted = self.network.delta(recordings.deltas[places.index])
+        decoded, mean, log_variance = self._reconstructed(wanted, condition, generator)
+        following = state.changed(self.network.delta.undone(decoded))
+        moved = following.joints(recordings.offsets[places.row])
+        return {
+            "changes": delta_loss(decoded, wanted),
+            "divergence": divergence(mean, log_variance, self.objective.free_bits),
+            "positions": joint_loss(moved, recordings.joints[places.later(1).index]),
+        }
+
+    def _chunks(self, recordings: Recordings, length: int, generator: torch.Generator) -> dict[str, torch.Tensor]:
+        """Chunks of so many changes, each from where the one before has led; wanted is what leads to the recording."""
+        places = starts(recordings, max(length, 2)).some(
+            -(-self.objective.frames_per_step // max(length, 2)), generator
+        )
+        if length < 2 or not len(places.row):  # none in this step, or all motions are shorter
+            return dict.fromkeys(("own_changes", "own_positions"), recordings.joints.new_zeros(()))
+        goals = goal_frames(recordings, places, generator)
+        state, delta = recordings.states[places.index], recordings.deltas[places.row, places.frame - 1]
+        joints, offsets = recordings.joints[places.index], recordings.offsets[places.row]
+        changes, positions = [], []
+        for step in range(length):
+            here = places.later(step)
+            condition = self._condition(recordings, here, goals, state, delta=delta, joints=joints)
+            wanted = self.network.delta(state.delta_to(recordings.states[here.later(1).index]))
+            decoded = self._own_change(wanted, condition, generator)
+            delta = clean_delta(self.network.delta.undone(decoded))
+            state = state.changed(delta)
+            joints = state.joints(offsets)
+            changes.append(delta_loss(decoded, wanted))
+            positions.append(joint_loss(joints, recordings.joints[here.later(1).index]))
+        return {"own_changes": torch.stack(changes).mean(), "own_positions": torch.stack(positions).mean()}
+
+    def _condition(
+        self,
+        recordings: Recordings,
+        places: Places,
+        goals: Int[torch.Tensor, " places"],
+        state: BodyState,
+        *,
+        delta: Float[torch.Tensor, "places 135"],
+        joints: Float[torch.Tensor, "places 22 3"],
+    ) -> Float[torch.Tensor, "places 277"]:
+        """What the network is told: where the goal is, it is where the right wrist will be in the goal's frame.
+
+        Args:
+            recordings: The recordings.
+            places: The frames that these are.
+            goals: Frames of their goals; at the goal and after it nothing is intended.
+            state: The bodies there, recorded or the network's own.
+            delta: Changes that led to them.
+            joints: Of the states.
+        """
+        left = (goals - places.frame)[:, None]
+        intention = intentions(
+            yaw_rotation(state.rotations[:, 0]),
+            wrist=joints[:, Joint.RIGHT_WRIST],
+            pelvis=joints[:, Joint.PELVIS],
+            goal=recordings.joints[places.row, goals, Joint.RIGHT_WRIST],
+            frames_left=left.clamp_min(1).to(joints),
+            fps=self.network.configuration.fps,
+            goal_heading=recordings.headings[places.row, goals],
+        )
+        return self.network.condition(state.seen(), delta, torch.where(left > 0, intention, 0.0))
+
+    def _reconstructed(
+        self,
+        wanted: Float[torch.Tensor, "places 135"],
+        condition: Float[torch.Tensor, "places 277"],
+        generator: torch.Generator,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What the decoder makes of a draw from the encoder; mean and log-variance of that."""
+        mean, log_variance = self.network.encode(wanted, condition)
+        noise = torch.randn(mean.shape, generator=generator).to(mean)
+        return self.network.decode(self.network.draw(mean, log_variance, noise), condition), mean, log_variance
+
+    def _own_change(self, wanted: torch.Tensor, condition: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """The change that a chunk goes on with, standardised."""
+        if self.objective.own_latents == "encoded":
+            return self._reconstructed(wanted, condition, generator)[0]
+        latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
+        return self.network.decode(latent.to(condition), condition)
+
+    def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+        """The network with its statistics, and the header of its file."""
+        return contents(self.network)
+
+    def adapter(self, device: str) -> Adapter:
+        """``wandr`` with a copy of the weights as they are now."""
+        network = copy.deepcopy(self.network).to(device).eval().requires_grad_(False)
+        return WANDR(network if device.startswith("mps") else network.double(), Path("the network in training"))
+
+    def learned_from(self) -> tuple[str, ...]:
+        """The initial weights."""
+        return self.origin

@@ -1,0 +1,120 @@
+"""``prbench run --method all --condition all``: Table 2, its rows run one after the other, printed in its layout."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.cli.progress import progress
+from prbench.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from prbench.engine import Engine
+    from prbench.evaluation.progress import ProgressCallback
+    from prbench.workflows.table_two import Cell, DatasetLayout, TableLayout, TableRequest
+    from prbench.workflows.table_two.plan import PlannedRow
+
+ALL = "all"
+_SINGLE_RUN = ("view", "sequence", "isolate", "timeout")
+_RANKS = {1: "¹", 2: "²"}
+
+
+def wants_table(arguments: argparse.Namespace) -> bool:
+    """Whether all methods or all conditions are asked for."""
+    return ALL in (arguments.method, arguments.condition)
+
+
+def run_and_print(arguments: argparse.Namespace, data: tuple[Path, ...], engine: Engine) -> int:
+    """Run what is missing of the table and print all of it; 1 if a row failed."""
+    from prbench.workflows.table_two import run_table
+    from prbench.workflows.table_two.run import JSON, MARKDOWN, Say
+
+    say = Say(notice=_notice, timing=lambda: progress("timing a first batch"), row=_row_progress)
+    report = run_table(table_request(arguments, data), engine=engine, say=say)
+    print_layout(report.layout)
+    print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
+    for outcome in report.failed:
+        print(f"failed: {outcome.planned.name}; the same command tries it again", file=sys.stderr)
+    return 1 if report.failed else 0
+
+
+def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> TableRequest:
+    """What the arguments ask for.
+
+    Raises:
+        UsageError: if one of them belongs to a single run.
+    """
+    from prbench.contract import Condition
+    from prbench.errors import UsageError
+    from prbench.workflows import first_run
+    from prbench.workflows.table_two import TableRequest
+    from prbench.workflows.table_two.request import DEFAULT_MINUTES
+
+    for name in _SINGLE_RUN:
+        if getattr(arguments, name):
+            raise UsageError(f"--{name}: belongs to a run of one method under one condition; leave it out.")
+    return TableRequest(
+        data=data,
+        method=None if arguments.method == ALL else arguments.method,
+        condition=None if arguments.condition in (ALL, None) else Condition(arguments.condition),
+        weights=arguments.weights,
+        options=dict(arguments.option),
+        split=arguments.split,
+        limit=arguments.limit,
+        minutes=arguments.minutes or DEFAULT_MINUTES,
+        seed=arguments.seed,
+        samples=arguments.samples,
+        batch_size=arguments.batch_size or first_run.BATCH_SIZE,
+        device=arguments.device,
+        threads=arguments.threads,
+        shuffled_goal=arguments.control is not None,
+        out=arguments.out,
+    )
+
+
+def print_layout(layout: TableLayout) -> None:
+    """Print each dataset's part, and what a reader has to know of them."""
+    from prbench.workflows.table_two.as_markdown import heading, notes, orders
+
+    for dataset in layout.datasets:
+        _print_dataset(dataset, heading(dataset, layout))
+        for text in orders(dataset):
+            print(text)
+    for note in notes(layout):
+        print(note)
+
+
+def _print_dataset(dataset: DatasetLayout, title: str) -> None:
+    from prbench.leaderboard.tables import MAIN_METRICS
+    from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
+    from prbench.workflows.table_two.layout import metric_title
+
+    header = ("Condition", "Method", *(metric_title(info) for info in MAIN_METRICS), *COST_TITLES)
+    rows = []
+    for block in dataset.blocks:
+        for i, line in enumerate(block.lines):
+            cells = (_cell(line.cells[info.id]) for info in MAIN_METRICS)
+            rows.append((block.title if i == 0 else "", line.label, *cells, *cost_cells(line.cost)))
+    print_table(title, header, rows, numbers=range(2, len(header)))
+
+
+def _cell(cell: Cell | None) -> str:
+    """Mean with its place, the interval below."""
+    if cell is None:
+        return "–"
+    return f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}\n{cell.interval}".rstrip()
+
+
+def _notice(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _row_progress(planned: PlannedRow) -> Iterator[ProgressCallback]:
+    with progress(f"running {planned.name}") as show:
+        yield lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}")

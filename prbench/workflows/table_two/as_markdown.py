@@ -1,0 +1,114 @@
+"""A table as Markdown: the study's layout, an interval under every mean, cost columns at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
+from prbench.workflows.table_two.layout import (
+    BlockLayout,
+    Cell,
+    DatasetLayout,
+    LineCost,
+    TableLayout,
+    metric_title,
+)
+from prbench.workflows.table_two.order import Step
+
+DASH = "–"
+COST_TITLES = ("s/motion", "passes/motion", "MiB")
+
+
+def as_markdown(layout: TableLayout) -> str:
+    """The whole document."""
+    parts = ["# Table 2"]
+    for dataset in layout.datasets:
+        parts += [f"## {heading(dataset, layout)}", _grid(dataset)]
+        parts += ["\n".join(f"- {_plain(text)}" for text in orders(dataset))] if dataset.is_ranked else []
+    parts.append("\n".join(f"- {note}" for note in notes(layout)))
+    return "\n\n".join(parts) + "\n"
+
+
+def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
+    """Title, and the data behind it."""
+    plural = "" if dataset.recordings == 1 else "s"
+    counts = f"n = {dataset.sequences} sequences of {dataset.recordings} recording{plural}"
+    return f"{dataset.title}: {counts}, split {layout.split}"
+
+
+def orders(dataset: DatasetLayout) -> Iterable[str]:
+    """For each block the order by Prime Success, with the difference at each step and what the data say of it."""
+    for block in (block for block in dataset.blocks if block.order):
+        labels = {line.name: line.label for line in block.lines}
+        steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
+        yield f"{block.title}, by Prime Success: {' > '.join(steps)}"
+
+
+def _step(step: Step) -> str:
+    bounds = "" if step.low is None or step.high is None else f" [{step.low:.2f}, {step.high:.2f}]"
+    p = "" if step.p is None else f", p = {step.p:.3f}"
+    return f"{step.difference:.2f}{bounds} lower{p}{'' if step.supported else ', not supported by the data'}"
+
+
+def notes(layout: TableLayout) -> Iterable[str]:
+    """What a reader has to know, one sentence or two each."""
+    if layout.minutes is not None:
+        yield f"n is what fitted into {layout.minutes} minutes on the machine that it was run on."
+    yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
+    few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
+    if few:
+        yield f"Nothing is ranked on {', '.join(few)}: fewer than {FEWEST_RANKED} sequences."
+    if len(few) < len(layout.datasets):
+        yield "Bold or ¹: best of two or more methods of a block; underlined or ²: second. Controls are not ranked."
+    if any(dataset.synthetic for dataset in layout.datasets):
+        yield "Scores on synthetic data: they say nothing about real people; never compare them with published ones."
+    lines = [line for block in layout.datasets[0].blocks for line in block.lines]
+    stand_ins = [f"{line.label} ({line.weights_used})" for line in lines if line.stands_in and line.state == "run"]
+    if stand_ins:
+        yield (
+            "Small weights, trained on invented people alone, stand in for the study's: "
+            f"{', '.join(dict.fromkeys(stand_ins))}."
+        )
+    for line in layout.without_numbers:
+        yield f"{line.label} ({line.name}): {line.state}, {line.reason}"
+    for dataset in layout.datasets:
+        for line in (line for block in dataset.blocks for line in block.lines if line.unsupported):
+            yield (
+                f"{line.label} on {dataset.dataset}: {line.unsupported} sequences are longer than it can generate and"
+                " were left out; not ranked."
+            )
+    if any(dataset.redistribution == "non-commercial" for dataset in layout.datasets):
+        yield "Some of the data may be used for non-commercial purposes only."
+
+
+def _grid(dataset: DatasetLayout) -> str:
+    header = ["Condition", "Method", *(metric_title(info) for info in MAIN_METRICS), *COST_TITLES]
+    rule = ["---"] * 2 + ["---:"] * (len(MAIN_METRICS) + len(COST_TITLES))
+    rows = [row for block in dataset.blocks for row in _rows(block)]
+    return "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in (header, rule, *rows))
+
+
+def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
+    for i, line in enumerate(block.lines):
+        cells = (_cell(line.cells[info.id]) for info in MAIN_METRICS)
+        yield [block.title if i == 0 else "", line.label, *cells, *cost_cells(line.cost)]
+
+
+def _cell(cell: Cell | None) -> str:
+    if cell is None:
+        return DASH
+    mean = f"{cell.mean:.2f}"
+    marked = {1: f"**{mean}**", 2: f"<u>{mean}</u>"}.get(cell.rank or 0, mean)
+    return f"{marked} {cell.interval}".rstrip()
+
+
+def cost_cells(cost: LineCost) -> tuple[str, str, str]:
+    """Seconds and network passes of a motion, memory of a process."""
+    seconds = DASH if cost.seconds is None else f"{cost.seconds:.2f}"
+    passes = DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
+    return seconds, passes, DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
+
+
+def _plain(text: str) -> str:
+    """Text that cannot break a table; a lone star is no emphasis."""
+    return text.replace("|", "\\|").replace("\n", " ").replace("MDM *", "MDM \\*")

@@ -1,0 +1,248 @@
+"""Table 2's layout: a part for each dataset, a block for each condition, the metrics in the study's order.
+
+Rows that were not run show dashes. Ranks are those of the leaderboard: within a block, from 50 sequences on, never for
+controls.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from prbench.evaluation.planning import Selection, select
+from prbench.leaderboard import collect_runs, make_leaderboard
+from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, TableRow, hides
+from prbench.metrics import MetricInfo
+from prbench.runs.cost import RunCost, read_run_cost
+from prbench.runs.folder import RunFolder
+from prbench.sequences import SequenceTable
+from prbench.workflows.table_two.order import METRIC, Step, order_of
+from prbench.workflows.table_two.plan import PlannedRow
+from prbench.workflows.table_two.rows import load_table_two
+
+METRIC_TITLES = {"location_error": "Loc Err"}
+"""Where the study's table prints another word than the metric's own title."""
+CONTROLS_TITLE = "Controls"
+_CONTROL = "control"
+_MEBIBYTE = 2**20
+
+
+@dataclass(frozen=True)
+class RowOutcome:
+    """What became of one line."""
+
+    planned: PlannedRow
+    state: Literal["run", "skipped", "failed"]
+    reason: str = ""
+    """Why it has no numbers."""
+    folder: Path | None = None
+    """Of its run."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number, as printed: rates in %."""
+
+    mean: float
+    low: float | None
+    high: float | None
+    rank: int | None
+
+    @property
+    def interval(self) -> str:
+        """``[low, high]``, or empty where too few recordings allow none."""
+        return "" if self.low is None or self.high is None else f"[{self.low:.2f}, {self.high:.2f}]"
+
+
+@dataclass(frozen=True)
+class LineCost:
+    """What generating one motion took; None where it says nothing, as of a control."""
+
+    seconds: float | None
+    network_passes: float | None
+    memory_mebibytes: float | None
+    """Largest, of a process that ran the method."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row on one dataset."""
+
+    name: str
+    label: str
+    method: str
+    weights: str
+    """The study's, by their name in ``table_2.toml``; empty for a control."""
+    weights_used: str
+    """File that was run."""
+    variant: str
+    """In the words of the published tables."""
+    trained_on: str
+    stands_in: bool
+    state: Literal["run", "skipped", "failed"]
+    reason: str
+    cells: dict[str, Cell | None]
+    """By main metric; None is a dash."""
+    unsupported: int
+    """Sequences that are longer than the method can generate, and were left out."""
+    cost: LineCost
+
+
+@dataclass(frozen=True)
+class BlockLayout:
+    """The lines under one condition, or the controls."""
+
+    title: str
+    condition: str
+    """``control`` for the controls."""
+    lines: tuple[Line, ...]
+    order: tuple[Step, ...] = ()
+    """From the best to the worst by Prime Success; empty where nothing is ranked."""
+
+
+@dataclass(frozen=True)
+class DatasetLayout:
+    """One dataset's part of the table."""
+
+    dataset: str
+    title: str
+    synthetic: bool
+    redistribution: str
+    sequences: int
+    """n of every line."""
+    recordings: int
+    blocks: tuple[BlockLayout, ...]
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether there are sequences enough to rank anything."""
+        return self.sequences >= FEWEST_RANKED
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """All of it."""
+
+    split: str
+    limit: int
+    minutes: int | None
+    """The time that ``limit`` follows from; None where the user named it."""
+    datasets: tuple[DatasetLayout, ...]
+
+    @property
+    def without_numbers(self) -> tuple[Line, ...]:
+        """Lines that show dashes because they were not run, or failed."""
+        return tuple(line for block in self.datasets[0].blocks for line in block.lines if line.state != "run")
+
+
+def metric_title(info: MetricInfo) -> str:
+    """As the study's table prints it, with its direction."""
+    arrow = {True: " ↑", False: " ↓", None: ""}[info.higher_is_better]
+    return f"{METRIC_TITLES.get(info.id, info.title)}{arrow}"
+
+
+def lay_out(
+    outcomes: Sequence[RowOutcome],
+    *,
+    tables: Sequence[SequenceTable],
+    split: str,
+    limit: int,
+    minutes: int | None,
+) -> TableLayout:
+    """Read the finished runs and put every line in its place.
+
+    Args:
+        outcomes: All lines in printed order.
+        tables: In printed order.
+        split: Of the runs.
+        limit: Sequences of each dataset that were asked for.
+        minutes: The time that it follows from.
+
+    Raises:
+        RunError: if a run's files are damaged.
+    """
+    folders = [outcome.folder for outcome in outcomes if outcome.folder is not None]
+    found = make_leaderboard(collect_runs(folders)).tables if folders else ()
+    rows = {(part.dataset, row.entry.run): row for part in found for row in part.rows}
+    datasets = tuple(_dataset(outcomes, select(table, split=split, limit=limit), rows) for table in tables)
+    return TableLayout(split, limit, minutes, datasets)
+
+
+def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple[str, str], TableRow]) -> DatasetLayout:
+    info = chosen.table.info
+    folders = {outcome.planned.name: outcome.folder for outcome in outcomes if outcome.folder is not None}
+    lines = [(outcome.planned, _line(outcome, rows.get((info.dataset, outcome.planned.name)))) for outcome in outcomes]
+    under: dict[str, list[Line]] = defaultdict(list)
+    for planned, line in lines:
+        under[_CONTROL if planned.is_control else planned.run.condition.value].append(line)
+    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: CONTROLS_TITLE}
+    return DatasetLayout(
+        dataset=info.dataset,
+        title=info.title,
+        synthetic=info.synthetic,
+        redistribution=info.redistribution,
+        sequences=len(chosen),
+        recordings=len(set(chosen.recording_ids)),
+        blocks=tuple(
+            BlockLayout(title, name, tuple(under[name]), _order(under[name], folders, info.dataset))
+            for name, title in titles.items()
+            if name in under
+        ),
+    )
+
+
+def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> tuple[Step, ...]:
+    cells = {line.name: line.cells[METRIC] for line in lines}
+    ranked = {name: cell.mean for name, cell in cells.items() if cell is not None and cell.rank is not None}
+    return order_of(ranked, folders, dataset)
+
+
+def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
+    planned = outcome.planned
+    weights = load_table_two().weights[planned.row.weights] if planned.row is not None else None
+    return Line(
+        name=planned.name,
+        label=planned.label,
+        method=planned.run.method,
+        weights=planned.row.weights if planned.row is not None else "",
+        weights_used=(row.entry.record.method.weights or "") if row is not None else "",
+        variant=weights.variant if weights is not None else "",
+        trained_on=weights.trained_on if weights is not None else "",
+        stands_in=planned.stands_in,
+        state=outcome.state,
+        reason=outcome.reason,
+        cells={info.id: _cell(row, info) for info in MAIN_METRICS},
+        unsupported=row.entry.summary.unsupported if row is not None else 0,
+        cost=_line_cost(outcome.folder, row),
+    )
+
+
+def _cell(row: TableRow | None, info: MetricInfo) -> Cell | None:
+    metric = row.entry.metric(info.id) if row is not None else None
+    if row is None or metric is None or hides(row.entry, info):
+        return None
+    scale = 100.0 if info.unit == "rate" else 1.0
+    low, high = (None if bound is None else scale * bound for bound in (metric.low, metric.high))
+    return Cell(scale * metric.mean, low, high, row.ranks.get(info.id))
+
+
+def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
+    if folder is None or row is None or row.entry.record.method.kind == "control":
+        return LineCost(None, None, None)
+    cost = read_run_cost(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
+    return LineCost(_seconds(cost), _passes(cost), cost.peak_process_bytes / _MEBIBYTE)
+
+
+def _seconds(cost: RunCost) -> float | None:
+    """Of one motion; with what loads on first use only where nothing else was timed."""
+    if cost.seconds_per_motion is not None:
+        return cost.seconds_per_motion
+    return cost.warm_up_seconds / cost.warm_up_motions if cost.warm_up_motions else None
+
+
+def _passes(cost: RunCost) -> float | None:
+    motions = cost.motions + cost.warm_up_motions
+    return cost.network_passes_declared / motions if cost.network_passes_declared and motions else None

@@ -1,0 +1,130 @@
+"""From rows to runs: which can be run here, with which weights, and why the others cannot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from prbench.contract import Condition
+from prbench.errors import PrbenchError
+from prbench.evaluation.adapters import load_adapter
+from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
+from prbench.evaluation.installed import list_adapters
+from prbench.evaluation.request import RunRequest
+from prbench.workflows.table_two.request import CONTROLS, TableRequest
+from prbench.workflows.table_two.rows import Row, load_table_two
+
+ALL = "all"
+"""As ``--method`` or ``--condition``: all that Table 2 has."""
+ROWS_FOLDER = "rows"
+_GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
+
+
+@dataclass(frozen=True)
+class PlannedRow:
+    """One line of the printed table."""
+
+    name: str
+    """Unique; the name of its run folder."""
+    label: str
+    """As printed."""
+    row: Row | None
+    """None for a control of the harness."""
+    run: RunRequest
+    """Without a limit, which follows later."""
+    skipped: str | None = None
+    """Why it is not run; None for a row that is."""
+    stands_in: bool = False
+    """Whether bundled weights take the place of the study's."""
+
+    @property
+    def is_control(self) -> bool:
+        """Made by the harness, or with other sequences' goals."""
+        return self.row is None or self.run.control is not None
+
+    def limited(self, limit: int) -> RunRequest:
+        """Its run on this many sequences of each dataset."""
+        return replace(self.run, limit=limit)
+
+
+def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> list[PlannedRow]:
+    """All lines in printed order, controls last.
+
+    Args:
+        request: What is asked for.
+        data: Its dataset folders, in printed order.
+        folder: Of the table; every row gets a run folder in it.
+
+    Raises:
+        AdapterError: if a method refuses its options.
+    """
+    planned = [_planned(request, row, data, folder) for row in request.rows]
+    controls = [_control(request, name, data, folder) for name in CONTROLS]
+    shuffled = [_shuffled(row, folder) for row in planned if row.run.condition in _GOALS]
+    return planned + controls + (shuffled if request.shuffled_goal else [])
+
+
+def _planned(request: TableRequest, row: Row, data: tuple[Path, ...], folder: Path) -> PlannedRow:
+    own = request.user_weights(row)
+    weights = own if own is not None else Path(row.bundled) if row.bundled else None
+    run = replace(
+        _base(request, data),
+        method=row.method,
+        condition=row.condition,
+        weights=weights,
+        options=request.options_of(row.method),
+        out=folder / ROWS_FOLDER / row.name,
+    )
+    reason = _why_skipped(row, run, own=own is not None)
+    return PlannedRow(row.name, row.label, row, run, reason, stands_in=own is None and bool(row.bundled))
+
+
+def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
+    """A row without a method or weights is skipped; whatever else is wrong with it is a failure of its run."""
+    weights = load_table_two().weights[row.weights]
+    if row.method not in {adapter.name for adapter in list_adapters()}:
+        return f"no method '{row.method}' is installed"
+    if own or weights.state == "none":
+        return None
+    if not row.bundled:
+        return f"no weights ({weights.variant}) come with prbench; --weights FOLDER with '{row.weights}' gives some"
+    try:
+        load_adapter(row.method, run.weights, {}, "cpu")
+    except PrbenchError as error:
+        return f"its weights ({weights.variant}) are not there: {error}"
+    if run.options:
+        load_adapter(row.method, run.weights, run.options, run.device)  # a slip of the pen shows before hours of work
+    return None
+
+
+def _shuffled(planned: PlannedRow, folder: Path) -> PlannedRow:
+    """The same with other sequences' goals."""
+    name = f"{planned.name}-{SHUFFLED_GOAL}"
+    run = replace(planned.run, control=SHUFFLED_GOAL, out=folder / ROWS_FOLDER / name)
+    label = f"{planned.label}, {run.condition.value}, {SHUFFLED_GOAL}"
+    return replace(planned, name=name, label=label, run=run)
+
+
+def _control(request: TableRequest, name: str, data: tuple[Path, ...], folder: Path) -> PlannedRow:
+    run = replace(
+        _base(request, data), method=name, condition=_control_condition(request), out=folder / ROWS_FOLDER / name
+    )
+    return PlannedRow(name, name, None, run)
+
+
+def _control_condition(request: TableRequest) -> Condition:
+    """A control does the same under every condition; one is recorded."""
+    return request.condition or Condition.GOAL_LOCATION
+
+
+def _base(request: TableRequest, data: tuple[Path, ...]) -> RunRequest:
+    return RunRequest(
+        method=GROUND_TRUTH,
+        data=data,
+        split=request.split,
+        seed=request.seed,
+        samples=request.samples,
+        batch_size=request.batch_size,
+        device=request.device,
+        threads=request.threads,
+    )

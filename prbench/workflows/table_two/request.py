@@ -1,0 +1,132 @@
+"""What a user asks of a whole table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import prbench
+from prbench.contract import Condition
+from prbench.errors import UsageError
+from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
+from prbench.evaluation.preparation import DEFAULT_PARENT
+from prbench.sequences import SequenceTable
+from prbench.storage import text_digest
+from prbench.workflows import first_run
+from prbench.workflows.table_two.rows import Row, load_table_two
+
+DEFAULT_MINUTES = 30
+CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
+"""Beside the rows, always."""
+_PAPER_ORDER = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableRequest:
+    """Table 2, or the rows of one method or one condition, on one or several tables.
+
+    Raises:
+        UsageError: if parts of it do not fit together.
+    """
+
+    data: tuple[Path, ...]
+    """Dataset folders."""
+    method: str | None = None
+    """None for all."""
+    condition: Condition | None = None
+    """None for all."""
+    weights: Path | None = None
+    """Folder with weights by the names of ``table_2.toml``; those that come with prbench take the place of others."""
+    options: Mapping[str, str] = field(default_factory=dict)
+    """By ``method.key``; a table of one method takes plain keys too."""
+    split: str = "test"
+    limit: int | None = None
+    """Sequences of each dataset; None for as many as fit in ``minutes``."""
+    minutes: int = DEFAULT_MINUTES
+    seed: int = 0
+    samples: int = 1
+    batch_size: int = first_run.BATCH_SIZE
+    device: str = "cpu"
+    threads: int = 1
+    shuffled_goal: bool = False
+    """Whether every goal row stands there with other sequences' goals, too."""
+    out: Path | None = None
+    """Folder of the table; by default one under ``runs`` whose name says what was asked."""
+
+    def __post_init__(self) -> None:
+        if not self.data:
+            raise UsageError("a table needs one dataset folder or more (--data DIR).")
+        load_table_two().chosen(self.method, self.condition)
+        if self.weights is not None and not any(self._weights_named(name) for name in load_table_two().weights):
+            found = "a folder without any" if self.weights.is_dir() else "no folder"
+            raise UsageError(
+                f"--weights {self.weights}: expected a folder of weights for a table, found {found}. It holds NAME or"
+                f" NAME.safetensors for one or more of: {', '.join(load_table_two().weights)}."
+            )
+        for key in self.options:
+            method = key.partition(".")[0] if "." in key else self.method
+            if method is None or method not in load_table_two().methods:
+                raise UsageError(
+                    f"--option {key}=…: expected METHOD.{key.rpartition('.')[2]}=… for a table of several methods;"
+                    f" these are: {', '.join(load_table_two().methods)}."
+                )
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """What is asked for, in printed order."""
+        return load_table_two().chosen(self.method, self.condition)
+
+    def options_of(self, method: str) -> dict[str, str]:
+        """The options of one method."""
+        plain = {key: value for key, value in self.options.items() if "." not in key}
+        own = {key.partition(".")[2]: value for key, value in self.options.items() if key.startswith(f"{method}.")}
+        return plain | own
+
+    def user_weights(self, row: Row) -> Path | None:
+        """The user's own weights of a row: a file, or a folder such as ``prbench train`` leaves."""
+        return self._weights_named(row.weights)
+
+    def _weights_named(self, name: str) -> Path | None:
+        if self.weights is None:
+            return None
+        paths = (self.weights / name, self.weights / f"{name}.safetensors")
+        return next((path for path in paths if path.exists()), None)
+
+    def tables(self) -> list[SequenceTable]:
+        """The tables, in the study's order, others behind by name.
+
+        Raises:
+            TableError: if one is missing, empty or of an unknown version.
+            UsageError: if datasets repeat.
+        """
+        tables = [SequenceTable.open(folder) for folder in self.data]
+        names = [table.info.dataset for table in tables]
+        for name in names:
+            if names.count(name) > 1:
+                raise UsageError(f"--data: expected different datasets, found {name} more than once.")
+        return sorted(tables, key=lambda table: _place(table.info.dataset))
+
+    def folder(self) -> Path:
+        """Where the table is kept; the same request finds its folder again."""
+        if self.out is not None:
+            return self.out
+        tables = self.tables()
+        datasets = "+".join(table.info.dataset for table in tables)
+        weights = "" if self.weights is None else str(self.weights.resolve())
+        name = f"table-2-{datasets}-{text_digest(weights, *self.deciding(tables))[:8]}"
+        return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
+
+    def deciding(self, tables: list[SequenceTable]) -> list[str]:
+        """All that decides what the rows compute, except the weights, which their own run folders record."""
+        shuffled = SHUFFLED_GOAL if self.shuffled_goal else ""
+        parts = [prbench.__version__, self.method or "all", self.condition or "all", self.split, shuffled, self.device]
+        parts += [str(value) for value in (self.limit, self.seed, self.samples, self.batch_size, self.threads)]
+        parts += [f"{key}={value}" for key, value in sorted(self.options.items())]
+        return parts + [part for table in tables for part in (table.info.dataset, table.identity, table.content)]
+
+
+def _place(dataset: str) -> tuple[int, str]:
+    plain = dataset.removeprefix("synthetic-")
+    return (_PAPER_ORDER.index(plain) if plain in _PAPER_ORDER else len(_PAPER_ORDER), dataset)

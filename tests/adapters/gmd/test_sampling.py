@@ -1,0 +1,240 @@
+"""Goals, imputation and both stages, with networks of random weights."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from prbench.contract import ConditionBatch
+from prbench.errors import AdapterError
+from prbench.skeleton import Joint
+from prbench_adapters.diffusion.noise import SequenceNoise
+from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.gmd import stages
+from prbench_adapters.gmd.generation import generate
+from prbench_adapters.gmd.goals import Ends, imputed_root
+from prbench_adapters.gmd.sampling import RootGoal, guided_mean
+from prbench_adapters.gmd.stages import GMDSettings
+from tests.adapters.gmd import tiny
+
+
+def _ends() -> Ends:
+    first, last = torch.zeros(2, 22, 3), torch.zeros(2, 22, 3)
+    last[0, Joint.PELVIS] = torch.tensor([1.0, 0.9, 2.0])
+    last[1, Joint.PELVIS] = torch.tensor([0.0, 0.8, -3.0])
+    return Ends(first, last, torch.tensor([5, 3]))
+
+
+def test_keyframes_are_the_first_and_the_last_frame_of_each_motion():
+    goal = _ends().root_keyframes()
+    assert goal.wanted.tolist() == [[True, False, False, False, True], [True, False, True, False, False]]
+    assert goal.xz[0, [0, 4]].tolist() == [[0, 0], [1, 2]]
+    assert goal.xz[1, [0, 2]].tolist() == [[0, 0], [0, -3]]
+
+
+def test_the_line_is_straight_and_of_constant_speed():
+    goal = _ends().straight_line()
+    assert torch.allclose(goal.xz[0], torch.linspace(0, 1, 5)[:, None] * torch.tensor([1.0, 2.0]))
+    assert torch.allclose(goal.xz[1, :3, 1], torch.tensor([0.0, -1.5, -3.0]))
+    assert goal.wanted.tolist() == [[True] * 5, [True, True, True, False, False]]
+
+
+def test_the_loss_is_the_mean_error_of_each_row_over_its_keyframes():
+    goal = _ends().root_keyframes()
+    root = goal.xz + torch.tensor([0.3, -0.1])
+    assert torch.allclose(goal.loss(root), torch.tensor([0.2, 0.2]))
+    assert torch.allclose(goal.loss(root, "squared"), torch.tensor([0.05, 0.05]))
+    root[1, 1] = 99.0  # no keyframe
+    assert torch.allclose(goal.loss(root), torch.tensor([0.2, 0.2]))
+
+
+def test_only_the_ground_position_of_the_root_is_imputed():
+    space, goal = tiny.space(), _ends().root_keyframes()
+    imputed = imputed_root(goal, space, 263)
+    assert imputed.where[0, 4].nonzero().flatten().tolist() == [1, 2]
+    assert int(imputed.where.sum()) == 2 * 4
+    restored = space.restored(imputed.values)
+    assert torch.allclose(restored[imputed.where], torch.tensor([0.0, 0, 1, 2, 0, 0, 0, -3]), atol=1e-6)
+
+
+def test_the_gradient_goes_through_the_network():
+    """A network that hands frame 0 what frame 4 holds: the goal of one moves the other, by β̃ · scale · gradient."""
+    chain = CosineSchedule(10)
+    goal = RootGoal(torch.ones(1, 5, 2), torch.tensor([[True, False, False, False, False]]))
+    state = torch.zeros(1, 5, 4)
+    mean = guided_mean(
+        lambda noisy, _: 3.0 * noisy.flip(1), chain, 6, state, lambda clean: goal.loss(clean[..., 1:3]), 100.0
+    )
+    expected = torch.zeros(1, 5, 4)
+    expected[0, 4, 1:3] = 100.0 * float(chain.posterior_variance[6]) * 3.0 / 2
+    assert torch.allclose(mean, expected, rtol=1e-6)
+
+
+def test_without_a_goal_no_gradient_is_taken():
+    def network(noisy: torch.Tensor, _: int) -> torch.Tensor:
+        assert not torch.is_grad_enabled()
+        return noisy
+
+    with torch.enable_grad():
+        guided_mean(network, CosineSchedule(10), 6, torch.zeros(1, 5, 4), None, 100.0)
+
+
+@pytest.mark.parametrize(("steps", "limits"), [(1000, (20, 100, 1)), (100, (2, 10, 1)), (50, (1, 5, 1))])
+def test_limits_scale_with_the_schedule(steps, limits):
+    schedule = CosineSchedule(steps)
+    assert tuple(stages._step(schedule, of_thousand) for of_thousand in (20, 100, 1)) == limits
+    assert stages._step(schedule, 0) == 0
+
+
+def _root(joints: np.ndarray) -> np.ndarray:
+    return joints[:, Joint.PELVIS, ::2]
+
+
+def _errors(batch: ConditionBatch, joints: np.ndarray) -> np.ndarray:
+    """Distance of the root to its first and its last keyframe, metres."""
+    assert batch.goal_joints is not None
+    assert batch.initial_joints is not None
+    last = joints[np.arange(len(batch)), batch.n_frames - 1]
+    ends = ((joints[:, 0], batch.initial_joints), (last, batch.goal_joints))
+    return np.array([np.linalg.norm(_root(found) - _root(wanted), axis=1) for found, wanted in ends])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return tiny.model()
+
+
+@pytest.mark.parametrize(("keyframes", "seed"), [("root", 1), ("pose", 2)])
+def test_the_root_is_at_its_keyframes_whatever_the_networks_say(keyframes, seed):
+    batch = tiny.batch()
+    motions = generate(tiny.model(seed=seed), batch, GMDSettings(keyframes=keyframes, steps=5))
+    assert _errors(batch, motions.joints).max() < 1e-3
+
+
+def test_another_goal_moves_the_end_there(model):
+    batch = tiny.batch()
+    assert batch.goal_joints is not None
+    shuffled = dataclasses.replace(batch, goal_joints=batch.goal_joints[[1, 2, 0]])
+    motions = generate(model, shuffled, GMDSettings(steps=5))
+    assert _errors(shuffled, motions.joints)[1].max() < 0.1
+    assert _errors(batch, motions.joints)[1].min() > 0.2
+
+
+def test_whole_poses_are_met_when_they_are_imputed(model):
+    batch = tiny.batch()
+    joints = generate(model, batch, GMDSettings(keyframes="pose", steps=5)).joints
+    last = joints[np.arange(3), batch.n_frames - 1]
+    assert np.allclose(joints[:, 0], batch.initial_joints, atol=1e-3)
+    assert np.allclose(last, batch.goal_joints, atol=1e-3)
+    rooted = generate(model, batch, GMDSettings(steps=5)).joints
+    assert not np.allclose(rooted[:, 0], batch.initial_joints, atol=0.1)
+
+
+def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
+    followed = []
+    trajectory_stage = stages.sample_trajectory
+
+    def watched(*arguments, **keywords):
+        followed.append(trajectory_stage(*arguments, **keywords))
+        return followed[-1]
+
+    monkeypatch.setattr("prbench_adapters.gmd.generation.sample_trajectory", watched)
+    joints = generate(model, tiny.batch((24,)), GMDSettings(steps=5)).joints
+    assert np.allclose(_root(joints[0]), followed[0][0, :, 1:3].numpy(), atol=1e-4)
+
+
+def test_until_when_is_imputed_is_a_choice(model):
+    """Only the default holds the keyframes to the end; the original's choices let go of them."""
+    batch = tiny.batch((12,))
+    settings = [GMDSettings(imputation=until, steps=5) for until in ("end", "demo")]
+    held, free = (_errors(batch, generate(model, batch, each).joints).max() for each in settings)
+    assert held < 1e-3
+    assert free > 1e-3
+
+
+def test_batch_size_and_order_leave_no_trace(model):
+    batch = tiny.batch((24, 17, 30))
+    together = generate(model, batch, GMDSettings(steps=5)).joints
+    for row in range(3):
+        alone = generate(model, batch.rows(row, row + 1), GMDSettings(steps=5)).joints
+        n = int(batch.n_frames[row])
+        assert np.allclose(alone[0, :n], together[row, :n], atol=1e-3)
+
+
+def test_the_same_batch_gives_the_same_motion_and_another_seed_another(model):
+    batch = tiny.batch((12,))
+    first, second = (generate(model, batch, GMDSettings(steps=5)).joints for _ in range(2))
+    assert np.array_equal(first, second)
+    other = generate(model, dataclasses.replace(batch, noise_seed=(7,)), GMDSettings(steps=5)).joints
+    assert not np.allclose(first, other, atol=0.01)
+
+
+@pytest.mark.parametrize(("guidance", "each"), [(2.5, 2), (1.0, 1)])
+def test_passes_of_both_stages_are_counted(model, guidance, each):
+    motions = generate(model, tiny.batch((12, 14)), GMDSettings(guidance=guidance, steps=5))
+    assert motions.cost is not None
+    assert motions.cost.network_passes == 2 * 2 * 5 * each
+
+
+def test_the_goal_scale_matters_and_zero_takes_no_gradient(model, monkeypatch):
+    batch = tiny.batch((12,))
+    guided = generate(model, batch, GMDSettings(steps=5)).joints
+    monkeypatch.setattr(torch.autograd, "grad", None)
+    free = generate(model, batch, GMDSettings(steps=5, goal_scale=0.0)).joints
+    assert not np.allclose(guided, free, atol=1e-3)
+
+
+def test_motions_beyond_the_padded_length_have_a_window_of_their_own():
+    """40 frames need a longer window than 12; both are the same alone and together."""
+    model, batch = tiny.model(), tiny.batch((12, 40))
+    together = generate(model, batch, GMDSettings(steps=5)).joints
+    alone = generate(model, batch.rows(0, 1), GMDSettings(steps=5)).joints
+    assert np.allclose(alone[0, :12], together[0, :12], atol=1e-3)
+
+
+def test_motions_of_one_and_of_two_frames_are_generated(model):
+    joints = generate(model, tiny.batch((2, 1)), GMDSettings(steps=5)).joints
+    assert np.isfinite(joints[0, :2]).all()
+    assert np.isfinite(joints[1, :1]).all()
+
+
+def test_longer_motions_than_the_model_knows_are_refused(model):
+    with pytest.raises(AdapterError, match="at most 60 frames, and was asked for 61"):
+        generate(model, tiny.batch((61,)), GMDSettings())
+
+
+@pytest.mark.parametrize(("imputation", "last_imputed"), [("end", (0, 0)), ("demo", (2, 1)), ("evaluation", (2, 2))])
+def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch, imputation, last_imputed):
+    """100 steps: the line while t ≥ 10, then the keyframes; gradients while t ≥ 2; a body of five frames follows."""
+    imputed: list[list[tuple[int, int]]] = [[], []]
+    guided: list[int] = []
+
+    def noising(chain, i, state, overwritten, noise):
+        imputed[0].append((i, int(overwritten.where[0].any(dim=1).sum())))
+        return state
+
+    def in_mean(space, chain, i, state, mean, overwritten):
+        imputed[1].append((i, int(overwritten.where[0].any(dim=1).sum())))
+        return mean
+
+    def mean_of(estimate, chain, i, state, loss, scale):
+        guided.extend([i] if loss is not None else [])
+        return state
+
+    monkeypatch.setattr(stages, "imputed_by_noising", noising)
+    monkeypatch.setattr(stages, "imputed_in_mean", in_mean)
+    monkeypatch.setattr(stages, "guided_mean", mean_of)
+    model, ends, settings = tiny.model(diffusion_steps=100), _ends(), GMDSettings(imputation=imputation)
+    noise = SequenceNoise([1, 2], ends.n_frames.numpy())
+    text, window = torch.zeros(2, 64), model.configuration.window(5)
+    network = stages.GuidedNetwork(model.networks.motion, text, ends.n_frames, window=window, scale=1.0)
+    trajectory = stages.sample_trajectory(network, model.schedule, model.space, ends, noise, settings)
+    stages.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
+
+    line = [(t, 5) for t in range(99, 9, -1)]
+    assert imputed[0] == line + [(t, 2) for t in range(9, last_imputed[0] - 1, -1)]
+    assert imputed[1] == [(t, 5) for t in range(99, last_imputed[1] - 1, -1)]
+    assert guided == 2 * list(range(99, 1, -1))

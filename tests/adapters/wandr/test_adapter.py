@@ -1,0 +1,187 @@
+"""The method ``wandr`` through the contract."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from prbench.contract import Condition
+from prbench.errors import AdapterError, InputFileError
+from prbench.evaluation.adapters import load_adapter
+from prbench.representation import mirror
+from prbench.skeleton import Joint, bone_lengths
+from prbench_adapters.wandr import weights_file
+from prbench_adapters.wandr.adapter import WANDR, Generation
+from prbench_adapters.wandr.state import TRANSLATION
+from tests.adapters.wandr import tiny
+
+RIGHT, LEFT = Joint.RIGHT_WRIST, Joint.LEFT_WRIST
+
+
+def _method(generation: Generation | None = None, **changes) -> WANDR:
+    return WANDR(tiny.network(**changes).double(), Path("tiny"), generation)
+
+
+class Follower(torch.nn.Module):
+    """In place of a trained decoder: the whole body moves as the wrist intends."""
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        delta = torch.zeros(len(values), 135).to(values)
+        delta[:, TRANSLATION] = values[:, -9:-6] / 30 / (0.02 + 1e-5)  # metres a frame, standardised
+        return delta
+
+
+def _follower(generation: Generation | None = None) -> WANDR:
+    method = _method(generation)
+    method.network.decoder = torch.nn.Sequential(Follower())
+    return method
+
+
+def test_motions_begin_with_the_given_pose_and_keep_its_bones():
+    batch = tiny.batch()
+    motions = _method().generate(batch, seed=0)
+    assert motions.joints.shape == (3, 30, 22, 3)
+    assert np.array_equal(motions.joints[:, 0], batch.initial_joints)
+    expected = bone_lengths(batch.initial_joints)[:, None]
+    assert np.allclose(bone_lengths(motions.joints), expected, atol=1e-5)
+    assert np.isfinite(motions.joints).all()
+    assert motions.cost.network_passes == 29
+
+
+def test_a_body_that_follows_its_intention_has_its_right_wrist_at_the_goal_in_the_last_frame():
+    batch = tiny.batch()
+    motions = _follower().generate(batch, seed=0)
+    for row, n in enumerate(batch.n_frames):
+        distance = np.linalg.norm(motions.joints[row, :n, RIGHT] - batch.goal_location[row], axis=-1)
+        assert distance[-1] < 1e-4
+        assert (np.diff(distance) < 0).all()
+
+
+@pytest.mark.parametrize(("hand", "wrist"), [("right", RIGHT), ("left", LEFT)])
+def test_the_hand_that_is_asked_for_reaches(hand, wrist):
+    batch = tiny.batch(frames=(20,))
+    motions = _follower(Generation(hand=hand)).generate(batch, seed=0)
+    assert np.allclose(motions.joints[:, -1, wrist], batch.goal_location, atol=1e-4)
+
+
+def test_the_nearest_hand_is_chosen_for_each_row():
+    batch = tiny.batch(2, frames=(20,))
+    wrists = batch.initial_joints[0, [LEFT, RIGHT]]
+    batch = replace(batch, goal_location=wrists + np.float32([0, 0, 0.3]))
+    motions = _follower(Generation(hand="nearest")).generate(batch, seed=0)
+    assert np.allclose(motions.joints[0, -1, LEFT], batch.goal_location[0], atol=1e-4)
+    assert np.allclose(motions.joints[1, -1, RIGHT], batch.goal_location[1], atol=1e-4)
+
+
+def test_left_hands_are_right_hands_in_a_mirror():
+    batch = tiny.batch()
+    seen = replace(
+        batch,
+        initial_joints=mirror(batch.initial_joints),
+        previous_joints=mirror(batch.previous_joints),
+        goal_location=batch.goal_location * np.float32([-1, 1, 1]),
+    )
+    left = _method(Generation(hand="left")).generate(batch, seed=0)
+    right = _method().generate(seen, seed=0)
+    assert np.allclose(left.joints, mirror(right.joints), atol=1e-6)
+
+
+def test_batch_mates_and_order_leave_no_trace():
+    batch = tiny.batch(6, frames=(24, 17, 30, 60))
+    together = _method().generate(batch, seed=0)
+    for row, n in enumerate(batch.n_frames):
+        alone = _method().generate(batch.rows(row, row + 1), seed=0)
+        assert np.array_equal(alone.joints[0, :n], together.joints[row, :n])
+
+
+def test_seeds_matter_and_no_deviation_makes_them_matter_no_more():
+    batch = tiny.batch()
+    other = replace(batch, noise_seed=(1, 2, 3))
+    assert not np.allclose(_method().generate(batch, seed=0).joints, _method().generate(other, seed=0).joints)
+    still = _method(Generation(deviation=0.0))
+    assert np.array_equal(still.generate(batch, seed=0).joints, still.generate(other, seed=0).joints)
+
+
+def test_the_initial_velocity_is_part_of_the_condition_unless_the_original_jolt_is_asked_for():
+    batch = tiny.batch()
+    faster = replace(batch, previous_joints=batch.previous_joints - np.float32(0.03))
+    ours, original = _method(), _method(Generation(first_change="random"))
+    assert not np.allclose(ours.generate(batch, seed=0).joints, ours.generate(faster, seed=0).joints, atol=1e-4)
+    assert np.array_equal(original.generate(batch, seed=0).joints, original.generate(faster, seed=0).joints)
+
+
+def test_goals_steer():
+    batch = tiny.batch()
+    moved = replace(batch, goal_location=batch.goal_location + np.float32([1, 0, 0]))
+    assert not np.allclose(_method().generate(batch, seed=0).joints, _method().generate(moved, seed=0).joints)
+
+
+def _spoilt(batch, name, place, value):
+    values = getattr(batch, name).copy()
+    values[place] = value
+    return replace(batch, **{name: values})
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "error", "message"),
+    [
+        ("goal_location", (1, 0), np.nan, AdapterError, "row 1 of the batch"),
+        ("goal_location", (2, 0), 50.0, AdapterError, "expected a goal within 10 m"),
+        ("initial_joints", (1, 5), np.nan, InputFileError, "initial_joints, frame 1, right_knee"),
+        ("previous_joints", (0, 21), tiny.batch().previous_joints[0, 19], InputFileError, "right_wrist"),
+    ],
+)
+def test_what_cannot_be_is_refused(name, place, value, error, message):
+    with pytest.raises(error, match=message):
+        _method().generate(_spoilt(tiny.batch(), name, place, value), seed=0)
+
+
+def test_another_frame_rate_is_refused():
+    with pytest.raises(AdapterError, match="expected 30 frames per second, found 20"):
+        _method().generate(replace(tiny.batch(), fps=20.0), seed=0)
+
+
+def test_weights_are_found_and_declared(tmp_path):
+    path = tiny.write(tmp_path / "mine.safetensors")
+    for given in (path, tmp_path):
+        method = load_adapter("wandr", given, {"hand": "nearest", "deviation": "0.5"}, "cpu")
+        assert method.weights_for(Condition.GOAL_LOCATION) == path
+        assert method.native_fps == 30
+        assert method.generation == Generation(hand="nearest", deviation=0.5)
+    assert load_adapter("wandr", path, {}, "cpu").generate(tiny.batch(), seed=0).joints.shape == (3, 30, 22, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"hands": "left"}, "unknown option 'hands'. Did you mean 'hand'"),
+        ({"hand": "both"}, "expected right or nearest or left, found 'both'"),
+        ({"deviation": "-1"}, "expected a number of 0 or more"),
+        ({"first-change": "none"}, "option 'first-change'"),
+    ],
+)
+def test_options_are_checked(options, message, tmp_path):
+    with pytest.raises(AdapterError, match=message):
+        load_adapter("wandr", tiny.write(tmp_path / "mine.safetensors"), options, "cpu")
+
+
+def test_files_of_something_else_are_refused(tmp_path):
+    with pytest.raises(InputFileError, match="header entry 'kind': expected 'wandr'"):
+        load_adapter("wandr", tiny.write(tmp_path / "other.safetensors", metadata={"kind": "denoiser"}), {}, "cpu")
+    with pytest.raises(AdapterError, match="expected a file, a folder, or bundled weights"):
+        load_adapter("wandr", Path("wandr-huge"), {}, "cpu")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(AdapterError, match=r"expected one \.safetensors file in the folder, found none"):
+        load_adapter("wandr", tmp_path / "empty", {}, "cpu")
+
+
+def test_a_version_without_weights_says_how_to_get_some(tmp_path, monkeypatch):
+    monkeypatch.setattr(weights_file, "_FOLDER", tmp_path)
+    with pytest.raises(AdapterError, match="wandr: no weights come with this version of prbench"):
+        load_adapter("wandr", None, {}, "cpu")
+    bundled = tiny.write(tmp_path / "wandr-small.safetensors")
+    assert load_adapter("wandr", None, {}, "cpu").weights_for(Condition.GOAL_LOCATION) == bundled
