@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.skeleton import Joint
 from prbench.training import MotionBatch
-from prbench_adapters.kinematics.skeleton import rest_offsets
+from prbench_adapters.kinematics.skeleton import rest_offsets, root_orientation
 from prbench_adapters.kinematics.worlds import WANDR as WORLD
 from prbench_adapters.wandr.state import BodyState, heading_of, yaw_rotation
 
@@ -44,20 +44,17 @@ class Recordings:
         has_goal = torch.isfinite(batch.goal_location).all(dim=-1)
         return cls(WORLD.from_y_up(torch.where(left, mirrored, joints)), n_frames, has_goal)
 
-    @cached_property
-    def states(self) -> BodyState:
-        """Of all frames; padding holds whatever."""
-        return BodyState.fitted(self.joints)
+    def states(self, places: Places) -> BodyState:
+        """The bodies at some places; fitted when asked for, because a step needs few of the frames."""
+        return BodyState.fitted(self.joints[places.index])
 
-    @cached_property
-    def headings(self) -> Float[torch.Tensor, "batch frames 3"]:
+    def headings(self, places: Places) -> Float[torch.Tensor, "*places 3"]:
         """Where the bodies face."""
-        return heading_of(yaw_rotation(self.states.rotations[:, :, 0]))
+        return heading_of(yaw_rotation(root_orientation(self.joints[places.index])))
 
-    @cached_property
-    def deltas(self) -> Float[torch.Tensor, "batch steps 135"]:
-        """The change from each frame to the next."""
-        return self.states[:, :-1].delta_to(self.states[:, 1:])
+    def deltas(self, places: Places) -> Float[torch.Tensor, "*places 135"]:
+        """The changes from there to the frames that follow."""
+        return self.states(places).delta_to(self.states(places.later(1)))
 
     @cached_property
     def offsets(self) -> Float[torch.Tensor, "batch 22 3"]:
@@ -69,8 +66,8 @@ class Recordings:
 class Places:
     """Frames of recordings: that of number ``frame[i]`` in recording ``row[i]``."""
 
-    row: Int[torch.Tensor, " places"]
-    frame: Int[torch.Tensor, " places"]
+    row: Int[torch.Tensor, "*places"]
+    frame: Int[torch.Tensor, "*places"]
 
     @property
     def index(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -80,6 +77,11 @@ class Places:
     def later(self, frames: int) -> Places:
         """The same number of frames later."""
         return Places(self.row, self.frame + frames)
+
+    def following(self, frames: int) -> Places:
+        """The frames that follow each of them: (places, frames)."""
+        after = torch.arange(1, frames + 1, device=self.frame.device)
+        return Places(self.row[:, None].expand(-1, frames), self.frame[:, None] + after)
 
     def some(self, most: int, generator: torch.Generator) -> Places:
         """At most so many of them, drawn without repetition; all if that is 0."""

@@ -97,8 +97,8 @@ def take_statistics(network: WandrNetwork, data: TrainingData) -> None:
     for batch in _batches(data):
         recordings = Recordings.of(batch, network.configuration.fps)
         places = starts(recordings, 1)
-        seen.append(recordings.states[places.index].seen())
-        deltas.append(recordings.deltas[places.index])
+        seen.append(recordings.states(places).seen())
+        deltas.append(recordings.deltas(places))
     if not sum(len(values) for values in deltas):
         raise UsageError("the training split: expected motions of three frames or more, found none.")
     _set(network.seen, torch.cat(seen), _LEAST_SEEN)

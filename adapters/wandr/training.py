@@ -59,16 +59,16 @@ class WandrTraining(TrainingModule):
 
     def _single_changes(self, recordings: Recordings, generator: torch.Generator) -> dict[str, torch.Tensor]:
         places = starts(recordings, 1).some(self.objective.frames_per_step, generator)
-        state = recordings.states[places.index]
+        state = recordings.states(places)
         condition = self._condition(
             recordings,
             places,
             goal_frames(recordings, places, generator),
             state,
-            delta=recordings.deltas[places.row, places.frame - 1],
+            delta=recordings.deltas(places.later(-1)),
             joints=recordings.joints[places.index],
         )
-        wanted = self.network.delta(recordings.deltas[places.index])
+        wanted = self.network.delta(recordings.deltas(places))
         decoded, mean, log_variance = self._reconstructed(wanted, condition, generator)
         following = state.changed(self.network.delta.undone(decoded))
         moved = following.joints(recordings.offsets[places.row])
@@ -86,13 +86,14 @@ class WandrTraining(TrainingModule):
         if length < 2 or not len(places.row):  # none in this step, or all motions are shorter
             return dict.fromkeys(("own_changes", "own_positions"), recordings.joints.new_zeros(()))
         goals = goal_frames(recordings, places, generator)
-        state, delta = recordings.states[places.index], recordings.deltas[places.row, places.frame - 1]
+        state, delta = recordings.states(places), recordings.deltas(places.later(-1))
         joints, offsets = recordings.joints[places.index], recordings.offsets[places.row]
+        recorded = recordings.states(places.following(length))
         changes, positions = [], []
         for step in range(length):
             here = places.later(step)
             condition = self._condition(recordings, here, goals, state, delta=delta, joints=joints)
-            wanted = self.network.delta(state.delta_to(recordings.states[here.later(1).index]))
+            wanted = self.network.delta(state.delta_to(recorded[:, step]))
             decoded = self._own_change(wanted, condition, generator)
             delta = clean_delta(self.network.delta.undone(decoded))
             state = state.changed(delta)
@@ -129,7 +130,7 @@ class WandrTraining(TrainingModule):
             goal=recordings.joints[places.row, goals, Joint.RIGHT_WRIST],
             frames_left=left.clamp_min(1).to(joints),
             fps=self.network.configuration.fps,
-            goal_heading=recordings.headings[places.row, goals],
+            goal_heading=recordings.headings(Places(places.row, goals)),
         )
         return self.network.condition(state.seen(), delta, torch.where(left > 0, intention, 0.0))
 

@@ -142,7 +142,7 @@ def test_statistics_are_those_of_the_training_split(data):
     network = _build(data).network
     whole = Recordings.of(collate([data[index] for index in range(len(data))]), 30.0)
     places = starts(whole, 1)
-    deltas = whole.deltas[places.index].double()
+    deltas = whole.deltas(places).double()
     assert torch.allclose(network.delta.mean, deltas.mean(0).float(), atol=1e-5)
     assert torch.allclose(network.delta.std, deltas.std(0, correction=0).clamp_min(1e-3).float(), atol=1e-5)
     assert (network.seen.std >= 0.0199).all()
@@ -197,7 +197,7 @@ def test_the_networks_own_output_is_what_chunks_go_on_from(data, batch):
     module._reconstructed = stand_still
     module._chunks(recordings, 2, torch.Generator())
     places = starts(recordings, 2)
-    both = recordings.states[places.index].delta_to(recordings.states[places.later(2).index])
+    both = recordings.states(places).delta_to(recordings.states(places.later(2)))
     assert torch.allclose(wanted[1], both, atol=1e-5)
 
 
@@ -212,8 +212,8 @@ def test_conditions_hold_the_goal_and_nothing_else_of_the_future(data, batch):
             recordings,
             places,
             goals,
-            recordings.states[places.index],
-            delta=recordings.deltas[places.row, places.frame - 1],
+            recordings.states(places),
+            delta=recordings.deltas(places.later(-1)),
             joints=recordings.joints[places.index],
         )
 
@@ -228,8 +228,8 @@ def test_conditions_hold_the_goal_and_nothing_else_of_the_future(data, batch):
         recordings,
         at_goal,
         goals,
-        recordings.states[at_goal.index],
-        delta=recordings.deltas[places.row, goals - 1],
+        recordings.states(at_goal),
+        delta=recordings.deltas(Places(places.row, goals - 1)),
         joints=recordings.joints[at_goal.index],
     )[:, -9:].any()
 
@@ -246,7 +246,7 @@ def test_the_change_that_is_wanted_is_no_part_of_the_condition(losses, data, bat
     else:
         module._chunks(recordings, 2, torch.Generator())
     places = starts(recordings, 1 if losses == "single" else 2)
-    assert torch.equal(given[0], recordings.deltas[places.row, places.frame - 1])
+    assert torch.equal(given[0], recordings.deltas(places.later(-1)))
 
 
 def test_it_learns(data):
