@@ -68,7 +68,8 @@ def _sample(
         GuidedNetwork(network, text, n_frames, window=window, scale=settings.guidance)
         for network in (model.networks.trajectory, model.networks.motion)
     )
-    trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, ends, noise, settings)
+    keyframes = ends.root_keyframes()
+    trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
     features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
     return decode_absolute(features).cpu().numpy(), trajectory_network.passes + motion_network.passes
 

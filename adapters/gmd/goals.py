@@ -36,13 +36,6 @@ class Ends:
         xz = torch.where(is_last[..., None], _ground(self.last), _ground(self.first))
         return RootGoal(xz, is_last | (frame == 0))
 
-    def straight_line(self) -> RootGoal:
-        """The pelvis on its way at constant speed from the first keyframe to the last."""
-        frame = torch.arange(int(self.n_frames.max()), device=self.first.device)
-        progress = frame / (self.n_frames[:, None] - 1).clamp_min(1)
-        xz = torch.lerp(_ground(self.first), _ground(self.last), progress.clamp_max(1.0)[..., None])
-        return RootGoal(xz, self.valid())
-
     def impute_poses(self, imputed: Imputed, space: FeatureSpace) -> Imputed:
         """The same with root and joint positions of both frames; the goal's heading is that of its own joints."""
         unturned = torch.zeros(len(self.first), device=self.first.device)
@@ -59,7 +52,7 @@ class Ends:
 
 def imputed_root(goal: RootGoal, space: FeatureSpace, columns: int) -> Imputed:
     """The root of the wanted frames as standardised columns."""
-    values = torch.zeros(*goal.wanted.shape, columns, device=goal.xz.device)
+    values = goal.xz.new_zeros(*goal.wanted.shape, columns)
     where = torch.zeros_like(values, dtype=torch.bool)
     values[..., ROOT_XZ] = (goal.xz - space.mean[ROOT_XZ]) / space.std[ROOT_XZ]
     where[..., ROOT_XZ] = goal.wanted[..., None]

@@ -32,12 +32,42 @@ class RootGoal:
     xz: Float[Tensor, "batch frames 2"]
     wanted: Bool[Tensor, "batch frames"]
 
-    def loss(self, root: Float[Tensor, "batch frames 2"], kind: GoalLoss = "absolute") -> Float[Tensor, " batch"]:
-        """Mean error of each row over its wanted coordinates, metres or square metres."""
+    def loss(
+        self,
+        root: Float[Tensor, "batch frames 2"],
+        kind: GoalLoss = "absolute",
+        *,
+        over: Literal["motion", "batch"] = "motion",
+    ) -> Float[Tensor, " batch"]:
+        """Mean error of each row over its wanted coordinates, metres or square metres.
+
+        Args:
+            root: Pelvis on the ground, metres.
+            kind: Of the error.
+            over: The sum is divided by the wanted coordinates of the motion itself, or as the original does by the
+                batch's mean of them, with which a motion depends on its mates unless all have as many.
+        """
         error = root - self.xz
         error = error.abs() if kind == "absolute" else error.square()
-        summed = torch.where(self.wanted[..., None], error, 0.0).sum(dim=(1, 2))
-        return summed / (2 * self.wanted.sum(dim=1)).clamp_min(1)
+        wanted = 2.0 * self.wanted.sum(dim=1)
+        wanted = wanted if over == "motion" else wanted.mean().expand(len(wanted))
+        return torch.where(self.wanted[..., None], error, 0.0).sum(dim=(1, 2)) / wanted.clamp_min(1)
+
+    def line(self) -> RootGoal:
+        """The way at constant speed from each wanted frame to the next, and to the first from the origin at frame 0.
+
+        Nothing is wanted after the last of them.
+        """
+        frames = self.wanted.shape[1]
+        frame = torch.arange(frames, device=self.wanted.device).expand_as(self.wanted)
+        anchored = self.wanted | (frame == 0)
+        before = torch.where(anchored, frame, 0).cummax(dim=1).values
+        after = torch.where(self.wanted, frame, frames).flip(1).cummin(dim=1).values.flip(1)
+        reached = after.clamp_max(frames - 1)
+        progress = ((frame - before) / (reached - before).clamp_min(1)).to(self.xz)
+        anchors = torch.where(self.wanted[..., None], self.xz, 0.0)
+        start, end = (anchors.gather(1, place[..., None].expand_as(anchors)) for place in (before, reached))
+        return RootGoal(torch.lerp(start, end, progress[..., None]), after < frames)
 
 
 @dataclass(frozen=True)

@@ -101,15 +101,13 @@ def sample_trajectory(
     predict_noise: GuidedNetwork,
     schedule: CosineSchedule,
     space: FeatureSpace,
-    ends: Ends,
+    keyframes: RootGoal,
     noise: SequenceNoise,
     settings: GMDSettings,
 ) -> Float[Tensor, "batch frames 4"]:
-    """Stage 1: the root's heading, x, z and height (raw) of motions that pass their keyframes."""
+    """Stage 1: the root's heading, x, z and height (raw) of motions that pass their keyframes, however many."""
     chain = schedule.chain(settings.steps or len(schedule))
-    keyframes = ends.root_keyframes()
-    at_keyframes = imputed_root(keyframes, space, N_ROOT)
-    on_line = imputed_root(ends.straight_line(), space, N_ROOT)
+    at_keyframes, on_line = (imputed_root(goal, space, N_ROOT) for goal in (keyframes, keyframes.line()))
     guided_from, line_from = _step(schedule, _GUIDED_FROM), _step(schedule, _LINE_FROM)
     imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][0])
     state = noise.draw(N_ROOT)

@@ -36,7 +36,7 @@ def test_keyframes_are_the_first_and_the_last_frame_of_each_motion():
 
 
 def test_the_line_is_straight_and_of_constant_speed():
-    goal = _ends().straight_line()
+    goal = _ends().root_keyframes().line()
     assert torch.allclose(goal.xz[0], torch.linspace(0, 1, 5)[:, None] * torch.tensor([1.0, 2.0]))
     assert torch.allclose(goal.xz[1, :3, 1], torch.tensor([0.0, -1.5, -3.0]))
     assert goal.wanted.tolist() == [[True] * 5, [True, True, True, False, False]]
@@ -231,7 +231,7 @@ def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch, imputation,
     noise = SequenceNoise([1, 2], ends.n_frames.numpy())
     text, window = torch.zeros(2, 64), model.configuration.window(5)
     network = stages.GuidedNetwork(model.networks.motion, text, ends.n_frames, window=window, scale=1.0)
-    trajectory = stages.sample_trajectory(network, model.schedule, model.space, ends, noise, settings)
+    trajectory = stages.sample_trajectory(network, model.schedule, model.space, ends.root_keyframes(), noise, settings)
     stages.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
 
     line = [(t, 5) for t in range(99, 9, -1)]

@@ -1,0 +1,178 @@
+"""``methods/gmd.md`` in NumPy and float64, read sentence by sentence: what the tests compare the method with.
+
+Arrays are (frames, columns) of one motion, in networks (channels, frames). Networks of the sampling stages are linear,
+x ↦ M x K, so that gradients through them can be written down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+A_THOUSAND = 1000
+GUIDED_FROM, LINE_FROM = 20, 100
+UNTIL = {"end": (0, 0), "demo": (20, 1), "evaluation": (20, 20)}
+
+
+def alphas_cumprod(steps: int) -> np.ndarray:
+    """ᾱ of the cosine schedule, with a 1 in front: ᾱ of t stands at t + 1."""
+    level = np.cos((np.arange(steps + 1) / steps + 0.008) / 1.008 * np.pi / 2) ** 2
+    return np.concatenate([[1.0], np.cumprod(1 - np.minimum(1 - level[1:] / level[:-1], 0.999))])
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Of x_{t-1}, given x_t and the clean signal."""
+
+    clean: float
+    noisy: float
+    variance: float
+
+    @classmethod
+    def at(cls, t: int, steps: int) -> Posterior:
+        """β̃ = β (1 - ᾱ') / (1 - ᾱ) with ᾱ' of the step before, and the factors of the mean."""
+        before, now = alphas_cumprod(steps)[t : t + 2]
+        beta = 1 - now / before
+        return cls(
+            beta * np.sqrt(before) / (1 - now),
+            (1 - before) * np.sqrt(1 - beta) / (1 - now),
+            beta * (1 - before) / (1 - now),
+        )
+
+
+@dataclass(frozen=True)
+class Keyframes:
+    """Pelvis (x, z) in metres, by frame."""
+
+    at: dict[int, tuple[float, float]]
+
+    def line(self, frames: int) -> dict[int, np.ndarray]:
+        """From the origin at frame 0 straight to each keyframe in turn, up to the last."""
+        known = {0: (0.0, 0.0), **self.at}
+        places = sorted(known)
+        x, z = (np.interp(np.arange(frames), places, [known[n][axis] for n in places]) for axis in (0, 1))
+        return {n: np.array([x[n], z[n]]) for n in range(max(self.at) + 1)}
+
+    def gradient(self, root: np.ndarray, kind: str) -> np.ndarray:
+        """Of the mean error over both coordinates of all keyframes."""
+        found = np.zeros_like(root)
+        for n, wanted in self.at.items():
+            error = root[n] - wanted
+            found[n] = (np.sign(error) if kind == "absolute" else 2 * error) / (2 * len(self.at))
+        return found
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What both stages share: T, the linear network, statistics, and how the goal is taken."""
+
+    steps: int
+    over_frames: np.ndarray
+    over_columns: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    kind: str = "absolute"
+    until: str = "end"
+    scale: float = 100.0
+
+    def reached(self, t: int, limit: int) -> bool:
+        """Whether t is at or above a limit that is given for 1000 steps."""
+        return t * A_THOUSAND >= limit * self.steps
+
+    def network(self, x: np.ndarray) -> np.ndarray:
+        """M x K."""
+        return self.over_frames @ x @ self.over_columns
+
+    def back(self, gradient: np.ndarray) -> np.ndarray:
+        """What a gradient at the network's output is at its input."""
+        return self.over_frames.T @ gradient @ self.over_columns.T
+
+    def standardised(self, xz: np.ndarray) -> np.ndarray:
+        """Columns 1 and 2."""
+        return (xz - self.mean[1:3]) / self.std[1:3]
+
+    def goal_gradient(self, clean: np.ndarray, keyframes: Keyframes) -> np.ndarray:
+        """Of the goal with respect to standardised clean features."""
+        found = np.zeros_like(clean)
+        found[:, 1:3] = keyframes.gradient(clean[:, 1:3] * self.std[1:3] + self.mean[1:3], self.kind) * self.std[1:3]
+        return found
+
+
+def trajectory(stage: Stage, keyframes: Keyframes, draws: list[np.ndarray]) -> np.ndarray:
+    """Stage 1; ``draws`` in the order in which they are needed: start, then noise and imputation of every step."""
+    remaining = iter(draws)
+    x = next(remaining)
+    levels, line = alphas_cumprod(stage.steps), keyframes.line(len(x))
+    for t in reversed(range(stage.steps)):
+        before, now, posterior = levels[t], levels[t + 1], Posterior.at(t, stage.steps)
+        estimate = (x - np.sqrt(1 - now) * stage.network(x)) / np.sqrt(now)
+        clean = np.clip(estimate, -6, 6)
+        mean = posterior.clean * clean + posterior.noisy * x
+        if stage.reached(t, GUIDED_FROM):
+            inner = np.where(np.abs(estimate) < 6, stage.goal_gradient(clean, keyframes), 0.0)
+            gradient = (inner - np.sqrt(1 - now) * stage.back(inner)) / np.sqrt(now)
+            mean = mean - posterior.variance * stage.scale * gradient
+        x = mean + np.sqrt(posterior.variance) * next(remaining) if t else mean
+        if stage.reached(t, UNTIL[stage.until][0]):
+            fresh = next(remaining)
+            for n, xz in (line if stage.reached(t, LINE_FROM) else keyframes.at).items():
+                target = stage.standardised(np.asarray(xz))
+                x[n, 1:3] = np.sqrt(before) * target + np.sqrt(1 - before) * fresh[n, 1:3]
+    return x * stage.std + stage.mean
+
+
+def motion(stage: Stage, projection: np.ndarray, followed: np.ndarray, draws: list[np.ndarray]) -> np.ndarray:
+    """Stage 2 on projected features: every frame of the trajectory (frames, 2) is a keyframe."""
+    remaining, inverse = iter(draws), np.linalg.inv(projection)
+    x = next(remaining)
+    keyframes = Keyframes({n: tuple(xz) for n, xz in enumerate(followed)})
+    for t in reversed(range(stage.steps)):
+        posterior, clean = Posterior.at(t, stage.steps), stage.network(x)
+        guided = posterior.clean * clean + posterior.noisy * x
+        if stage.reached(t, GUIDED_FROM):
+            gradient = stage.back(stage.goal_gradient(clean @ inverse, keyframes) @ inverse.T)
+            guided = guided - posterior.variance * stage.scale * gradient
+        if stage.reached(t, UNTIL[stage.until][1]):
+            overwritten = clean @ inverse
+            overwritten[:, 1:3] = stage.standardised(followed)
+            imputed = posterior.clean * (overwritten @ projection) + posterior.noisy * x
+            combined = guided @ inverse
+            combined[:, 1:3] = (imputed @ inverse)[:, 1:3]
+            guided = combined @ projection
+        x = guided + np.sqrt(posterior.variance) * next(remaining) if t else guided
+    return x @ inverse * stage.std + stage.mean
+
+
+def quaternion_product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Hamilton's product of (…, 4), real part first."""
+    real = p[..., :1] * q[..., :1] - (p[..., 1:] * q[..., 1:]).sum(-1, keepdims=True)
+    return np.concatenate(
+        [real, p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + np.cross(p[..., 1:], q[..., 1:])], -1
+    )
+
+
+def back_turned(half_turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (frames, …, 3) turned by the conjugate of (cos a, 0, sin a, 0)."""
+    a = half_turn.reshape(-1, *[1] * (vectors.ndim - 2))
+    zero = np.zeros_like(a)
+    turn = np.stack([np.cos(a), zero, np.sin(a), zero], -1)
+    conjugate = turn * (1, -1, -1, -1)
+    pure = np.concatenate([np.zeros_like(vectors[..., :1]), vectors], -1)
+    return quaternion_product(quaternion_product(conjugate, pure), turn)[..., 1:]
+
+
+def absolute_root(features: np.ndarray) -> np.ndarray:
+    """Heading, x and z of each frame, from the steps of relative features (``formats/humanml3d.md`` section 3)."""
+    half_turn = np.concatenate([[0.0], np.cumsum(features[:-1, 0])])
+    steps = np.stack([features[:-1, 1], np.zeros(len(features) - 1), features[:-1, 2]], -1)
+    places = np.concatenate([np.zeros((1, 3)), np.cumsum(back_turned(half_turn[1:], steps), axis=0)])
+    return np.column_stack([half_turn, places[:, 0], places[:, 2]])
+
+
+def joints(absolute: np.ndarray) -> np.ndarray:
+    """The conjugate of the heading turns the local positions; (x, z) is added; the pelvis is at (x, height, z)."""
+    local = back_turned(absolute[:, 0], absolute[:, 4:67].reshape(-1, 21, 3))
+    local[..., 0] += absolute[:, 1, None]
+    local[..., 2] += absolute[:, 2, None]
+    return np.concatenate([absolute[:, None, [1, 3, 2]], local], axis=1)
