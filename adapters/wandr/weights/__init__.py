@@ -1,0 +1,1 @@
+"""Weights that come with WANDR, each with its card."""
