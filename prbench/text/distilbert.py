@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -19,13 +18,13 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError, MissingExtraError
 from prbench.text.encoder import EncodedText, padded
+from prbench.text.pretrained import careful_loading, first_line
 
 NAME = "distilbert"
 HUB_ID = "distilbert/distilbert-base-uncased"
 VARIABLE = "PRBENCH_DISTILBERT"
 """Environment variable: a local folder or a hub id."""
 DIMENSION = 768
-_HUB_ID = re.compile(r"[\w.-]+(/[\w.-]+)?")
 MOST_PIECES = 512
 """DistilBERT has no more positions; longer texts are cut."""
 MOST_KEPT = 65536
@@ -73,17 +72,16 @@ class DistilBert:
         return states[0].float().numpy()
 
     def _load(self) -> tuple[Any, Any]:
-        local = Path(self.source).is_dir()
-        if not local and _HUB_ID.fullmatch(self.source) is None:
+        careful = careful_loading(self.source)
+        if careful is None:
             raise self._unusable("no such folder")
         from transformers import DistilBertModel, DistilBertTokenizerFast
 
-        careful: dict[str, Any] = {"trust_remote_code": False, "local_files_only": local}
         try:
             tokenizer = DistilBertTokenizerFast.from_pretrained(self.source, **careful)
             model = DistilBertModel.from_pretrained(self.source, use_safetensors=True, **careful)
         except (OSError, ValueError, KeyError, RuntimeError) as error:
-            raise self._unusable(f"none that can be loaded ({_first_line(error)})") from error
+            raise self._unusable(f"none that can be loaded ({first_line(error)})") from error
         if model.config.dim != DIMENSION:
             raise self._unusable(f"a model of dimension {model.config.dim}")
         self._loaded = tokenizer, model.eval().requires_grad_(False)
@@ -99,7 +97,3 @@ class DistilBert:
             f"'{HUB_ID}' on a machine with internet, put them into one folder, and name that folder with the "
             f"environment variable {VARIABLE} or the option for the text encoder's path.",
         )
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().partition("\n")[0].rstrip(".")[:300] or type(error).__name__

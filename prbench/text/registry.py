@@ -5,19 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from prbench.errors import UsageError, did_you_mean
-from prbench.text import built_in, distilbert
+from prbench.text import built_in, clip, distilbert
 from prbench.text.encoder import TextEncoder
 
-NAMES = (built_in.NAME, distilbert.NAME)
+NAMES = (built_in.NAME, distilbert.NAME, clip.NAME)
 
 
 def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
     """The frozen text encoder of this name.
 
     Args:
-        name: ``hashed-ngrams`` (built in) or ``distilbert`` (the paper's; extra ``text``).
-        path: For ``distilbert``: a local folder or a hub id; by default what ``PRBENCH_DISTILBERT`` names, else the
-            public id. Its weights are loaded when the first text is encoded.
+        name: ``hashed-ngrams`` (built in), ``distilbert`` (the paper's; extra ``text``) or ``clip-vit-b32`` (one
+            vector a text, for released weights of MDM and GMD; extra ``text``).
+        path: For the last two: a local folder or a hub id; by default what ``PRBENCH_DISTILBERT`` or ``PRBENCH_CLIP``
+            names, else the public id. Weights are loaded when the first text is encoded.
 
     Raises:
         UsageError: if there is no such encoder, or it has no files to be found under a path.
@@ -28,5 +29,7 @@ def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
         return built_in.HashedNgrams()
     if name == distilbert.NAME:
         return distilbert.DistilBert(path)
+    if name == clip.NAME:
+        return clip.Clip(path)
     hint = did_you_mean(name, NAMES)
     raise UsageError(f"there is no text encoder '{name}'.{hint} Known: {', '.join(NAMES)}.")

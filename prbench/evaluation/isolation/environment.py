@@ -6,7 +6,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from prbench.text.distilbert import VARIABLE as TEXT_ENCODER
+from prbench.text.clip import VARIABLE as CLIP
+from prbench.text.distilbert import VARIABLE as DISTILBERT
 
 _ALLOWED = frozenset(
     {
@@ -22,6 +23,7 @@ _ALLOWED_BEGINNINGS = (
     "LC_", "CUDA_", "CUDNN_", "CUBLAS_", "NVIDIA_", "PYTORCH_", "OMP_", "KMP_", "GOMP_", "MKL_", "OPENBLAS_",
     "NUMEXPR_", "VECLIB_", "HIP_", "HSA_", "ROCR_",
 )  # fmt: skip
+_TEXT_ENCODERS = (DISTILBERT, CLIP)
 _MODEL_CACHES = {"HF_HOME": "huggingface", "TORCH_HOME": "torch"}
 
 
@@ -46,13 +48,13 @@ def isolated_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def text_encoder(environment: Mapping[str, str]) -> dict[str, str]:
-    """The one variable of prbench that installed methods need: where the text encoder of our own models lies."""
-    return {TEXT_ENCODER: environment[TEXT_ENCODER]} if environment.get(TEXT_ENCODER) else {}
+    """The only variables of prbench that installed methods need: where the text encoders of our own models lie."""
+    return {name: environment[name] for name in _TEXT_ENCODERS if environment.get(name)}
 
 
 def readable_folders(environment: Mapping[str, str]) -> tuple[Path, ...]:
     """Folders that the variables of an isolated environment lead to: models and libraries."""
-    named = [environment.get(name) for name in (*_MODEL_CACHES, "HF_HUB_CACHE", TEXT_ENCODER)]
+    named = [environment.get(name) for name in (*_MODEL_CACHES, "HF_HUB_CACHE", *_TEXT_ENCODERS)]
     libraries = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
     return tuple(Path(text).absolute() for text in [*named, *libraries] if text and Path(text).exists())
 

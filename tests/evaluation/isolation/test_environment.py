@@ -24,8 +24,10 @@ def test_model_caches_are_named_where_they_exist_because_there_is_no_home_to_fin
     assert isolated_environment({"XDG_CACHE_HOME": str(tmp_path), "HF_HOME": "/m"}) == {"HF_HOME": "/m"}
 
 
-def test_the_text_encoder_of_our_own_models_is_the_one_variable_of_prbench_that_is_passed_on(tmp_path):
+def test_the_text_encoders_of_our_own_models_are_the_only_variables_of_prbench_that_are_passed_on(tmp_path):
     user = {"PRBENCH_DISTILBERT": str(tmp_path), "PRBENCH_CACHE": "c"}
     assert text_encoder(user) == {"PRBENCH_DISTILBERT": str(tmp_path)}
     assert readable_folders(user) == (Path(tmp_path),)
+    assert text_encoder({"PRBENCH_CLIP": str(tmp_path)}) == {"PRBENCH_CLIP": str(tmp_path)}
+    assert readable_folders({"PRBENCH_CLIP": str(tmp_path)}) == (Path(tmp_path),)
     assert text_encoder({}) == {}
