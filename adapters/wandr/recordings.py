@@ -48,9 +48,10 @@ class Recordings:
         """The bodies at some places; fitted when asked for, because a step needs few of the frames."""
         return BodyState.fitted(self.joints[places.index])
 
-    def headings(self, places: Places) -> Float[torch.Tensor, "*places 3"]:
+    @cached_property
+    def headings(self) -> Float[torch.Tensor, "batch frames 3"]:
         """Where the bodies face."""
-        return heading_of(yaw_rotation(root_orientation(self.joints[places.index])))
+        return heading_of(yaw_rotation(root_orientation(self.joints)))
 
     def deltas(self, places: Places) -> Float[torch.Tensor, "*places 135"]:
         """The changes from there to the frames that follow."""

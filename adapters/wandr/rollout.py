@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from prbench.skeleton import Joint
 from prbench_adapters.wandr.intentions import intentions
 from prbench_adapters.wandr.network import WandrNetwork
-from prbench_adapters.wandr.state import BodyState, clean_delta, yaw_rotation
+from prbench_adapters.wandr.state import BodyState, clean_delta
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def next_delta(
         latent: What is drawn.
     """
     intention = intentions(
-        yaw_rotation(state.rotations[:, 0]),
+        state.yaw,
         wrist=joints[:, Joint.RIGHT_WRIST],
         pelvis=joints[:, Joint.PELVIS],
         goal=goal,

@@ -6,6 +6,7 @@ World with Z up, metres; a body of yaw 0 has its left side on +x and faces -y. R
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -46,20 +47,25 @@ class BodyState:
         """Joint positions of a skeleton with these rest offsets, metres."""
         return forward_kinematics(self.rotations, self.pelvis, offsets)
 
+    @cached_property
+    def yaw(self) -> Float[torch.Tensor, "*batch 3 3"]:
+        """That of the root (:func:`yaw_rotation`)."""
+        return yaw_rotation(self.rotations[..., 0, :, :])
+
     def seen(self) -> Float[torch.Tensor, "*batch 133"]:
         """Height, orientation without yaw, joint rotations: x(s)."""
-        root = yaw_rotation(self.rotations[..., 0, :, :]).mT @ self.rotations[..., 0, :, :]
+        root = self.yaw.mT @ self.rotations[..., 0, :, :]
         return torch.cat((self.pelvis[..., 2:], rows_of(root), rows_of(self.rotations[..., 1:, :, :]).flatten(-2)), -1)
 
     def changed(self, delta: Float[torch.Tensor, "*batch 135"]) -> BodyState:
         """The state after a change; whatever the numbers are, rotations stay rotations."""
-        step = yaw_rotation(self.rotations[..., 0, :, :]) @ delta[..., TRANSLATION, None]
+        step = self.yaw @ delta[..., TRANSLATION, None]
         turns = matrices_of(delta[..., 3:].unflatten(-1, (N_JOINTS, 6)))
         return BodyState(self.pelvis + step[..., 0], orthonormalised(self.rotations @ turns))
 
     def delta_to(self, following: BodyState) -> Float[torch.Tensor, "*batch 135"]:
         """The change that leads to another state: :meth:`changed` undoes it."""
-        step = yaw_rotation(self.rotations[..., 0, :, :]).mT @ (following.pelvis - self.pelvis)[..., None]
+        step = self.yaw.mT @ (following.pelvis - self.pelvis)[..., None]
         turns = self.rotations.mT @ following.rotations
         return torch.cat((step[..., 0], rows_of(turns).flatten(-2)), -1)
 

@@ -17,7 +17,7 @@ from prbench_adapters.wandr.intentions import intentions
 from prbench_adapters.wandr.losses import Objective, delta_loss, divergence, joint_loss
 from prbench_adapters.wandr.network import WandrNetwork
 from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
-from prbench_adapters.wandr.state import BodyState, clean_delta, yaw_rotation
+from prbench_adapters.wandr.state import BodyState, clean_delta
 from prbench_adapters.wandr.weights_file import contents
 
 
@@ -59,16 +59,16 @@ class WandrTraining(TrainingModule):
 
     def _single_changes(self, recordings: Recordings, generator: torch.Generator) -> dict[str, torch.Tensor]:
         places = starts(recordings, 1).some(self.objective.frames_per_step, generator)
-        state = recordings.states(places)
+        before, state, after = (recordings.states(places.later(frames)) for frames in (-1, 0, 1))
         condition = self._condition(
             recordings,
             places,
             goal_frames(recordings, places, generator),
             state,
-            delta=recordings.deltas(places.later(-1)),
+            delta=before.delta_to(state),
             joints=recordings.joints[places.index],
         )
-        wanted = self.network.delta(recordings.deltas(places))
+        wanted = self.network.delta(state.delta_to(after))
         decoded, mean, log_variance = self._reconstructed(wanted, condition, generator)
         following = state.changed(self.network.delta.undone(decoded))
         moved = following.joints(recordings.offsets[places.row])
@@ -86,7 +86,8 @@ class WandrTraining(TrainingModule):
         if length < 2 or not len(places.row):  # none in this step, or all motions are shorter
             return dict.fromkeys(("own_changes", "own_positions"), recordings.joints.new_zeros(()))
         goals = goal_frames(recordings, places, generator)
-        state, delta = recordings.states(places), recordings.deltas(places.later(-1))
+        state = recordings.states(places)
+        delta = recordings.states(places.later(-1)).delta_to(state)
         joints, offsets = recordings.joints[places.index], recordings.offsets[places.row]
         recorded = recordings.states(places.following(length))
         changes, positions = [], []
@@ -124,13 +125,13 @@ class WandrTraining(TrainingModule):
         """
         left = (goals - places.frame)[:, None]
         intention = intentions(
-            yaw_rotation(state.rotations[:, 0]),
+            state.yaw,
             wrist=joints[:, Joint.RIGHT_WRIST],
             pelvis=joints[:, Joint.PELVIS],
             goal=recordings.joints[places.row, goals, Joint.RIGHT_WRIST],
             frames_left=left.clamp_min(1).to(joints),
             fps=self.network.configuration.fps,
-            goal_heading=recordings.headings(Places(places.row, goals)),
+            goal_heading=recordings.headings[places.row, goals],
         )
         return self.network.condition(state.seen(), delta, torch.where(left > 0, intention, 0.0))
 
