@@ -47,8 +47,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
 
     Options: ``optimise`` (on, or off for text alone), ``iterations`` (100), ``learning-rate`` (0.05), ``noise-scale``
     (0.1), ``ddim-steps`` (all of the training's), ``guidance`` (5), ``gradient-norm`` (sequence, or batch as the
-    original), ``seeding`` (velocity or repeat), ``hand`` (right, nearest or left), ``jerk`` (0), ``checkpointing`` (off
-    or on), ``text-path`` (files of the text encoder, if the weights need one that has some).
+    original), ``seeding`` (velocity or repeat), ``hand`` (right, nearest or left), ``jerk`` (0), ``floor`` (0),
+    ``checkpointing`` (off or on), ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``dart-small``.

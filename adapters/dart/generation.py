@@ -59,12 +59,13 @@ class _Part:
     def __init__(self, model: DartModel, batch: ConditionBatch, settings: DartSettings) -> None:
         assert batch.text is not None
         self.model, self.batch, self.settings = model, batch, settings
-        self.targets = targets_of(batch, model.device)
+        targets = targets_of(batch, model.device)
+        if settings.seeding == "repeat":
+            targets = replace(targets, previous_joints=targets.initial_joints)
+        self.targets = targets
         self.n_frames = int(batch.n_frames.max())
         self.primitives = model.configuration.primitives_for(self.n_frames + 1)  # the frame before the first counts
-        initial = DART.from_y_up(self.targets.initial_joints)
-        repeated = settings.seeding == "repeat"
-        previous = initial if repeated else DART.from_y_up(self.targets.previous_joints)
+        previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
         frames, self.placement = first_history(previous, initial)
         self.history = model.scaling.standardised(frames)
         self.denoiser = GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from prbench.skeleton import Joint
 from prbench_adapters.dart.settings import DartSettings, GradientNorm
 from prbench_adapters.diffusion.noise_optimisation.objective import (
     Targets,
@@ -22,6 +23,7 @@ Noise = Float[Tensor, "primitives batch 1 latent"]
 Joints = Float[Tensor, "batch frames 22 3"]
 
 _SHORTEST_GRADIENT = 1e-6
+_FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,10 @@ def optimise(
 def goal_loss(
     joints: Joints, n_frames: Int[Tensor, " batch"], targets: Targets, settings: DartSettings
 ) -> Float[Tensor, " batch"]:
-    """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for; jerk if it weighs.
+    """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for.
 
-    Asked for are all joints of a goal pose, or one wrist for a goal location.
+    Asked for are all joints of a goal pose, or one wrist for a goal location. Jerk and floor join it if they weigh;
+    both look at the whole motion, the frame before the first included.
     """
     last = last_frame(joints, n_frames)
     if targets.goal_joints is not None:
@@ -84,9 +87,19 @@ def goal_loss(
         assert targets.goal_location is not None
         error = (chosen_wrist(last, targets.goal_location, settings.hand) - targets.goal_location)[:, None]
     loss = functional.huber_loss(error, torch.zeros_like(error), reduction="none").mean(dim=(1, 2))
-    if settings.jerk_weight:
-        loss = loss + settings.jerk_weight * largest_jerk(joints, n_frames)
+    if settings.jerk_weight or settings.floor_weight:
+        whole = torch.cat((targets.previous_joints[:, None], joints), dim=1)
+        loss = loss + settings.jerk_weight * largest_jerk(whole, n_frames + 1)
+        loss = loss + settings.floor_weight * depth_below_floor(whole, n_frames + 1)
     return loss
+
+
+def depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
+    """How far the lowest of ankles and toes is below that of frame 0, metres; mean over each sequence's frames."""
+    lowest = joints[:, :, _FEET, 1].amin(dim=2)
+    below = (lowest[:, :1] - lowest).clamp_min(0.0)
+    inside = torch.arange(joints.shape[1], device=joints.device) < n_frames[:, None]
+    return torch.where(inside, below, 0.0).sum(dim=1) / n_frames
 
 
 def unit_gradient(gradient: Noise, norm: GradientNorm) -> Noise:

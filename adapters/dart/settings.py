@@ -13,7 +13,8 @@ GradientNorm = Literal["sequence", "batch"]
 Seeding = Literal["velocity", "repeat"]
 
 _OF_OPTIMISATION = (
-    "iterations", "learning-rate", "noise-scale", "ddim-steps", "gradient-norm", "hand", "jerk", "checkpointing",
+    "iterations", "learning-rate", "noise-scale", "ddim-steps", "gradient-norm", "hand", "jerk", "floor",
+    "checkpointing",
 )  # fmt: skip
 OPTIONS = ("optimise", *_OF_OPTIMISATION, "guidance", "seeding", "text-path")
 _MOST_ITERATIONS = 100_000
@@ -43,6 +44,8 @@ class DartSettings:
     """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
     jerk_weight: float = 0.0
     """Of the largest third difference, metres per frame³; 0 in the original's in-betweening."""
+    floor_weight: float = 0.0
+    """Of the mean depth of the feet below where they are in the frame before the first, metres; likewise 0."""
     checkpointing: bool = False
     """Whether a primitive is computed again in the backward pass instead of kept in memory."""
 
@@ -77,5 +80,6 @@ def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSe
         seeding=cast(Seeding, choice(options, "seeding", ("velocity", "repeat"))),
         hand=cast(Hand, choice(options, "hand", ("right", "nearest", "left"))),
         jerk_weight=number(options, "jerk", default.jerk_weight),
+        floor_weight=number(options, "floor", default.floor_weight),
         checkpointing=choice(options, "checkpointing", ("off", "on")) == "on",
     )
