@@ -93,11 +93,11 @@ class Clip:
 
         try:
             tokenizer = CLIPTokenizerFast.from_pretrained(self.source, **careful)
-            model, report = TextTower.from_pretrained(
-                self.source, use_safetensors=True, output_loading_info=True, **careful
-            )
+            careful |= {"use_safetensors": True, "output_loading_info": True}
+            loaded: Any = TextTower.from_pretrained(self.source, **careful)
         except (OSError, ValueError, KeyError, RuntimeError) as error:
             raise self._unusable(f"none that can be loaded ({first_line(error)})") from error
+        model, report = loaded
         self._require_whole(tokenizer, model, sorted(report["missing_keys"]))
         self._loaded = tokenizer, model.eval().requires_grad_(False)
         return self._loaded
