@@ -11,22 +11,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.skeleton import Joint
+from prbench_adapters.diffusion.goals import GOALS, require_goals_within_reach
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
 
-GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
-"""Kind of goal of a model, by the condition of the protocol."""
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
-FARTHEST_GOAL, HIGHEST_GOAL = 10.0, 3.0
-"""Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher."""
 
 _GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
 _MODES = ("fast", "paper", "off")
@@ -102,33 +96,6 @@ class PR:
         raise AdapterError(
             f"weights {given.path}: expected a model of goal '{GOALS[condition]}' for '{condition.value}', found one of"
             f" goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
-        )
-
-
-def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
-    """Refuse goals that are not finite or too far away to belong to this motion.
-
-    Args:
-        batch: With initial poses and goals.
-        adapter: Who refuses, for the message.
-
-    Raises:
-        AdapterError: naming the row, its goal and the distance.
-    """
-    assert batch.initial_joints is not None
-    goal = batch.goal_location if batch.goal_joints is None else batch.goal_joints[:, Joint.PELVIS]
-    assert goal is not None
-    distance = np.linalg.norm(goal - batch.initial_joints[:, Joint.PELVIS], axis=1)
-    finite = np.isfinite(goal if batch.goal_joints is None else batch.goal_joints.reshape(len(batch), -1)).all(axis=1)
-    bad = np.flatnonzero(~finite | ~(distance <= FARTHEST_GOAL) | (np.abs(goal[:, 1]) > HIGHEST_GOAL))
-    if bad.size:
-        row = int(bad[0])
-        where = ", ".join(f"{value:.2f}" for value in goal[row])
-        raise AdapterError(
-            f"adapter '{adapter}', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal"
-            f" within {FARTHEST_GOAL:g} m of the first pose and {HIGHEST_GOAL:g} m of the floor, found ({where}),"
-            f" {distance[row]:.2f} m away. Goals are"
-            " metres in the canonical frame of the first pose; `prbench validate` checks a table."
         )
 
 

@@ -11,8 +11,8 @@ from prbench_adapters.dart.generation import generate
 from prbench_adapters.dart.model import DartModel
 from prbench_adapters.dart.settings import OPTIONS, DartSettings, dart_settings
 from prbench_adapters.diffusion.bundled import require_default, resolve
+from prbench_adapters.diffusion.goals import require_goals_within_reach
 from prbench_adapters.diffusion.options import require_known
-from prbench_adapters.pr import require_goals_within_reach
 
 NAME = "dart"
 DEFAULT_WEIGHTS = "dart-small"

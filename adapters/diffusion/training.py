@@ -19,12 +19,13 @@ from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.generation import SamplingSettings
+from prbench_adapters.diffusion.goals import GOALS
 from prbench_adapters.diffusion.losses import Objective, losses
 from prbench_adapters.diffusion.model import KIND, MotionModel
 from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.mdm import MDM
-from prbench_adapters.pr import GOALS, PR, Generation, TrainedFor
+from prbench_adapters.pr import PR, Generation, TrainedFor
 
 _TEXT_GUIDANCE = 2.5  # methods/pr-model.md, section 5
 

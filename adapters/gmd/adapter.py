@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from prbench.contract import Condition, ConditionBatch, Motions
-from prbench_adapters.pr import require_goals_within_reach
+from prbench_adapters.diffusion.goals import require_goals_within_reach
 
 if TYPE_CHECKING:
     from prbench_adapters.gmd.goals import Keyframes

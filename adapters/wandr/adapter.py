@@ -16,10 +16,10 @@ from prbench.errors import AdapterError
 from prbench.randomness import sequence_generator
 from prbench.representation import check_joints, mirror
 from prbench.skeleton import Joint
+from prbench_adapters.diffusion.goals import require_goals_within_reach
 from prbench_adapters.diffusion.options import choice, number, require_known
 from prbench_adapters.kinematics.skeleton import rest_offsets
 from prbench_adapters.kinematics.worlds import WANDR as WORLD
-from prbench_adapters.pr import require_goals_within_reach
 from prbench_adapters.wandr.network import WandrNetwork
 from prbench_adapters.wandr.rollout import Start, roll_out
 from prbench_adapters.wandr.state import BodyState
