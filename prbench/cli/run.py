@@ -77,7 +77,12 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--control", choices=["shuffled-goal"], help="give every sequence another one's goal")
     parser.add_argument("--seed", type=int, default=0, help="of the run (default 0)")
     parser.add_argument("--samples", type=positive, default=1, metavar="N", help="motions a sequence (default 1)")
-    parser.add_argument("--batch-size", type=positive, metavar="N", help="sequences a batch (default 64)")
+    parser.add_argument(
+        "--batch-size",
+        type=positive,
+        metavar="N",
+        help="sequences a batch (default 64; with all: up to 16, so that two workers have as many)",
+    )
     parser.add_argument(
         "--isolate",
         action="store_true",

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
+import shutil
 import sys
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +23,9 @@ if TYPE_CHECKING:
     from prbench.workflows.table_two.plan import PlannedRow
 
 ALL = "all"
-_SINGLE_RUN = ("view", "sequence", "isolate", "timeout")
+_SINGLE_RUN = ("view", "sequence", "permission", "isolate", "timeout")
+_WIDE = 180
+"""Columns that the whole layout takes."""
 _RANKS = {1: "¹", 2: "²"}
 
 
@@ -34,7 +39,12 @@ def run_and_print(arguments: argparse.Namespace, data: tuple[Path, ...], engine:
     from prbench.workflows.table_two import run_table
     from prbench.workflows.table_two.run import JSON, MARKDOWN, Say
 
-    say = Say(notice=_notice, timing=lambda: progress("timing a first batch"), row=_row_progress)
+    say = Say(
+        notice=_notice,
+        timing=lambda: progress("timing a first batch"),
+        generating=lambda: progress("generating, row"),
+        row=_row_progress,
+    )
     report = run_table(table_request(arguments, data), engine=engine, say=say)
     print_layout(report.layout)
     print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
@@ -51,7 +61,6 @@ def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> Tabl
     """
     from prbench.contract import Condition
     from prbench.errors import UsageError
-    from prbench.workflows import first_run
     from prbench.workflows.table_two import TableRequest
     from prbench.workflows.table_two.request import DEFAULT_MINUTES
 
@@ -69,7 +78,7 @@ def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> Tabl
         minutes=arguments.minutes or DEFAULT_MINUTES,
         seed=arguments.seed,
         samples=arguments.samples,
-        batch_size=arguments.batch_size or first_run.BATCH_SIZE,
+        batch_size=arguments.batch_size,
         device=arguments.device,
         threads=arguments.threads,
         shuffled_goal=arguments.control is not None,
@@ -81,12 +90,18 @@ def print_layout(layout: TableLayout) -> None:
     """Print each dataset's part, and what a reader has to know of them."""
     from prbench.workflows.table_two.as_markdown import heading, notes, orders
 
+    show = _print_dataset if _width() >= _WIDE else _print_narrow
     for dataset in layout.datasets:
-        _print_dataset(dataset, heading(dataset, layout))
+        show(dataset, heading(dataset, layout))
         for text in orders(dataset):
             print(text)
     for note in notes(layout):
         print(note)
+
+
+def _width() -> float:
+    """Of the terminal; files and pipes have none."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
 
 
 def _print_dataset(dataset: DatasetLayout, title: str) -> None:
@@ -103,11 +118,35 @@ def _print_dataset(dataset: DatasetLayout, title: str) -> None:
     print_table(title, header, rows, numbers=range(2, len(header)))
 
 
-def _cell(cell: Cell | None) -> str:
+def _print_narrow(dataset: DatasetLayout, title: str) -> None:
+    """The same for terminals of 80 columns: blocks one below the other, costs below their numbers."""
+    from prbench.leaderboard.tables import MAIN_METRICS
+    from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
+    from prbench.workflows.table_two.layout import metric_title
+
+    print(title)
+    metrics = ("Method", *(metric_title(info).replace(" ", "\n", 1) for info in MAIN_METRICS))
+    for block in dataset.blocks:
+        rows = [
+            (_folded(line.label), *(_cell(line.cells[info.id], ",\n") for info in MAIN_METRICS)) for line in block.lines
+        ]
+        print_table(block.title, metrics, rows, numbers=range(1, len(metrics)))
+        costs = [(_folded(line.label), *cost_cells(line.cost)) for line in block.lines if line.cost.seconds is not None]
+        if costs:
+            print_table(f"{block.title}: cost", ("Method", *COST_TITLES), costs, numbers=range(1, 1 + len(COST_TITLES)))
+
+
+def _folded(label: str) -> str:
+    """In lines no longer than a method's name and its mark."""
+    return textwrap.fill(label, len("DartControl †"))
+
+
+def _cell(cell: Cell | None, between: str = ", ") -> str:
     """Mean with its place, the interval below."""
     if cell is None:
         return "–"
-    return f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}\n{cell.interval}".rstrip()
+    mean = f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}"
+    return f"{mean}\n{cell.interval.replace(', ', between)}".rstrip()
 
 
 def _notice(text: str) -> None:
@@ -116,5 +155,5 @@ def _notice(text: str) -> None:
 
 @contextlib.contextmanager
 def _row_progress(planned: PlannedRow) -> Iterator[ProgressCallback]:
-    with progress(f"running {planned.name}") as show:
+    with progress(f"scoring {planned.name}") as show:
         yield lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}")

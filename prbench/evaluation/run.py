@@ -78,6 +78,24 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
 
 
+def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTask]:
+    """What a run still has to generate, for whoever makes the batches of several runs at once.
+
+    :func:`run_method` finds them where :func:`~prbench.evaluation.generation.run_batch` puts them, and scores them.
+
+    Args:
+        request: See :func:`run_method`, whose errors these are.
+        engine: Where the batches will be made.
+    """
+    prepared = prepare_run(request)
+    folder = RunFolder.prepare(prepared.out, prepared.record)
+    if not isinstance(engine, InProcess):
+        unload_method()  # every worker loads its own
+    for dataset in prepared.datasets:
+        files = folder.dataset(dataset.name)
+        yield from _tasks(prepared, dataset, files, frozenset(_missing(prepared, dataset, files)))
+
+
 def _generate_all(prepared: PreparedRun, folder: RunFolder, engine: Engine, progress: ProgressCallback) -> list[int]:
     """Make what is missing of every dataset; returns how many batches each took."""
     if not isinstance(engine, InProcess):
@@ -112,12 +130,7 @@ def _generate(
 ) -> int:
     """Make the batches that are not there yet; returns how many."""
     files = folder.dataset(dataset.name)
-    files.require_no_other_parts(len(dataset.plan))
-    missing = [
-        index
-        for index, rows in enumerate(dataset.plan)
-        if not files.has_part(index, dataset.ids(rows), prepared.request.samples)
-    ]
+    missing = _missing(prepared, dataset, files)
     done = len(dataset.plan) - len(missing)
     if not missing:
         return 0
@@ -126,6 +139,16 @@ def _generate(
         done += 1
         progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
     return len(missing)
+
+
+def _missing(prepared: PreparedRun, dataset: PreparedDataset, files: DatasetFolder) -> list[int]:
+    """Batches that no earlier call has made."""
+    files.require_no_other_parts(len(dataset.plan))
+    return [
+        index
+        for index, rows in enumerate(dataset.plan)
+        if not files.has_part(index, dataset.ids(rows), prepared.request.samples)
+    ]
 
 
 def _tasks(

@@ -14,7 +14,7 @@ from prbench.errors import RunError, StorageError
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
 from prbench.sequences.redistribution import NOTICE_FILE
-from prbench.storage import inside
+from prbench.storage import inside, remove_leftovers
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ class RunFolder:
             RunError: if the folder belongs to other inputs; names the key that differs.
             StorageError: if it holds something else, or cannot be written.
         """
+        remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
         if (path / record.FILE_NAME).is_file():
             wanted.require_same(RunRecord.read(path), path)
             for left in path.rglob(".*.partial*"):  # by a process that was killed while it wrote

@@ -130,5 +130,10 @@ class SequenceTable:
 
 def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
     """The ``limit`` ids with the smallest SHA-256, so that every recording has its share; in the order given."""
-    chosen = set(sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())[:limit])
+    chosen = set(by_hash(sequence_ids)[:limit])
     return [name for name in sequence_ids if name in chosen]
+
+
+def by_hash(sequence_ids: SequenceOf[str]) -> list[str]:
+    """The ids by the SHA-256 of each: the order in which a growing limit takes them up."""
+    return sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())

@@ -16,6 +16,8 @@ from prbench.workflows.table_two.layout import (
 from prbench.workflows.table_two.order import Step
 
 DASH = "–"
+MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
+"""Of the study's row labels."""
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
 
 
@@ -53,7 +55,10 @@ def _step(step: Step) -> str:
 def notes(layout: TableLayout) -> Iterable[str]:
     """What a reader has to know, one sentence or two each."""
     if layout.minutes is not None:
-        yield f"n is what fitted into {layout.minutes} minutes on the machine that it was run on."
+        yield f"n is what fitted into {layout.minutes} min on the machine that it was run on."
+    lines = [line for block in layout.datasets[0].blocks for line in block.lines]
+    if any(line.label[-1] in MARKS for line in lines):
+        yield "; ".join(f"{mark}: {meaning}" for mark, meaning in MARKS.items()) + "; no mark: fine-tuned."
     yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
     few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
     if few:
@@ -62,7 +67,6 @@ def notes(layout: TableLayout) -> Iterable[str]:
         yield "Bold or ¹: best of two or more methods of a block; underlined or ²: second. Controls are not ranked."
     if any(dataset.synthetic for dataset in layout.datasets):
         yield "Scores on synthetic data: they say nothing about real people; never compare them with published ones."
-    lines = [line for block in layout.datasets[0].blocks for line in block.lines]
     stand_ins = [f"{line.label} ({line.weights_used})" for line in lines if line.stands_in and line.state == "run"]
     if stand_ins:
         yield (

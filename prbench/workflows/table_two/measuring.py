@@ -1,93 +1,143 @@
-"""A first batch of every row, timed; its motions are thrown away."""
+"""A first batch of every kind of row, timed while the other workers work, too; its motions are thrown away."""
 
 from __future__ import annotations
 
-import tempfile
+import shutil
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from prbench.engine import Engine
-from prbench.errors import StorageError
-from prbench.evaluation.planning import select
+from prbench.errors import PrbenchError, StorageError
+from prbench.evaluation.controls import GROUND_TRUTH
+from prbench.evaluation.planning import Selection
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
-from prbench.runs.cost import read_run_cost
-from prbench.sequences import SequenceTable
+from prbench.runs.cost import read_batch_costs
+from prbench.runs.folder import RunFolder
+from prbench.runs.record import FILE_NAME as RECORD
 from prbench.workflows.table_two.budget import RowCost
-from prbench.workflows.table_two.plan import PlannedRow
+from prbench.workflows.table_two.plan import GOALS, PlannedRow
+from prbench.workflows.table_two.side_by_side import generate_side_by_side
 
+FOLDER = ".timing"
+"""In the table's folder, so that a table that is killed meanwhile goes on with what it has timed."""
 MEASURED_SEQUENCES = 8
 """In the one batch that is timed."""
 
 
-def measured_name(planned: PlannedRow) -> str:
-    """Rows that differ in nothing but their goals cost the same."""
-    return planned.name if planned.row is None else planned.row.name
+@dataclass(frozen=True)
+class Measured:
+    """What is known of the rows."""
+
+    costs: dict[str, RowCost]
+    """By :func:`kind`."""
+    failed: frozenset[str]
+    """Names of rows whose batch could not be made; each will say so when it is run."""
+
+
+def kind(planned: PlannedRow) -> str:
+    """Rows of one kind cost the same: those of a method, with or without a goal, with weights of one size."""
+    run = planned.run
+    condition = "goal" if run.condition in GOALS else run.condition.value
+    size = _size(run.weights) if run.weights is not None and run.weights.exists() else None
+    weights = "bundled" if size is None else f"{size:.1e} bytes"
+    return f"{run.method}, {condition}, {weights}"
 
 
 def measure(
     planned: list[PlannedRow],
     known: dict[str, RowCost],
+    median: Selection,
     engine: Engine,
     *,
-    measured: Callable[[str, RowCost], None],
-    measuring: Callable[[int, int, str], None],
+    folder: Path,
+    counting: Callable[[int, int, str], None],
     seconds: float,
-) -> bool:
-    """Time what is not known yet; a row that fails here will say so when it is run.
+) -> Measured:
+    """Time what is not known yet.
 
     Args:
         planned: Rows that will be run.
-        known: Costs by :func:`measured_name`.
+        known: Costs by :func:`kind`.
+        median: The sequences of the batch, of about the same length.
         engine: The one that the table will be run with.
-        measured: Called with every new cost.
-        measuring: Called with finished rows, all rows and the next one's label.
+        folder: Of the table.
+        counting: Called with timed rows, all rows and a row's name.
         seconds: After which no further row is timed.
 
-    Returns:
-        Whether there was time for all.
+    Raises:
+        PrbenchError: if workers were killed before a single row was timed.
     """
-    started = time.monotonic()
-    missing = {measured_name(row): row for row in reversed(planned) if measured_name(row) not in known}
-    ordered = [row for row in planned if missing.get(measured_name(row)) is row]
-    for done, row in enumerate(ordered):
-        if time.monotonic() - started > seconds:
-            return False
-        measuring(done, len(ordered), row.label)
-        cost = _cost(row, engine)
-        if cost is not None:
-            measured(measured_name(row), cost)
-    measuring(len(ordered), len(ordered), "")
-    return True
+    firsts = {kind(row): row for row in reversed(planned) if row.row is not None and kind(row) not in known}
+    rows = {row.name: row for row in planned if firsts.get(kind(row)) is row}
+    requests = {name: _first_batch(row.run, median, folder / FOLDER / name) for name, row in rows.items()}
+    made = generate_side_by_side(requests, engine, counting=counting, seconds=seconds)
+    overhead = _overhead(planned[0].run, median, folder / FOLDER / "overhead", engine)
+    spent = {name: _seconds_per_frame(request) for name, request in requests.items() if name not in made.failed}
+    costs = {
+        kind(rows[name]): RowCost(seconds_per_frame=seconds_per_frame, overhead=overhead)
+        for name, seconds_per_frame in spent.items()
+        if seconds_per_frame is not None
+    }
+    if made.broken is not None and not known | costs:
+        raise PrbenchError(made.broken)
+    return Measured(known | costs, frozenset(made.failed))
 
 
-def _cost(planned: PlannedRow, engine: Engine) -> RowCost | None:
-    with tempfile.TemporaryDirectory(prefix="prbench-") as folder:
-        first = replace(
-            planned.run,
-            data=planned.run.data[:1],
-            limit=MEASURED_SEQUENCES,
-            batch_size=MEASURED_SEQUENCES,
-            samples=1,
-            control=None,
-            out=Path(folder) / "run",
-        )
-        started = time.perf_counter()
-        try:
-            report = run_method(first, engine=engine)
-        except StorageError:
-            raise
-        except Exception:
-            return None
-        elapsed = time.perf_counter() - started
-        cost = read_run_cost(report.folder.dataset(report.summaries[0].dataset).cost)
-    generating = cost.seconds + cost.warm_up_seconds
-    return RowCost(seconds_per_frame=generating / _frames(first), overhead=max(0.0, elapsed - generating))
+def forget_timing(folder: Path) -> None:
+    """Remove the motions that were made for their time."""
+    shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 
-def _frames(run: RunRequest) -> int:
-    """Of the sequences in the batch."""
-    selection = select(SequenceTable.open(run.data[0]), split=run.split, limit=run.limit)
-    return max(1, int(selection.n_frames.sum()))
+def near_median(selection: Selection) -> Selection:
+    """The sequences whose length is nearest to the median, so that hardly anything is padded."""
+    distance = np.abs(selection.n_frames - np.median(selection.n_frames))
+    keep = np.zeros(len(selection), dtype=bool)
+    keep[np.argsort(distance, kind="stable")[:MEASURED_SEQUENCES]] = True
+    return selection.chosen(keep)
+
+
+def _first_batch(run: RunRequest, median: Selection, out: Path) -> RunRequest:
+    return replace(
+        run,
+        data=(median.table.folder,),
+        sequences=median.sequence_ids,
+        batch_size=MEASURED_SEQUENCES,
+        samples=1,
+        control=None,
+        out=out,
+    )
+
+
+def _seconds_per_frame(request: RunRequest) -> float | None:
+    """None if nothing was generated: there was no time, or a worker was killed."""
+    if request.out is None or not (request.out / RECORD).is_file():
+        return None
+    folder = RunFolder.open(request.out)
+    costs = [
+        cost for table in folder.record.tables for cost in read_batch_costs(folder.dataset(table.dataset).batch_costs())
+    ]
+    frames = sum(cost.frames for cost in costs)
+    return sum(cost.seconds for cost in costs) / frames if frames else None
+
+
+def _overhead(run: RunRequest, median: Selection, out: Path, engine: Engine) -> float:
+    """Of a run that generates nothing: it is prepared twice, in side-by-side work and for its scores."""
+    control = replace(_first_batch(run, median, out), method=GROUND_TRUTH, weights=None, options={})
+    started = time.perf_counter()
+    try:
+        run_method(control, engine=engine)
+    except StorageError:
+        raise
+    except Exception:
+        return 0.0
+    return time.perf_counter() - started
+
+
+def _size(weights: Path) -> int:
+    files = weights.rglob("*") if weights.is_dir() else (weights,)
+    return sum(file.stat().st_size for file in files if file.is_file())

@@ -17,7 +17,7 @@ from prbench.workflows.table_two.rows import Row, load_table_two
 ALL = "all"
 """As ``--method`` or ``--condition``: all that Table 2 has."""
 ROWS_FOLDER = "rows"
-_GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
+GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PlannedRow:
     row: Row | None
     """None for a control of the harness."""
     run: RunRequest
-    """Without a limit, which follows later."""
+    """Without limit and size of batches, which follow later."""
     skipped: str | None = None
     """Why it is not run; None for a row that is."""
     stands_in: bool = False
@@ -42,9 +42,9 @@ class PlannedRow:
         """Made by the harness, or with other sequences' goals."""
         return self.row is None or self.run.control is not None
 
-    def limited(self, limit: int) -> RunRequest:
+    def limited(self, limit: int, batch_size: int) -> RunRequest:
         """Its run on this many sequences of each dataset."""
-        return replace(self.run, limit=limit)
+        return replace(self.run, limit=limit, batch_size=batch_size)
 
 
 def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> list[PlannedRow]:
@@ -56,11 +56,11 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
         folder: Of the table; every row gets a run folder in it.
 
     Raises:
-        AdapterError: if a method refuses its options.
+        AdapterError: if a method refuses its options or the device.
     """
     planned = [_planned(request, row, data, folder) for row in request.rows]
     controls = [_control(request, name, data, folder) for name in CONTROLS]
-    shuffled = [_shuffled(row, folder) for row in planned if row.run.condition in _GOALS]
+    shuffled = [_shuffled(row, folder) for row in planned if row.run.condition in GOALS]
     return planned + controls + (shuffled if request.shuffled_goal else [])
 
 
@@ -92,8 +92,8 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
         load_adapter(row.method, run.weights, {}, "cpu")
     except PrbenchError as error:
         return f"its weights ({weights.variant}) are not there: {error}"
-    if run.options:
-        load_adapter(row.method, run.weights, run.options, run.device)  # a slip of the pen shows before hours of work
+    if run.options or run.device != "cpu":  # a slip of the pen shows before hours of work
+        load_adapter(row.method, run.weights, run.options, run.device)
     return None
 
 
@@ -124,7 +124,6 @@ def _base(request: TableRequest, data: tuple[Path, ...]) -> RunRequest:
         split=request.split,
         seed=request.seed,
         samples=request.samples,
-        batch_size=request.batch_size,
         device=request.device,
         threads=request.threads,
     )

@@ -14,7 +14,6 @@ from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SC
 from prbench.evaluation.preparation import DEFAULT_PARENT
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
-from prbench.workflows import first_run
 from prbench.workflows.table_two.rows import Row, load_table_two
 
 DEFAULT_MINUTES = 30
@@ -47,7 +46,8 @@ class TableRequest:
     minutes: int = DEFAULT_MINUTES
     seed: int = 0
     samples: int = 1
-    batch_size: int = first_run.BATCH_SIZE
+    batch_size: int | None = None
+    """None for one that follows from the number of sequences."""
     device: str = "cpu"
     threads: int = 1
     shuffled_goal: bool = False
@@ -115,16 +115,31 @@ class TableRequest:
         tables = self.tables()
         datasets = "+".join(table.info.dataset for table in tables)
         weights = "" if self.weights is None else str(self.weights.resolve())
-        name = f"table-2-{datasets}-{text_digest(weights, *self.deciding(tables))[:8]}"
+        decided = (part for pair in self.deciding(tables).items() for part in pair)
+        name = f"table-2-{datasets}-{text_digest(weights, *decided)[:8]}"
         return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
 
-    def deciding(self, tables: list[SequenceTable]) -> list[str]:
-        """All that decides what the rows compute, except the weights, which their own run folders record."""
-        shuffled = SHUFFLED_GOAL if self.shuffled_goal else ""
-        parts = [prbench.__version__, self.method or "all", self.condition or "all", self.split, shuffled, self.device]
-        parts += [str(value) for value in (self.limit, self.seed, self.samples, self.batch_size, self.threads)]
-        parts += [f"{key}={value}" for key, value in sorted(self.options.items())]
-        return parts + [part for table in tables for part in (table.info.dataset, table.identity, table.content)]
+    def deciding(self, tables: list[SequenceTable]) -> dict[str, str]:
+        """All that decides what the rows compute, by what a user calls it; empty where it was left to prbench.
+
+        The weights do not stand here: the run folder of each row records its own.
+        """
+        settings = {
+            "version of prbench": prbench.__version__,
+            "--method": self.method or "all",
+            "--condition": self.condition.value if self.condition is not None else "all",
+            "--option": " ".join(f"{key}={value}" for key, value in sorted(self.options.items())),
+            "--split": self.split,
+            "--limit": "" if self.limit is None else str(self.limit),
+            "--minutes": str(self.minutes) if self.limit is None else "",
+            "--seed": str(self.seed),
+            "--samples": str(self.samples),
+            "--batch-size": "" if self.batch_size is None else str(self.batch_size),
+            "--device": self.device,
+            "--threads": str(self.threads),
+            "--control": SHUFFLED_GOAL if self.shuffled_goal else "",
+        }
+        return settings | {f"table {table.info.dataset}": f"{table.identity} {table.content}" for table in tables}
 
 
 def _place(dataset: str) -> tuple[int, str]:

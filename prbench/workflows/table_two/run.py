@@ -1,8 +1,9 @@
 """Work through the rows of Table 2, unattended.
 
 ``plan.json`` is written first and holds the number of sequences; every row is a run folder of its own, which resumes.
-A row that cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next
-call. Whatever moment the table was killed at, the same request goes on and ends with the same numbers.
+The batches of all rows are generated side by side, those of the dearest rows first; then each row is scored. A row that
+cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next call.
+Whatever moment the table was killed at, the same request goes on and ends with the same numbers.
 """
 
 from __future__ import annotations
@@ -13,24 +14,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.engine import Engine, InProcess
-from prbench.errors import PrbenchError, StorageError
+from prbench.errors import StorageError
 from prbench.evaluation.progress import ProgressCallback, silent
+from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.sequences import SequenceTable
-from prbench.storage import text_digest, write_json, write_text
+from prbench.storage import write_json, write_text
 from prbench.workflows.table_two.as_json import as_builtins
 from prbench.workflows.table_two.as_markdown import as_markdown
+from prbench.workflows.table_two.budget import DatasetSize, even_batch_size
 from prbench.workflows.table_two.layout import RowOutcome, TableLayout, lay_out
+from prbench.workflows.table_two.lock import working_alone
+from prbench.workflows.table_two.measuring import kind
 from prbench.workflows.table_two.plan import PlannedRow, plan_rows
 from prbench.workflows.table_two.request import TableRequest
+from prbench.workflows.table_two.side_by_side import Counting, generate_side_by_side, why
 from prbench.workflows.table_two.state import TablePlan, open_plan
 from prbench.workflows.table_two.subset import dataset_size, with_limit
 
 MARKDOWN, JSON = "table_2.md", "table_2.json"
-
-
-Counting = Callable[[int, int, str], None]
-"""Called with finished items, all items, and the next or last one's name."""
 
 
 def _uncounted(done: int, total: int, name: str) -> None:
@@ -45,6 +47,8 @@ class Say:
     """One line that stays: what is skipped, what has failed, how many sequences there will be."""
     timing: Callable[[], AbstractContextManager[Counting]] = lambda: nullcontext(_uncounted)
     """Shows which rows have had a first batch timed."""
+    generating: Callable[[], AbstractContextManager[Counting]] = lambda: nullcontext(_uncounted)
+    """Shows which rows have been generated."""
     row: Callable[[PlannedRow], AbstractContextManager[ProgressCallback]] = lambda _: nullcontext(silent)
     """Shows the progress of one row."""
 
@@ -72,7 +76,8 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         say: Where to say how far it has got.
 
     Raises:
-        RunError: if the folder belongs to another request.
+        AdapterError: if a method refuses its options.
+        RunError: if the folder belongs to another request, or another process is working on it.
         StorageError: if a file cannot be written.
         TableError: if a table is missing, empty, changed or of an unknown version.
         UsageError: if the request does not fit together.
@@ -80,49 +85,81 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
     engine, say = engine or InProcess(), say or Say()
     tables = request.tables()
     folder = request.folder()
-    asked = text_digest(*request.deciding(tables))
-    plan = open_plan(folder, asked, limit=request.limit, minutes=request.minutes)
+    sizes = [dataset_size(table, request.split) for table in tables]
     planned = plan_rows(request, tuple(table.folder for table in tables), folder)
-    for row in planned:
-        if row.skipped is not None:
-            say.notice(f"{row.label} ({row.run.condition.value}): skipped, {row.skipped}")
-    if plan.limit is None:
-        with say.timing() as measuring:
-            plan = with_limit(plan, request, tables, planned, engine=engine, measuring=measuring, folder=folder)
-    assert plan.limit is not None
-    limit = plan.limit
-    say.notice(_shown_limit(plan, tables, request.split))
-    outcomes = tuple(_outcome(row, limit, engine, say) for row in planned)
-    layout = lay_out(outcomes, tables=tables, split=request.split, limit=limit, minutes=plan.minutes)
-    write_text(folder / MARKDOWN, as_markdown(layout))
-    write_json(folder / JSON, as_builtins(layout))
+    with working_alone(folder):
+        plan = open_plan(folder, request.deciding(tables), limit=request.limit, minutes=request.minutes)
+        for row in planned:
+            if row.skipped is not None:
+                say.notice(f"{row.label} ({row.run.condition.value}): skipped, {row.skipped}")
+        if plan.limit is None:
+            with say.timing() as counting:
+                plan = with_limit(plan, request, tables, planned, engine=engine, counting=counting, folder=folder)
+        assert plan.limit is not None
+        say.notice(_shown_limit(plan, tables, sizes))
+        batch_size = request.batch_size or even_batch_size(plan.limit, sizes)
+        runs = {row.name: row.limited(plan.limit, batch_size) for row in _dearest_first(planned, plan)}
+        outcomes = _outcomes(planned, runs, engine, say)
+        minutes = plan.minutes if plan.fits else None
+        layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
+        write_text(folder / MARKDOWN, as_markdown(layout))
+        write_json(folder / JSON, as_builtins(layout))
     return TableReport(folder, layout, outcomes)
 
 
-def _outcome(planned: PlannedRow, limit: int, engine: Engine, say: Say) -> RowOutcome:
-    """Run one row; whatever is wrong with it is put down and said, except that nothing can be written."""
-    if planned.skipped is not None:
-        return RowOutcome(planned, "skipped", planned.skipped)
-    try:
-        with say.row(planned) as progress:
-            report = run_method(planned.limited(limit), engine=engine, progress=progress)
-    except StorageError:
-        raise
-    except PrbenchError as error:
-        reason = str(error)
-    except Exception as error:  # a defect of a method, which must not cost the other rows
-        reason = f"{type(error).__name__}: {error}"
-    else:
-        return RowOutcome(planned, "run", folder=report.folder.path)
+def _dearest_first(planned: list[PlannedRow], plan: TablePlan) -> list[PlannedRow]:
+    """Rows to be run; a short batch at the end leaves the other worker idle for less long than a long one."""
+
+    def seconds(row: PlannedRow) -> float:
+        cost = plan.costs.get(kind(row))
+        return 0.0 if cost is None else cost.seconds_per_frame
+
+    return sorted((row for row in planned if row.skipped is None), key=seconds, reverse=True)
+
+
+def _outcomes(
+    planned: list[PlannedRow], runs: dict[str, RunRequest], engine: Engine, say: Say
+) -> tuple[RowOutcome, ...]:
+    """Generate all rows, then finish each; what is wrong with one is put down and said."""
+    with say.generating() as counting:
+        made = generate_side_by_side(runs, engine, counting=counting)
+    if made.broken is not None:
+        say.notice(f"{made.broken} Going on row by row.")
+    return tuple(
+        RowOutcome(row, "skipped", row.skipped)
+        if row.skipped is not None
+        else _outcome(row, runs[row.name], made.failed.get(row.name), engine, say)
+        for row in planned
+    )
+
+
+def _outcome(planned: PlannedRow, run: RunRequest, failed: str | None, engine: Engine, say: Say) -> RowOutcome:
+    """Score one row, and generate what is still missing; only if nothing can be written all of the table ends."""
+    reason = failed
+    if reason is None:
+        try:
+            with say.row(planned) as progress:
+                report = run_method(run, engine=engine, progress=progress)
+        except StorageError:
+            raise
+        except Exception as error:  # a defect of a method, which must not cost the other rows
+            reason = why(error)
+        else:
+            return RowOutcome(planned, "run", folder=report.folder.path)
     say.notice(f"{planned.label} ({planned.run.condition.value}): failed, {reason}")
     return RowOutcome(planned, "failed", reason)
 
 
-def _shown_limit(plan: TablePlan, tables: list[SequenceTable], split: str) -> str:
+def _shown_limit(plan: TablePlan, tables: list[SequenceTable], sizes: list[DatasetSize]) -> str:
     counts = ", ".join(
         f"{table.info.dataset} n = {min(plan.limit or size.sequences, size.sequences)} of {size.sequences}"
-        for table, size in ((table, dataset_size(table, split)) for table in tables)
+        for table, size in zip(tables, sizes, strict=True)
     )
     if plan.minutes is None:
         return f"{counts} (--limit {plan.limit})"
-    return f"{counts}: what fits into {plan.minutes} minutes here (--minutes; --limit N says it outright)"
+    expected = f"about {max(1.0, (plan.expected_seconds or 0.0) / 60):.0f} min"
+    if not plan.fits:
+        return f"{counts}: the fewest there can be; {expected}, more than the {plan.minutes} min asked for (--minutes)"
+    return (
+        f"{counts}: what fits into {plan.minutes} min here, {expected} expected (--minutes; --limit N says n outright)"
+    )

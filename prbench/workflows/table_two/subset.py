@@ -7,12 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from prbench.engine import Engine, ProcessPool
 from prbench.evaluation.planning import select
 from prbench.sequences import SequenceTable
-from prbench.workflows.table_two.budget import DatasetSize, Pace, RowCost, largest_limit
-from prbench.workflows.table_two.measuring import measure, measured_name
+from prbench.sequences.table import by_hash
+from prbench.workflows.table_two.budget import DatasetSize, Pace, RowCost, largest_limit, table_seconds
+from prbench.workflows.table_two.measuring import Measured, forget_timing, kind, measure, near_median
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import TableRequest
 from prbench.workflows.table_two.state import TablePlan
@@ -28,10 +30,10 @@ def with_limit(
     planned: list[PlannedRow],
     *,
     engine: Engine,
-    measuring: Callable[[int, int, str], None],
+    counting: Callable[[int, int, str], None],
     folder: Path,
 ) -> TablePlan:
-    """The plan with its limit, found by timing a batch of every row; every timing is kept at once.
+    """The plan with its limit, found by timing a batch of every kind of row.
 
     Args:
         plan: With what an earlier call has timed.
@@ -39,41 +41,41 @@ def with_limit(
         tables: In printed order.
         planned: Its lines; the skipped ones cost nothing.
         engine: The one that the rows will be run with.
-        measuring: Called with timed rows, all rows, and the next one's label.
+        counting: Called with timed rows, all rows, and a row's name.
         folder: Of the table, where the plan is written.
     """
     started = time.monotonic()
     runnable = [row for row in planned if row.skipped is None]
-    costs = dict(plan.costs)
-
-    def keep(name: str, cost: RowCost) -> None:
-        costs[name] = cost
-        msgspec.structs.replace(plan, costs=costs).write(folder)
-
+    median = near_median(select(tables[0], split=request.split, limit=None))
     share = TIMING_SHARE * 60 * request.minutes
-    all_timed = measure(runnable, plan.costs, engine, measured=keep, measuring=measuring, seconds=share)
-    known = [costs[measured_name(row)] for row in runnable if measured_name(row) in costs]
-    if not all_timed and known:
-        known += [_dearest(known, row) for row in runnable if measured_name(row) not in costs]
+    measured = measure(runnable, plan.costs, median, engine, folder=folder, counting=counting, seconds=share)
+    costs = [cost for row in runnable if (cost := _cost(row, measured)) is not None]
     sizes = [dataset_size(table, request.split) for table in tables]
     pace = Pace(request.batch_size, engine.workers if isinstance(engine, ProcessPool) else 1, request.samples)
-    seconds = 60 * request.minutes - (time.monotonic() - started)
-    limited = msgspec.structs.replace(plan, costs=costs, limit=largest_limit(known, sizes, pace, seconds=seconds))
+    spent = time.monotonic() - started
+    limit = largest_limit(costs, sizes, pace, seconds=60 * request.minutes - spent)
+    expected = spent + table_seconds(costs, limit, sizes, pace)
+    limited = msgspec.structs.replace(plan, costs=measured.costs, limit=limit, expected_seconds=expected)
     limited.write(folder)
+    forget_timing(folder)
     return limited
 
 
-def _dearest(costs: list[RowCost], row: PlannedRow) -> RowCost:
-    """As slow as any that was timed, in every respect; a control generates nothing."""
-    slowest = 0.0 if row.row is None else max(cost.seconds_per_frame for cost in costs)
-    return RowCost(seconds_per_frame=slowest, overhead=max(cost.overhead for cost in costs))
+def _cost(row: PlannedRow, measured: Measured) -> RowCost | None:
+    """As slow as any that was timed, if this one's kind was not; None if it fails. A control generates nothing."""
+    if row.name in measured.failed or not measured.costs:
+        return None
+    overhead = max(cost.overhead for cost in measured.costs.values())
+    slowest = 0.0 if row.row is None else max(cost.seconds_per_frame for cost in measured.costs.values())
+    return measured.costs.get(kind(row), RowCost(seconds_per_frame=slowest, overhead=overhead))
 
 
 def dataset_size(table: SequenceTable, split: str) -> DatasetSize:
-    """Number and length of the sequences of a split.
+    """The lengths of a split's sequences, in the order in which a limit takes them up.
 
     Raises:
         TableError: if there are none.
     """
     selection = select(table, split=split, limit=None)
-    return DatasetSize(len(selection), float(selection.n_frames.mean()))
+    frames = dict(zip(selection.sequence_ids, selection.n_frames.tolist()))
+    return DatasetSize(np.array([frames[name] for name in by_hash(list(frames))]))

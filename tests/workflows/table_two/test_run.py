@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from prbench.contract import Condition
-from prbench.errors import AdapterError, RunError, StorageError, UsageError
+from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
-from prbench.storage import text_digest
 from prbench.workflows.table_two import TableRequest, plan, run, run_table, subset
 from prbench.workflows.table_two.budget import RowCost
+from prbench.workflows.table_two.lock import working_alone
 from prbench.workflows.table_two.request import CONTROLS
 from prbench.workflows.table_two.run import Say
 from prbench.workflows.table_two.state import TablePlan
+from tests.fakes import fake_dataset
 
 
 def request(*tables, out: Path, **changes) -> TableRequest:
@@ -76,6 +79,40 @@ def test_a_defect_costs_one_row_and_a_full_disk_all(small_tables, tmp_path, monk
     error = StorageError("no space left on the device")
     with pytest.raises(StorageError, match="no space left"):
         run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
+
+
+class DiesOnce:
+    """An engine whose first worker is killed after its first batch."""
+
+    def __init__(self) -> None:
+        self.dies = True
+
+    def map(self, function, items):
+        for item in items:
+            yield function(item)
+            if self.dies:
+                self.dies = False
+                raise PrbenchError("a worker process ended without an answer.")
+
+
+def test_a_killed_worker_costs_no_row(small_tables, made_up, tmp_path):
+    said = []
+    asked = request(small_tables[0], out=tmp_path / "t", condition=Condition.GOAL_LOCATION, batch_size=1)
+    report = run_table(asked, engine=DiesOnce(), say=Say(notice=said.append))
+    assert "a worker process ended without an answer. Going on row by row." in said
+    assert not report.failed
+    assert made_up.calls() == ["reacher goal-loc 1"] * 3  # none twice
+    run_table(replace(asked, out=tmp_path / "u"))
+    assert results(tmp_path / "t") == results(tmp_path / "u")
+
+
+def test_a_row_that_fails_leaves_nothing_behind_and_is_tried_again(small_tables, made_up, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", weights=made_up.weights, batch_size=1)
+    run_table(asked)
+    assert made_up.calls().count("breaker text 1") == 1  # the other two batches would fail as well
+    assert not (tmp_path / "t/rows/text-breaker-finetuned").exists()
+    run_table(asked)
+    assert made_up.calls() == ["breaker text 1"]
 
 
 def test_cells_hold_what_the_runs_say(small_tables, tmp_path):
@@ -202,23 +239,29 @@ def test_the_subset_follows_from_a_measured_batch_and_is_kept(small_tables, made
     asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher", batch_size=2)
     report = run_table(asked, say=Say(notice=said.append))
     assert report.layout.limit == 5  # all: made-up motions cost nothing
-    assert "synthetic-adt n = 5 of 5: what fits into 10 minutes here" in said[-1]
-    assert "n is what fitted into 10 minutes" in (tmp_path / "t/table_2.md").read_text()
+    assert "synthetic-adt n = 5 of 5: what fits into 10 min here, about 1 min expected" in said[-1]
+    assert "n is what fitted into 10 min " in (tmp_path / "t/table_2.md").read_text()
     batches = [f"reacher goal-loc {size}" for size in (5, 2, 2, 1)]
     assert made_up.calls() == batches  # the one that is timed, in one piece, and those that count
     written = json.loads((tmp_path / "t/plan.json").read_text())
     assert written["limit"] == 5
-    assert set(written["costs"]) == {"goal-loc-reacher-finetuned", "ground-truth"}
+    assert set(written["costs"]) == {"reacher, goal, bundled"}  # controls generate nothing
+    assert written["costs"]["reacher, goal, bundled"]["overhead"] > 0
+    assert not (tmp_path / "t/.timing").exists()
     run_table(asked)
     assert made_up.calls() == []
 
 
+def timed(asked: TableRequest, **costs: RowCost) -> None:
+    """Let it have been timed by an earlier call."""
+    plan = TablePlan(asked=asked.deciding(asked.tables()), limit=None, minutes=asked.minutes, costs=costs)
+    plan.write(asked.folder())
+
+
 def test_a_slow_row_makes_the_subset_smaller(small_tables, made_up, tmp_path):
-    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
-    slow = RowCost(seconds_per_frame=2.0, overhead=1.0)  # about 170 s a sequence
-    costs = {"goal-loc-reacher-finetuned": slow, "ground-truth": RowCost(seconds_per_frame=0.0, overhead=0.0)}
-    digest = text_digest(*asked.deciding(asked.tables()))
-    TablePlan(asked=digest, limit=None, minutes=10, costs=costs).write(tmp_path / "t")
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher", batch_size=5)
+    slow = RowCost(seconds_per_frame=1.6, overhead=1.0)  # about 160 s a sequence in a batch with a longer one
+    timed(asked, **{"reacher, goal, bundled": slow})
     report = run_table(asked)
     assert report.layout.limit == 3
     assert made_up.calls() == ["reacher goal-loc 3"]  # nothing was timed again
@@ -227,21 +270,86 @@ def test_a_slow_row_makes_the_subset_smaller(small_tables, made_up, tmp_path):
 def test_rows_that_there_was_no_time_to_time_count_as_the_slowest(small_tables, made_up, tmp_path, monkeypatch):
     monkeypatch.setattr(subset, "TIMING_SHARE", -1.0)
     asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
-    slow = RowCost(seconds_per_frame=2.0, overhead=1.0)  # two rows of about 170 s a sequence in nine minutes
-    digest = text_digest(*asked.deciding(asked.tables()))
-    TablePlan(asked=digest, limit=None, minutes=10, costs={"ground-truth": slow}).write(tmp_path / "t")
+    slow = RowCost(seconds_per_frame=4.0, overhead=1.0)  # a row of about 340 s a sequence in nine minutes
+    timed(asked, **{"static, none, bundled": slow})
     assert run_table(asked).layout.limit == 1
     assert made_up.calls() == ["reacher goal-loc 1"]
 
 
+def test_rows_of_one_kind_are_timed_once(small_tables, made_up, tmp_path):
+    for name in ("reacher-pretrained", "reacher-finetuned"):
+        (made_up.weights / name).write_text("w")
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, weights=made_up.weights, method="reacher")
+    run_table(asked)
+    assert made_up.calls() == [f"reacher goal-loc {size}" for size in (5, 3, 2, 3, 2)]
+    (made_up.weights / "reacher-finetuned").write_text("of another size")
+    run_table(replace(asked, out=tmp_path / "u"))
+    assert made_up.calls().count("reacher goal-loc 5") == 2
+
+
+def test_where_not_even_one_sequence_fits_it_says_so(small_tables, tmp_path):
+    said = []
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=1, method="reacher")
+    timed(asked, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
+    report = run_table(asked, say=Say(notice=said.append))
+    assert report.layout.limit == 1
+    assert "n = 1 of 5: the fewest there can be; about 3 min, more than the 1 min asked for" in said[-1]
+    assert "n is what fitted" not in (tmp_path / "t/table_2.md").read_text()
+
+
+def test_the_subset_is_the_one_of_its_limit(small_tables, made_up, tmp_path):
+    chosen = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
+    timed(chosen, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
+    limit = run_table(chosen).layout.limit
+    run_table(request(small_tables[0], out=tmp_path / "u", limit=limit, method="reacher"))
+    assert results(tmp_path / "t") == results(tmp_path / "u")
+
+
 def test_another_request_is_refused_in_the_same_folder(small_tables, tmp_path):
-    run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
-    with pytest.raises(RunError, match="--limit, --seed"):
-        run_table(request(small_tables[0], out=tmp_path / "t", method="reacher", seed=1))
+    first = request(small_tables[0], out=tmp_path / "t", method="reacher")
+    run_table(first)
+    with pytest.raises(RunError, match=r"another table: --seed was 0, now is 1\. Choose"):
+        run_table(replace(first, seed=1))
+    with pytest.raises(RunError, match="--limit was 3, now is not given; --minutes was not given, now is 30"):
+        run_table(replace(first, limit=None))
+    with pytest.raises(RunError, match="table synthetic-hd-epic is new"):
+        run_table(replace(first, data=tuple(table.folder for table in small_tables)))
     (tmp_path / "full").mkdir()
     (tmp_path / "full/precious.txt").touch()
     with pytest.raises(StorageError, match=r"holds no plan\.json"):
         run_table(request(small_tables[0], out=tmp_path / "full"))
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match=r"file: cannot be written"):
+        run_table(request(small_tables[0], out=tmp_path / "file"))
+
+
+def test_a_table_that_was_built_anew_is_refused(tmp_path):
+    asked = request(fake_dataset(tmp_path / "adt", 20), out=tmp_path / "t", method="reacher")
+    run_table(asked)
+    shutil.rmtree(tmp_path / "adt")
+    fake_dataset(tmp_path / "adt", 24)
+    with pytest.raises(RunError, match="table synthetic-adt has other contents now"):
+        run_table(asked)
+
+
+def test_one_process_at_a_time_works_on_a_table(small_tables, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", method="reacher")
+    with working_alone(tmp_path / "t"), pytest.raises(RunError, match="another process is working on this table"):
+        run_table(asked)
+    run_table(asked)
+
+
+def test_what_a_killed_process_was_writing_is_cleared_away(small_tables, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", method="reacher")
+    (tmp_path / "t").mkdir()
+    (tmp_path / "t/.plan-abcd1234.partial.json").write_text("{")
+    run_table(asked)
+    row = tmp_path / "t/rows/goal-loc-reacher-finetuned"
+    shutil.rmtree(row)
+    row.mkdir()
+    (row / ".run-abcd1234.partial.json").write_text("{")
+    assert lines(run_table(asked))["goal-loc-reacher-finetuned"].state == "run"
+    assert not list((tmp_path / "t").rglob(".*"))
 
 
 def test_requests_that_do_not_fit_together_are_refused(small_tables, tmp_path):
@@ -260,6 +368,7 @@ def test_requests_that_do_not_fit_together_are_refused(small_tables, tmp_path):
         run_table(request(table, table, out=tmp_path / "t"))
     with pytest.raises(AdapterError, match="unknown option 'spraed'"):
         run_table(request(table, out=tmp_path / "t", options={"reacher.spraed": "1"}))
+    assert not (tmp_path / "t").exists()  # so that the corrected command finds no other one's folder
 
 
 def test_options_reach_their_method_only(small_tables, tmp_path):

@@ -1,0 +1,124 @@
+"""Generate several runs at once: batches of one beside those of others, so that no worker waits for the last of a row.
+
+Every batch is the one that the run would make by itself, in the place where the run will look for it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.engine import Engine
+from prbench.errors import PrbenchError, StorageError
+from prbench.evaluation.generation import BatchTask, run_batch
+from prbench.evaluation.methods import forget_loaded_methods
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import missing_batches
+from prbench.runs.folder import RunFolder
+from prbench.runs.record import FILE_NAME as RECORD
+
+Counting = Callable[[int, int, str], None]
+"""Called with finished items, all items, and the next or last one's name."""
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """What became of the runs whose batches were made."""
+
+    failed: dict[str, str]
+    """Why a run has not all of its batches, by name."""
+    untouched: frozenset[str]
+    """Runs that were not begun because time was up."""
+    broken: str | None
+    """Why the work ended early: a worker was killed. Nothing is known then of runs without batches."""
+
+
+@dataclass(frozen=True)
+class _NamedTask:
+    name: str
+    task: BatchTask
+
+
+@dataclass(frozen=True)
+class _Tried:
+    name: str
+    reason: str | None
+    """Why it could not be made."""
+
+
+def generate_side_by_side(
+    requests: Mapping[str, RunRequest], engine: Engine, *, counting: Counting, seconds: float = math.inf
+) -> SideBySide:
+    """Make what is missing of several runs; what goes wrong with one ends nothing but itself.
+
+    Args:
+        requests: By name, in the order in which they are begun.
+        engine: Where batches are generated.
+        counting: Called after every batch with the runs before its own, all of them, and its own name.
+        seconds: After which no further run is begun.
+
+    Raises:
+        StorageError: if a file cannot be written.
+    """
+    until = time.monotonic() + seconds
+    failed: dict[str, str] = {}
+    begun: list[str] = []
+    broken = None
+    try:
+        for tried in engine.map(_try, _tasks(requests, engine, begun, failed, until)):
+            if tried.reason is not None:
+                failed.setdefault(tried.name, tried.reason)
+            counting(begun.index(tried.name), len(requests), tried.name)
+        counting(len(begun), len(requests), "")
+    except StorageError:
+        raise
+    except PrbenchError as error:
+        broken = str(error)
+    finally:
+        forget_loaded_methods()
+    for name in failed:
+        _discard_if_empty(requests[name].out)
+    return SideBySide(failed, frozenset(requests) - frozenset(begun), broken)
+
+
+def _tasks(
+    requests: Mapping[str, RunRequest], engine: Engine, begun: list[str], failed: dict[str, str], until: float
+) -> Iterator[_NamedTask]:
+    for name, request in requests.items():
+        if time.monotonic() > until:
+            return
+        begun.append(name)
+        try:
+            for task in missing_batches(request, engine=engine):
+                if name in failed:
+                    break
+                yield _NamedTask(name, task)
+        except StorageError:
+            raise
+        except Exception as error:
+            failed.setdefault(name, why(error))
+
+
+def _discard_if_empty(out: Path | None) -> None:
+    """A failed first batch leaves nothing behind."""
+    if out is not None and (out / RECORD).is_file():
+        RunFolder.open(out).discard_if_empty()
+
+
+def _try(named: _NamedTask) -> _Tried:
+    """In a worker."""
+    try:
+        run_batch(named.task)
+    except StorageError:
+        raise
+    except Exception as error:  # a defect of a method, which must not cost the other rows
+        return _Tried(named.name, why(error))
+    return _Tried(named.name, None)
+
+
+def why(error: Exception) -> str:
+    """What to tell of an error that ended a run."""
+    return str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"
