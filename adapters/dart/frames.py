@@ -32,6 +32,10 @@ class Placement:
         """Points given here, there."""
         return _turned(self.rotation, points) + _broadcast(self.origin, points)
 
+    def first(self, n: int) -> Placement:
+        """Those of the first motions."""
+        return Placement(self.rotation[:n], self.origin[:n])
+
     def then(self, inner: Placement) -> Placement:
         """The placement of a frame of reference that is placed here by ``inner``."""
         return Placement(

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn.functional import pad
 
 from prbench.contract import ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
@@ -15,16 +16,15 @@ from prbench.skeleton import N_JOINTS, Joint
 from prbench_adapters.dart.guidance import GuidedDenoiser, by_ddim, by_ddpm
 from prbench_adapters.dart.model import DartModel
 from prbench_adapters.dart.optimisation import optimise
-from prbench_adapters.dart.rollout import Primitive, first_history, roll_out
+from prbench_adapters.dart.rollout import Primitive, SampleLatent, first_history, roll_out
 from prbench_adapters.dart.settings import DartSettings
-from prbench_adapters.diffusion.batching import parts_of_similar_length
 from prbench_adapters.diffusion.noise import SequenceNoise
 from prbench_adapters.diffusion.noise_optimisation.generation import targets_of
 from prbench_adapters.diffusion.skeletons import ModelBodies
 from prbench_adapters.kinematics.worlds import DART
 
-_LARGEST_PART = {"cpu": 16}  # sequences rolled out side by side; all their passes are kept for the gradient
-_LARGEST_PART_ELSEWHERE = 64
+_LARGEST_PART = {"cpu": 320}  # primitives, of all sequences side by side; all passes are kept for the gradient
+_LARGEST_PART_ELSEWHERE = 960
 _SHORTEST_ACROSS = 1e-6  # metres between the hips, along the ground
 
 
@@ -44,8 +44,8 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     bodies = ModelBodies.of(batch, model.configuration)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
-    largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
-    for rows in parts_of_similar_length(batch.n_frames, largest):
+    primitives = _primitives(model, batch)
+    for rows in parts_of_similar_cost(primitives, _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)):
         part = _Part(model, _rows(bodies.batch, rows), settings)
         own = part.motions()
         joints[rows, : own.shape[1]] = own
@@ -53,8 +53,26 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
 
 
+def parts_of_similar_cost(primitives: Int[np.ndarray, " batch"], largest: int) -> list[Int[np.ndarray, " _"]]:
+    """Row numbers in as few parts as hold about ``largest`` primitives each, longest sequences first.
+
+    A sequence leaves its part when it ends, so lengths in a part may differ; the more of them go side by side, the less
+    each costs.
+    """
+    order = np.argsort(-primitives, kind="stable")
+    before = np.cumsum(primitives[order]) - primitives[order]
+    total = int(primitives.sum())
+    part = before * -(-total // largest) // total
+    return [order[part == number] for number in np.unique(part)]
+
+
+def _primitives(model: DartModel, batch: ConditionBatch) -> Int[np.ndarray, " batch"]:
+    """How many each sequence takes; the frame before its first counts."""
+    return np.array([model.configuration.primitives_for(int(n) + 1) for n in batch.n_frames])
+
+
 class _Part:
-    """Sequences of similar length that are generated side by side."""
+    """Sequences that are generated side by side, the longest first."""
 
     def __init__(self, model: DartModel, batch: ConditionBatch, settings: DartSettings) -> None:
         assert batch.text is not None
@@ -64,7 +82,8 @@ class _Part:
             targets = replace(targets, previous_joints=targets.initial_joints)
         self.targets = targets
         self.n_frames = int(batch.n_frames.max())
-        self.primitives = model.configuration.primitives_for(self.n_frames + 1)  # the frame before the first counts
+        primitives = _primitives(model, batch)
+        self.going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
         previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
         frames, self.placement = first_history(previous, initial)
         self.history = model.scaling.standardised(frames)
@@ -81,7 +100,7 @@ class _Part:
         if not self.settings.optimised:
             with torch.no_grad():
                 return self._joints(self._free()).cpu().numpy()
-        start = self.settings.noise_scale * torch.stack([self._draw() for _ in range(self.primitives)])
+        start = self.settings.noise_scale * torch.stack([self._draw() for _ in self.going_on])
         lengths = torch.as_tensor(self.batch.n_frames, device=self.model.device)
         found = optimise(self._from_noise, start, self.targets, lengths, self.settings)
         return found.joints.cpu().numpy()
@@ -91,25 +110,32 @@ class _Part:
         return self._noise.draw(self.model.configuration.latent)
 
     def _free(self) -> list[Primitive]:
-        self.decoded += self.primitives * len(self.batch)
-        sample = by_ddpm(self.denoiser, self.model.schedule, self._draw)
-        return roll_out(self.model, self.history, self.placement, sample, self.primitives)
+        return self._roll_out(by_ddpm(self.denoiser, self.model.schedule, self._draw))
 
     def _from_noise(self, noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
-        self.decoded += self.primitives * len(self.batch)
         sample = by_ddim(self.denoiser, self.model.schedule, noise, steps=self.settings.ddim_steps)
-        checkpointing = self.settings.checkpointing
-        return self._joints(
-            roll_out(self.model, self.history, self.placement, sample, self.primitives, checkpointing=checkpointing)
+        return self._joints(self._roll_out(sample))
+
+    def _roll_out(self, sample: SampleLatent) -> list[Primitive]:
+        self.decoded += sum(self.going_on)
+        return roll_out(
+            self.model,
+            self.history,
+            self.placement,
+            sample,
+            len(self.going_on),
+            going_on=self.going_on,
+            checkpointing=self.settings.checkpointing,
         )
 
     def _joints(self, primitives: list[Primitive]) -> Float[Tensor, "batch frames 22 3"]:
-        """The initial pose and what follows it, cut to the longest sequence; canonical frame.
+        """The initial pose and what follows it, cut to the longest sequence, zeros behind the others' end; canonical.
 
         The world that is rolled out in is the canonical frame with its axes exchanged, so nothing else has to be
         turned back.
         """
-        future = DART.to_y_up(torch.cat([each.joints for each in primitives], dim=1))
+        rows = [pad(each.joints, (0, 0) * 3 + (0, len(self.batch) - len(each.joints))) for each in primitives]
+        future = DART.to_y_up(torch.cat(rows, dim=1))
         return torch.cat((self.targets.initial_joints[:, None], future), dim=1)[:, : self.n_frames]
 
 

@@ -24,21 +24,25 @@ class GuidedDenoiser:
     """
 
     def __init__(self, denoiser: LatentDenoiser, text: Float[Tensor, "batch dimension"], scale: float) -> None:
-        self.denoiser, self.scale = denoiser, scale
+        self.denoiser, self.text, self.scale = denoiser, text, scale
         self.doubled = scale != 1.0
-        self.text = torch.cat((text, torch.zeros_like(text))) if self.doubled else text
         self.passes = 0
         """Network passes so far, summed over sequences."""
 
     def under(self, history: Float[Tensor, "batch history 276"]) -> Callable[[Tensor, int], Tensor]:
-        """The guided estimate of clean latents as the samplers take it: of noisy latents and diffusion step."""
+        """The guided estimate of clean latents as the samplers take it: of noisy latents and diffusion step.
+
+        Where there are fewer histories than texts, they are those of the first motions.
+        """
+        text = self.text[: len(history)]
+        texts = torch.cat((text, torch.zeros_like(text))) if self.doubled else text
         histories = torch.cat((history, history)) if self.doubled else history
 
         def denoise(noisy: Tensor, step: int) -> Tensor:
             rows = torch.cat((noisy, noisy)) if self.doubled else noisy
             self.passes += len(rows)
             steps = torch.full((len(rows),), step, dtype=torch.long, device=noisy.device)
-            clean = self.denoiser(rows, steps, self.text, histories)
+            clean = self.denoiser(rows, steps, texts, histories)
             if not self.doubled:
                 return clean
             conditional, unconditional = clean.chunk(2)
@@ -55,7 +59,11 @@ def by_ddim(
     steps: int | None = None,
 ) -> SampleLatent:
     """A fixed, differentiable map from the noise of each primitive to its latent: η = 0, all steps unless given."""
-    return lambda number, history: sample_ddim(denoiser.under(history), schedule, noise[number], steps=steps)
+
+    def sample(number: int, history: Tensor) -> Tensor:
+        return sample_ddim(denoiser.under(history), schedule, noise[number, : len(history)], steps=steps)
+
+    return sample
 
 
 def by_ddpm(
@@ -64,6 +72,7 @@ def by_ddpm(
     """Ancestral sampling with all steps; ``draw`` is called for the start and once a step but the last."""
 
     def sample(number: int, history: Tensor) -> Tensor:  # noqa: ARG001 - every primitive draws
-        return sample_ddpm(denoiser.under(history), schedule, draw(), lambda _: draw())
+        n = len(history)
+        return sample_ddpm(denoiser.under(history), schedule, draw()[:n], lambda _: draw()[:n])
 
     return sample

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -56,6 +56,7 @@ def roll_out(
     sample: SampleLatent,
     primitives: int,
     *,
+    going_on: Sequence[int] | None = None,
     checkpointing: bool = False,
 ) -> list[Primitive]:
     """Generate primitives; differentiable from the latents' noise to the last joint.
@@ -66,10 +67,14 @@ def roll_out(
         placement: Of its frame of reference in the world.
         sample: Makes the latents.
         primitives: How many.
+        going_on: How many motions, the first ones, have each primitive; None if all have all. What motions are to be
+            shorter come last, and cost nothing behind their end.
         checkpointing: Keep nothing but histories for the backward pass and compute each primitive once more there.
     """
     done: list[Primitive] = []
     for number in range(primitives):
+        if going_on is not None:
+            history, placement = history[: going_on[number]], placement.first(going_on[number])
         if checkpointing and torch.is_grad_enabled():
             latent, features = checkpoint(_generate, model, sample, number, history, use_reentrant=False)
         else:

@@ -9,6 +9,7 @@ from prbench.contract import Adapter, Condition
 from prbench.errors import AdapterError, InputFileError
 from prbench_adapters import dart
 from prbench_adapters.dart.configuration import DartConfiguration
+from prbench_adapters.dart.generation import parts_of_similar_cost
 from prbench_adapters.diffusion.skeletons import ModelBodies
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
@@ -40,14 +41,24 @@ def test_motions_start_with_the_initial_pose_and_are_as_long_as_asked(weights, c
 
 
 def test_passes_of_both_networks_are_declared(weights):
-    """Three roll-outs (two iterations and the last) of two sequences, 2 primitives, 2 guided steps and a decoding."""
-    assert _generated(weights, BATCH).cost.network_passes == 3 * 2 * 2 * (2 * 2 + 1)
-    assert _generated(weights, BATCH, guidance="1").cost.network_passes == 3 * 2 * 2 * (2 * 1 + 1)
+    """Three roll-outs (two iterations and the last) of 2 primitives and of 1, 2 guided steps and a decoding each."""
+    assert _generated(weights, BATCH).cost.network_passes == 3 * (2 + 1) * (2 * 2 + 1)
+    assert _generated(weights, BATCH, guidance="1").cost.network_passes == 3 * (2 + 1) * (2 * 1 + 1)
 
 
 @pytest.mark.parametrize(("n_frames", "primitives"), [(1, 1), (2, 1), (10, 1), (11, 2), (18, 2), (242, 30)])
 def test_a_motion_takes_as_many_primitives_as_cover_it(n_frames, primitives):
     assert DartConfiguration().primitives_for(n_frames) == primitives
+
+
+@pytest.mark.parametrize("largest", [1, 7, 20, 1000])
+def test_parts_hold_all_rows_once_the_longest_first_and_about_as_much(largest):
+    primitives = np.array([3, 1, 5, 5, 2, 4])
+    parts = parts_of_similar_cost(primitives, largest)
+    assert sorted(np.concatenate(parts).tolist()) == list(range(6))
+    assert (np.diff(primitives[np.concatenate(parts)]) <= 0).all()
+    assert max(primitives[part].sum() for part in parts) < largest + 5
+    assert len(parts) == min(6, -(-20 // largest))
 
 
 def test_a_sequence_does_not_notice_its_batch(weights):
@@ -88,7 +99,7 @@ def test_memory_may_be_bought_with_time(weights):
 
 
 def test_fewer_steps_take_fewer_passes(weights):
-    assert _generated(weights, BATCH, **{"ddim-steps": "1"}).cost.network_passes == 3 * 2 * 2 * (2 * 1 + 1)
+    assert _generated(weights, BATCH, **{"ddim-steps": "1"}).cost.network_passes == 3 * (2 + 1) * (2 * 1 + 1)
 
 
 def test_a_model_of_one_skeleton_moves_bodies_of_their_own_size(tmp_path):

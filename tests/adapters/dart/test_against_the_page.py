@@ -83,6 +83,17 @@ def test_a_long_roll_out_under_any_guidance(model, start, scale):
     _close(torch.cat([each.joints for each in done], dim=1), expected)
 
 
+def test_a_motion_that_ends_leaves_the_others_as_they_are(model, start):
+    frames, placement = start
+    given = (model, model.scaling.standardised(frames), placement)
+    sample = by_ddim(GuidedDenoiser(model.denoiser, TEXT, 5.0), model.schedule, _normal(3, 2, 1, 16))
+    whole = roll_out(*given, sample, 3)
+    cut = roll_out(*given, sample, 3, going_on=[2, 2, 1])
+    assert [len(each.joints) for each in cut] == [2, 2, 1]
+    for one, other in zip(cut, whole, strict=True):
+        torch.testing.assert_close(one.joints, other.joints[: len(one.joints)], rtol=0, atol=1e-12)
+
+
 def test_free_generation_is_ancestral_with_the_small_variance(model, start):
     draws = [_normal(2, 1, 16, seed=place) for place in range(4)]
     history = model.scaling.standardised(start[0])
