@@ -75,12 +75,17 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
     from prbench_adapters.gmd.model import GMDModel
 
     require_known(options, _OPTIONS)
-    folder = Path(str(files("prbench_adapters.gmd.weights")))
+    folder = weights_folder()
     if weights is None:
         require_default(NAME, DEFAULT_WEIGHTS, folder)
     path = resolve(weights, DEFAULT_WEIGHTS, folder=folder)
     model = GMDModel.load(path, device, text_path=options.get("text-path"))
     return GMD(model, path, _settings(options, diffusion_steps=model.configuration.diffusion_steps))
+
+
+def weights_folder() -> Path:
+    """Where this method's bundled weights are."""
+    return Path(str(files("prbench_adapters.gmd.weights")))
 
 
 def _settings(options: Mapping[str, str], *, diffusion_steps: int) -> GMDSettings:
