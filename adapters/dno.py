@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.errors import AdapterError
 from prbench_adapters.diffusion.goals import require_goals_within_reach
 
 if TYPE_CHECKING:
@@ -73,12 +74,17 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
         InputFileError: if the file is not one of a denoiser.
         ValueError: for options that are unknown or have impossible values.
     """
-    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.bundled import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
     from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS
     from prbench_adapters.diffusion.options import require_known
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *OPTIMISATION_OPTIONS))
+    if weights is None and DEFAULT_WEIGHTS not in bundled_names():
+        raise AdapterError(
+            f"dno has no network of its own, and its default '{DEFAULT_WEIGHTS}' (part of the method mdm) is not"
+            " installed. Give --weights of a text-to-motion model."
+        )
     path = resolve(weights, DEFAULT_WEIGHTS)
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     require_goal(model, path, "none")

@@ -11,8 +11,8 @@ _SUFFIX = ".safetensors"
 
 
 def bundled_names(folder: Path | None = None) -> list[str]:
-    """Names of the bundled weights, sorted: those in a method's own folder, or those that the others share."""
-    return sorted(path.name.removesuffix(_SUFFIX) for path in (folder or _folder()).glob(f"*{_SUFFIX}"))
+    """Names of the bundled weights, sorted: those of one folder, or of all methods that are there."""
+    return sorted(_files(folder))
 
 
 def bundled_weights(name: str, folder: Path | None = None) -> Path:
@@ -20,15 +20,15 @@ def bundled_weights(name: str, folder: Path | None = None) -> Path:
 
     Args:
         name: Without its suffix.
-        folder: Of a method that keeps its weights beside its code; None for the folder that the others share.
+        folder: Where they must be; None for any method's: ``dno``, for one, runs on those of another.
 
     Raises:
         AdapterError: if there are none of this name; says what there is.
     """
-    path = (folder or _folder()) / f"{name}{_SUFFIX}"
-    if path.is_file():
-        return path
-    names = bundled_names(folder)
+    found = _files(folder)
+    if name in found:
+        return found[name]
+    names = sorted(found)
     hint = did_you_mean(name, names)
     known = ", ".join(names) or "none in this installation"
     raise AdapterError(
@@ -80,5 +80,12 @@ def _only_file(folder: Path) -> Path:
     raise AdapterError(f"weights {folder}: expected one {_SUFFIX} file in the folder, found {listed}. Name the file.")
 
 
-def _folder() -> Path:
-    return Path(str(files("prbench_adapters.weights")))
+def _files(folder: Path | None) -> dict[str, Path]:
+    """Bundled weights by name; a method that was removed leaves none."""
+    folders = _folders() if folder is None else [folder]
+    return {path.name.removesuffix(_SUFFIX): path for one in folders for path in one.glob(f"*{_SUFFIX}")}
+
+
+def _folders() -> list[Path]:
+    """Where the methods that come with prbench keep theirs: in the folder ``weights`` beside their code."""
+    return sorted(Path(str(files("prbench_adapters"))).glob("*/weights"))

@@ -1,8 +1,8 @@
-"""The training tasks ``mdm`` and ``pr``: from a ``[model]`` table, data and initial weights to a module to train."""
+"""Training tasks of the methods with a denoiser: from a ``[model]`` table, data and initial weights to a module."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import torch
 
+from prbench.contract import Adapter
 from prbench.errors import InputFileError, UsageError
 from prbench.representation.features import N_FEATURES
 from prbench.text import text_encoder
@@ -19,7 +20,7 @@ from prbench_adapters.diffusion.condition_vector import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.losses import Objective
-from prbench_adapters.diffusion.model import KIND
+from prbench_adapters.diffusion.model import KIND, MotionModel
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.diffusion.training import DiffusionTraining
 
@@ -36,7 +37,10 @@ class DiffusionTask:
     name: str
     goals: tuple[str, ...]
     """Kinds of goal that its models may have once they are fine-tuned."""
-    configurations: str = "prbench_adapters.configurations"
+    configurations: str
+    """Import name of the package with the method's ``<name>-<configuration>.toml``."""
+    validating: Callable[[MotionModel], Adapter]
+    """Makes the adapter that validation asks for motions, from the network as it is then."""
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
@@ -76,6 +80,7 @@ class DiffusionTask:
             scaling=_scaling(configuration, start, data),
             texts=texts,
             objective=objective,
+            validating=self.validating,
             origin=_origin(configuration, start),
         )
 
@@ -178,13 +183,3 @@ def _origin(configuration: DenoiserConfiguration, start: Weights | None) -> tupl
     if start is not None:
         lines.append(f"initial weights {start.path.name}, sha256 {start.digest}")
     return tuple(lines)
-
-
-def mdm() -> DiffusionTask:
-    """Entry point ``mdm``: text to motion; pre-training and fine-tuning alike."""
-    return DiffusionTask("mdm", goals=())
-
-
-def pr() -> DiffusionTask:
-    """Entry point ``pr``: text, initial state and goal; its pre-training may be that of ``mdm``."""
-    return DiffusionTask("pr", goals=("pose", "location"))

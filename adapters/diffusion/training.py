@@ -1,10 +1,10 @@
-"""Training of denoisers: MDM on text alone, P&R on text, initial state and goal (``methods/pr-model.md`` section 4)."""
+"""Training of denoisers: on text alone, or on text, initial state and goal (``methods/pr-model.md`` section 4)."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import torch
@@ -18,16 +18,10 @@ from prbench.training.weights import representation_entry
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.generation import SamplingSettings
-from prbench_adapters.diffusion.goals import GOALS
 from prbench_adapters.diffusion.losses import Objective, losses
 from prbench_adapters.diffusion.model import KIND, MotionModel
 from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
-from prbench_adapters.mdm import MDM
-from prbench_adapters.pr import PR, Generation, TrainedFor
-
-_TEXT_GUIDANCE = 2.5  # methods/pr-model.md, section 5
 
 
 @dataclass(frozen=True)
@@ -50,6 +44,7 @@ class DiffusionTraining(TrainingModule):
         scaling: Of the condition vector; None for a model without a goal.
         texts: Vectors of the captions.
         objective: Weights of the losses.
+        validating: Makes the adapter that validation asks for motions.
         origin: Lines for the card about what the weights build upon.
     """
 
@@ -61,11 +56,12 @@ class DiffusionTraining(TrainingModule):
         scaling: ConditionScaling | None,
         texts: TextVectors,
         objective: Objective,
+        validating: Callable[[MotionModel], Adapter],
         origin: tuple[str, ...] = (),
     ) -> None:
         super().__init__()
         self.denoiser, self.scaling, self.texts = denoiser, scaling, texts
-        self.objective, self.origin = objective, origin
+        self.objective, self.validating, self.origin = objective, validating, origin
         schedule = CosineSchedule(denoiser.configuration.diffusion_steps)
         alphas_cumprod = torch.as_tensor(schedule.alphas_cumprod)
         self.mean: torch.Tensor
@@ -137,19 +133,11 @@ class DiffusionTraining(TrainingModule):
         return tensors, metadata
 
     def adapter(self, device: str) -> Adapter:
-        """``mdm`` or ``pr`` without noise optimisation, with a copy of the weights as they are now."""
-        model = MotionModel(
-            copy.deepcopy(self.denoiser).to(device),
-            mean=self.mean,
-            std=self.std,
-            scaling=self.scaling,
-            texts=self.texts,
+        """The method's own, with a copy of the weights as they are now."""
+        network = copy.deepcopy(self.denoiser).to(device)
+        return self.validating(
+            MotionModel(network, mean=self.mean, std=self.std, scaling=self.scaling, texts=self.texts)
         )
-        trained = Path("the network in training")
-        if self.denoiser.configuration.goal == "none":
-            return MDM(model, trained, SamplingSettings(guidance=_TEXT_GUIDANCE))
-        condition = next(key for key, goal in GOALS.items() if goal == self.denoiser.configuration.goal)
-        return PR({condition: TrainedFor(model, trained)}, Generation(SamplingSettings(guidance=1.0), None))
 
     def learned_from(self) -> tuple[str, ...]:
         """The initial weights and the text encoder."""

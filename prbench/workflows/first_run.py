@@ -12,6 +12,7 @@ from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.evaluation.cache import cache_folder
 from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
+from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
 from prbench.manifests import digest_of, load_manifest, load_protocol
 from prbench.sequences import SequenceTable
@@ -56,10 +57,16 @@ def default_table(engine: Engine, progress: Progress) -> SequenceTable:
 
 
 def companions(request: RunRequest) -> Iterator[RunRequest]:
-    """The same sequences for text alone, clockwork, a mean pose and the recorded motion; none for one of these."""
+    """The same sequences for text alone, clockwork, a mean pose and the recorded motion, as far as they are installed.
+
+    None for one of these.
+    """
     if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:
         return
+    there = {SCRIPTED, GROUND_TRUTH, *(adapter.name for adapter in list_adapters())}
     for method, condition in _COMPANIONS:
+        if method not in there:
+            continue
         yield replace(
             request,
             method=method,

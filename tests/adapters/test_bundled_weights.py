@@ -21,7 +21,7 @@ PROTOCOL_FRAMES = 241
 
 
 def test_the_methods_find_their_default_weights():
-    assert bundled_names() == sorted(GOALS)
+    assert set(GOALS) <= set(bundled_names())
 
 
 @pytest.mark.parametrize("name", GOALS)

@@ -66,7 +66,7 @@ def test_small_takes_the_steps_and_batches_of_the_p_and_r_model():
     """All baselines get the same data, steps and parameters."""
     for stage in ("pretrain", "finetune"):
         own = _load("small", stage)
-        theirs = load_configuration("small", package="prbench_adapters.configurations", task="pr", stage=stage)
+        theirs = load_configuration("small", package="prbench_adapters.pr", task="pr", stage=stage)
         assert (own.training.steps, own.training.batch_size) == (theirs.training.steps, theirs.training.batch_size)
         assert own.data == theirs.data
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ def shipped(tmp_path, monkeypatch) -> Path:
     folder.mkdir()
     for name in ("mdm-small.safetensors", "mdm-small.json", "pr-small-goal-loc.safetensors"):
         (folder / name).touch()
-    monkeypatch.setattr(bundled, "_folder", lambda: folder)
+    monkeypatch.setattr(bundled, "_folders", lambda: [folder])
     return folder
 
 
@@ -67,6 +68,9 @@ def test_an_installation_without_weights_says_so(shipped):
         bundled.resolve(None, "mdm-small")
 
 
-def test_everything_in_the_package_folder_has_its_card():
-    for name in bundled.bundled_names():
-        assert bundled.bundled_weights(name).with_suffix(".json").is_file()
+def test_weights_of_every_method_are_found_by_a_name_of_their_own_and_have_cards():
+    files = list(Path(str(resources.files("prbench_adapters"))).rglob("*.safetensors"))
+    assert sorted(file.stem for file in files) == bundled.bundled_names()
+    for file in files:
+        assert bundled.resolve(None, file.stem) == file
+        assert file.with_suffix(".json").is_file()

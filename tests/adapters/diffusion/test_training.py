@@ -17,7 +17,8 @@ from prbench.training import SequenceDataset, collate
 from prbench.training.batch import MotionBatch
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
-from prbench_adapters.diffusion.tasks import DiffusionTask, mdm, pr
+from prbench_adapters import mdm, pr
+from prbench_adapters.diffusion.tasks import DiffusionTask
 from prbench_adapters.diffusion.training import DiffusionTraining
 from tests.fakes import fake_dataset
 
@@ -67,7 +68,7 @@ def _saved(module: DiffusionTraining, path: Path) -> Path:
 @pytest.fixture(scope="module")
 def pretrained(data: SequenceDataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[DiffusionTraining, Path]:
     """A text model with other statistics than those of the data, as if it had learnt from a corpus."""
-    module = _build(mdm(), data, stage="pretrain", seed=1)
+    module = _build(mdm.training_task(), data, stage="pretrain", seed=1)
     module.mean += 0.25
     module.std *= 1.5
     return module, _saved(module, tmp_path_factory.mktemp("weights") / "prior.safetensors")
@@ -85,13 +86,13 @@ def _output(module: DiffusionTraining, batch: MotionBatch) -> torch.Tensor:
 @pytest.mark.parametrize("goal", ["location", "pose"])
 def test_fine_tuning_starts_at_the_output_of_the_pretrained_model(data, batch, pretrained, goal, injection):
     before, weights = pretrained
-    after = _build(pr(), data, initial=weights, goal=goal, injection=injection, seed=2)
+    after = _build(pr.training_task(), data, initial=weights, goal=goal, injection=injection, seed=2)
     assert torch.allclose(_output(before, batch), _output(after, batch), atol=1e-6)
 
 
 def test_fine_tuning_keeps_the_statistics_of_the_pretrained_model(data, pretrained):
     before, weights = pretrained
-    after = _build(pr(), data, initial=weights, goal="location")
+    after = _build(pr.training_task(), data, initial=weights, goal="location")
     assert torch.equal(after.mean, before.mean)
     assert torch.equal(after.std, before.std)
     assert after.scaling is not None
@@ -100,7 +101,7 @@ def test_fine_tuning_keeps_the_statistics_of_the_pretrained_model(data, pretrain
 
 
 def test_without_pretraining_statistics_are_those_of_the_data(data):
-    module = _build(pr(), data, goal="location")
+    module = _build(pr.training_task(), data, goal="location")
     own = data.statistics()
     assert isinstance(own, Statistics)
     assert np.array_equal(module.mean.numpy(), own.mean)
@@ -108,21 +109,21 @@ def test_without_pretraining_statistics_are_those_of_the_data(data):
 
 
 def test_further_fine_tuning_keeps_condition_statistics_too(data, tmp_path):
-    first = _build(pr(), data, goal="location")
+    first = _build(pr.training_task(), data, goal="location")
     assert first.scaling is not None
     first.scaling.mean.add_(0.5)
-    second = _build(pr(), data, goal="location", initial=_saved(first, tmp_path / "first.safetensors"))
+    second = _build(pr.training_task(), data, goal="location", initial=_saved(first, tmp_path / "first.safetensors"))
     assert second.scaling is not None
     assert torch.equal(second.scaling.mean, first.scaling.mean)
 
 
 def test_people_with_bones_of_their_own_are_no_uniform_skeleton(data):
     with pytest.raises(UsageError, match=r"model.uniform_skeleton: .* HumanML3D"):
-        _build(pr(), data, goal="location", uniform_skeleton=True)
+        _build(pr.training_task(), data, goal="location", uniform_skeleton=True)
 
 
 def test_draws_depend_on_seed_step_and_rank_alone(data, batch):
-    module, other = _build(mdm(), data), _build(mdm(), data, seed=5)
+    module, other = _build(mdm.training_task(), data), _build(mdm.training_task(), data, seed=5)
     for name in ("step", "without_text", "noise"):
         assert torch.equal(getattr(module.draw(batch, 7), name), getattr(other.draw(batch, 7), name))
     other.rank = 1
@@ -131,7 +132,7 @@ def test_draws_depend_on_seed_step_and_rank_alone(data, batch):
 
 
 def test_text_is_hidden_as_often_as_asked_and_the_vector_never(data, batch):
-    module = _build(pr(), data, goal="location", text_drop=0.3)
+    module = _build(pr.training_task(), data, goal="location", text_drop=0.3)
     many = torch.cat([module.draw(batch, step).without_text for step in range(300)])
     assert float(many.float().mean()) == pytest.approx(0.3, abs=0.05)
     hidden = module.condition(batch, torch.ones(len(batch), dtype=torch.bool))
@@ -146,7 +147,7 @@ def test_text_is_hidden_as_often_as_asked_and_the_vector_never(data, batch):
 
 def test_the_noisiest_steps_get_the_share_that_is_asked_for(data, batch):
     """T = 10: the noisiest sixth, rounded up, are two steps, of which a uniform draw takes a fifth."""
-    module, more = _build(mdm(), data), _build(mdm(), data, noisiest_share=0.5)
+    module, more = _build(mdm.training_task(), data), _build(mdm.training_task(), data, noisiest_share=0.5)
     shares = [
         float(torch.cat([trained.draw(batch, step).step for step in range(300)]).ge(8).float().mean())
         for trained in (module, more)
@@ -156,7 +157,7 @@ def test_the_noisiest_steps_get_the_share_that_is_asked_for(data, batch):
 
 def test_conditions_know_nothing_of_the_frames_in_between(data, batch):
     """The firewall of training: what the network is told may not change with the motion that it shall find."""
-    module = _build(pr(), data, goal="location")
+    module = _build(pr.training_task(), data, goal="location")
     shown = torch.zeros(len(batch), dtype=torch.bool)
     between = batch.joints.clone()
     between[:, 1:-1] += 1.0
@@ -169,7 +170,7 @@ def test_conditions_know_nothing_of_the_frames_in_between(data, batch):
 
 @pytest.mark.parametrize("goal", ["location", "pose"])
 def test_the_standardised_vector_of_the_training_data_has_mean_0(data, goal):
-    module = _build(pr(), data, goal=goal)
+    module = _build(pr.training_task(), data, goal=goal)
     everything = collate([data[index] for index in range(len(data))])
     vector = module.condition(everything, torch.zeros(len(data), dtype=torch.bool)).vector
     assert vector is not None
@@ -178,7 +179,7 @@ def test_the_standardised_vector_of_the_training_data_has_mean_0(data, goal):
 
 def test_padding_changes_no_loss(data):
     short, long = (collate([data[int(index)]]) for index in np.argsort(data.lengths)[[0, -1]])
-    module = _build(mdm(), data)
+    module = _build(mdm.training_task(), data)
     extra = long.features.shape[1] - short.features.shape[1]
     assert extra > 0
     padded = dataclasses.replace(
@@ -195,7 +196,7 @@ def test_padding_changes_no_loss(data):
 
 
 def test_every_weight_learns_and_the_loss_of_one_batch_falls(data, batch):
-    module = _build(pr(), data, goal="location", text_drop=0.0)
+    module = _build(pr.training_task(), data, goal="location", text_drop=0.0)
     optimiser = torch.optim.AdamW(module.parameters(), lr=5e-3)
     first = module(batch, 0)
     first["loss"].backward()
@@ -210,7 +211,7 @@ def test_every_weight_learns_and_the_loss_of_one_batch_falls(data, batch):
 
 
 def test_the_true_motion_has_no_loss(data, batch):
-    module = _build(mdm(), data)
+    module = _build(mdm.training_task(), data)
     clean = (batch.features - module.mean) / module.std
     module.denoiser.forward = lambda *given: clean
     found = module(dataclasses.replace(batch, joints=decode(batch.features)), 0)
@@ -220,13 +221,13 @@ def test_the_true_motion_has_no_loss(data, batch):
 @pytest.mark.parametrize(
     ("task", "stage", "model", "message"),
     [
-        (mdm(), "finetune", {"goal": "location"}, "--method mdm .* expected model.goal to be none"),
-        (pr(), "finetune", {"goal": "none"}, "expected model.goal to be pose or location, found 'none'"),
-        (pr(), "finetune", {"goal": "location", "widht": 32}, "unknown field `widht`"),
-        (mdm(), "pretrain", {"text_dimension": 768}, "vectors of 64 numbers, found 768"),
-        (mdm(), "pretrain", {"representation": "reference"}, "data.mode: the model expects reference"),
-        (mdm(), "pretrain", {"max_frames": 100}, "expected at most the model's 100, found 241"),
-        (mdm(), "pretrain", {"fps": 30.0}, "the model expects 30.0, found 20.0"),
+        (mdm.training_task(), "finetune", {"goal": "location"}, "--method mdm .* expected model.goal to be none"),
+        (pr.training_task(), "finetune", {"goal": "none"}, "expected model.goal to be pose or location, found 'none'"),
+        (pr.training_task(), "finetune", {"goal": "location", "widht": 32}, "unknown field `widht`"),
+        (mdm.training_task(), "pretrain", {"text_dimension": 768}, "vectors of 64 numbers, found 768"),
+        (mdm.training_task(), "pretrain", {"representation": "reference"}, "data.mode: the model expects reference"),
+        (mdm.training_task(), "pretrain", {"max_frames": 100}, "expected at most the model's 100, found 241"),
+        (mdm.training_task(), "pretrain", {"fps": 30.0}, "the model expects 30.0, found 20.0"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(data, task, stage, model, message):
@@ -236,13 +237,13 @@ def test_what_does_not_fit_together_is_refused(data, task, stage, model, message
 
 def test_initial_weights_of_another_size_are_refused_with_the_key_to_change(data, pretrained):
     with pytest.raises(InputFileError, match=r"configuration\.width: expected 32.* --set model\.width=16"):
-        _build(pr(), data, initial=pretrained[1], goal="location", width=32)
+        _build(pr.training_task(), data, initial=pretrained[1], goal="location", width=32)
 
 
 def test_initial_weights_for_the_other_goal_are_refused(data, tmp_path):
-    weights = _saved(_build(pr(), data, goal="pose"), tmp_path / "pose.safetensors")
+    weights = _saved(_build(pr.training_task(), data, goal="pose"), tmp_path / "pose.safetensors")
     with pytest.raises(InputFileError, match=r"configuration\.goal: expected location.*found pose"):
-        _build(pr(), data, initial=weights, goal="location")
+        _build(pr.training_task(), data, initial=weights, goal="location")
 
 
 def test_goal_locations_are_asked_of_the_data(data):
@@ -254,10 +255,12 @@ def test_goal_locations_are_asked_of_the_data(data):
             raise TableError("no goal location")
 
     with pytest.raises(TableError, match="no goal location"):
-        _build(pr(), WithoutGoals(), goal="location")
+        _build(pr.training_task(), WithoutGoals(), goal="location")
 
 
-@pytest.mark.parametrize(("task", "goal"), [(mdm(), "none"), (pr(), "location"), (pr(), "pose")])
+@pytest.mark.parametrize(
+    ("task", "goal"), [(mdm.training_task(), "none"), (pr.training_task(), "location"), (pr.training_task(), "pose")]
+)
 def test_the_adapter_for_validation_takes_the_condition_that_was_trained(data, task, goal):
     module = _build(task, data, goal=goal)
     adapter = module.adapter("cpu")

@@ -220,7 +220,7 @@ def test_small_networks_fit_the_package_as_float16():
 
 
 def test_small_has_the_data_steps_and_optimiser_of_the_pr_model():
-    shared = "prbench_adapters.configurations"
+    shared = "prbench_adapters.pr"
     for stage in ("pretrain", "finetune"):
         pr, gmd = load_configuration("small", package=shared, task="pr", stage=stage), _load("small", stage)
         assert gmd.data == pr.data

@@ -321,7 +321,7 @@ def test_configurations_are_complete_and_of_their_size(name):
 
 def test_small_is_trained_like_the_small_models_of_the_study():
     """Batches, learning rate and data of both stages; 13,000 steps in all, as the model of goal poses had."""
-    package = {"ours": ("prbench_adapters.wandr", "wandr"), "theirs": ("prbench_adapters.configurations", "pr")}
+    package = {"ours": ("prbench_adapters.wandr", "wandr"), "theirs": ("prbench_adapters.pr", "pr")}
     total = 0
     for stage in ("pretrain", "finetune"):
         ours, theirs = (

@@ -60,10 +60,11 @@ def test_every_number_of_the_published_table_has_a_row(shipped, samples):
 
 
 def test_bundled_weights_of_the_methods_that_have_some_are_there(shipped):
-    files = resources.files("prbench_adapters.weights")
+    files = resources.files("prbench_adapters")
+    homes = {"mdm": "mdm", "dno": "mdm", "pr": "pr"}
     for row in shipped.rows:
-        if row.method in ("mdm", "dno", "pr") and row.bundled:
-            assert (files / f"{row.bundled}.safetensors").is_file(), row.bundled
+        if row.method in homes and row.bundled:
+            assert (files / homes[row.method] / "weights" / f"{row.bundled}.safetensors").is_file(), row.bundled
 
 
 def test_names_are_fit_for_folders_and_unique(shipped):

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
 from prbench_adapters.diffusion.goals import GOALS, require_goals_within_reach
+from prbench_adapters.diffusion.text_sampler import IN_TRAINING, TEXT_GUIDANCE, TextSampler
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.generation import SamplingSettings
@@ -144,6 +145,17 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
     fewest = min(trained.model.configuration.diffusion_steps for trained in models.values())
     return PR(models, _generation(options, diffusion_steps=fewest))
+
+
+def in_training(model: MotionModel) -> Adapter:
+    """What a training of this method is validated with: no noise optimisation, and in pre-training no goal."""
+    from prbench_adapters.diffusion.generation import SamplingSettings
+
+    goal = model.configuration.goal
+    if goal == "none":
+        return TextSampler(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))
+    condition = next(key for key, kind in GOALS.items() if kind == goal)
+    return PR({condition: TrainedFor(model, IN_TRAINING)}, Generation(SamplingSettings(guidance=_GUIDANCE), None))
 
 
 def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Condition, ...]) -> TrainedFor:

@@ -1,6 +1,6 @@
 """The rows of the study's ablations as configurations (*Prime and Reach*, tables 3, 4 and S4 to S7).
 
-``python -m prbench_adapters.configurations.ablations [TABLE …]`` prints the commands that train and run them.
+``python -m prbench_adapters.pr.ablations [TABLE …]`` prints the commands that train and run them.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Ablation:
 
 def load_ablations() -> tuple[Ablation, ...]:
     """All rows, in the order of the study's tables."""
-    content = tomllib.loads(_read("prbench_adapters.configurations", "ablations.toml"))
+    content = tomllib.loads(_read("prbench_adapters.pr", "ablations.toml"))
     full = content["full"]
     return tuple(
         Ablation(

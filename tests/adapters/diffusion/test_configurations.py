@@ -13,18 +13,18 @@ from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.losses import Objective
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
 
-PACKAGE = "prbench_adapters.configurations"
+PACKAGES = {"mdm": "prbench_adapters.mdm", "pr": "prbench_adapters.pr"}
 NAMES = ("paper", "small", "smoke")
 STAGES = ("pretrain", "finetune")
 
 
 def _load(task: str, name: str, stage: str) -> TrainingConfiguration:
-    return load_configuration(name, package=PACKAGE, task=task, stage=stage)
+    return load_configuration(name, package=PACKAGES[task], task=task, stage=stage)
 
 
 @pytest.mark.parametrize("task", ["mdm", "pr"])
 def test_each_task_has_its_three_sizes(task):
-    assert list_configurations(PACKAGE, task) == NAMES
+    assert list_configurations(PACKAGES[task], task) == NAMES
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -42,7 +42,7 @@ def test_data_and_model_of_a_configuration_fit_together(task, name, stage):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("task", ["mdm", "pr"])
 def test_shown_commands_name_the_stage_without_which_a_goal_is_never_learnt(task, name):
-    text = resources.files(PACKAGE).joinpath(f"{task}-{name}.toml").read_text(encoding="utf-8")
+    text = resources.files(PACKAGES[task]).joinpath(f"{task}-{name}.toml").read_text(encoding="utf-8")
     for command in re.findall(r"prbench train .*", text):
         stage = re.search(r"--stage (\w+)", command)
         assert stage is not None, command
@@ -100,7 +100,7 @@ def test_the_small_configurations_need_no_download():
 @pytest.mark.parametrize("task", ["mdm", "pr"])
 def test_every_number_of_the_paper_configurations_names_its_source(task):
     sourced = ("paper", "MDM", "choice", "DistilBERT")
-    for line in resources.files(PACKAGE).joinpath(f"{task}-paper.toml").read_text(encoding="utf-8").splitlines():
+    for line in resources.files(PACKAGES[task]).joinpath(f"{task}-paper.toml").read_text(encoding="utf-8").splitlines():
         key, _, value = line.partition("=")
         bookkeeping = key.strip() in {"mode", "save_every", "log_every", "sequences", "condition"}
         if value and not line.startswith("#") and not bookkeeping:

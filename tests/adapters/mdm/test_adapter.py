@@ -15,7 +15,7 @@ from prbench.evaluation.run import run_method
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import RunRecord
 from prbench.storage import file_digest
-from prbench_adapters import mdm
+from prbench_adapters.mdm.adapter import DEFAULT_WEIGHTS, MDM
 from tests.adapters.diffusion import tiny
 from tests.fakes import fake_dataset
 
@@ -35,9 +35,9 @@ def _own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
 
 
-def _load(weights: Path | None, device: str = "cpu", **options: str) -> mdm.MDM:
+def _load(weights: Path | None, device: str = "cpu", **options: str) -> MDM:
     adapter = load_adapter("mdm", weights, options, device)
-    assert isinstance(adapter, mdm.MDM)
+    assert isinstance(adapter, MDM)
     return adapter
 
 
@@ -128,8 +128,8 @@ def test_importing_the_module_is_cheap():
 def test_bundled_weights_run_by_name_if_they_are_shipped():
     from prbench_adapters.diffusion.bundled import bundled_names
 
-    if mdm.DEFAULT_WEIGHTS not in bundled_names():
+    if DEFAULT_WEIGHTS not in bundled_names():
         pytest.skip("this checkout has no bundled weights")
-    adapter = _load(Path(mdm.DEFAULT_WEIGHTS), sampler="ddim", steps="2")
+    adapter = _load(Path(DEFAULT_WEIGHTS), sampler="ddim", steps="2")
     assert adapter.max_frames == 241
     assert np.isfinite(adapter.generate(tiny.text_batch([20]), seed=0).joints).all()

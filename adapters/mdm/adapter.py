@@ -9,36 +9,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.contract import Condition, ConditionBatch, Motions
+from prbench_adapters.diffusion.text_sampler import IN_TRAINING, TEXT_GUIDANCE, TextSampler
 
 if TYPE_CHECKING:
-    from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
 
 DEFAULT_WEIGHTS = "mdm-small"
-_GUIDANCE = 2.5  # methods/mdm.md, "Classifier-free guidance"
 
 
-class MDM:
+class MDM(TextSampler):
     """Samples motions from text; every motion starts at the canonical origin and faces +Z."""
 
     name = "mdm"
-    conditions = frozenset({Condition.TEXT})
-
-    def __init__(self, model: MotionModel, weights: Path, settings: SamplingSettings) -> None:
-        self.model, self.weights, self.settings = model, weights, settings
-        self.max_frames = model.configuration.max_frames
-        self.native_fps = model.configuration.fps
-
-    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model
-        """The weights file in use."""
-        return self.weights
-
-    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
-        """Sample one motion for each row."""
-        from prbench_adapters.diffusion.generation import generate
-
-        return generate(self.model, batch, self.settings)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MDM:
@@ -66,4 +48,11 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     require_goal(model, path, "none")
     steps = model.configuration.diffusion_steps
-    return MDM(model, path, sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps))
+    return MDM(model, path, sampling_settings(options, guidance=TEXT_GUIDANCE, diffusion_steps=steps))
+
+
+def in_training(model: MotionModel) -> MDM:
+    """What a training of this method is validated with."""
+    from prbench_adapters.diffusion.generation import SamplingSettings
+
+    return MDM(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))

@@ -16,11 +16,11 @@ from prbench.training import SequenceDataset, collate
 from prbench.training.configuration import load_configuration
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
-from prbench_adapters.configurations import ablations
-from prbench_adapters.configurations.ablations import Ablation, load_ablations
 from prbench_adapters.diffusion.generation import SamplingSettings
-from prbench_adapters.diffusion.tasks import mdm, pr, read_model_table
-from prbench_adapters.pr import Generation, load
+from prbench_adapters.diffusion.tasks import read_model_table
+from prbench_adapters.pr import ablations, training_task
+from prbench_adapters.pr.ablations import Ablation, load_ablations
+from prbench_adapters.pr.adapter import Generation, load
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import fake_dataset
@@ -85,12 +85,12 @@ def _module(row: Ablation, data: SequenceDataset, folder: Path):
     given = TrainingData(train=data, mode=data.mode, max_frames=data.max_frames, fps=data.fps)
     initial = None
     if row.pretraining != "none":
-        prior = mdm().build(
+        prior = training_task().build(
             {**smoke, "goal": "none", **row.pretrained_model}, data=given, initial=None, stage="pretrain"
         )
         initial = folder / "prior.safetensors"
         write_weights(initial, *prior.weights(), {})
-    return pr().build({**smoke, **row.model}, data=given, initial=initial, stage="finetune")
+    return training_task().build({**smoke, **row.model}, data=given, initial=initial, stage="finetune")
 
 
 @pytest.mark.parametrize("name", BY_NAME)

@@ -1,1 +1,0 @@
-"""Training configurations of the diffusion models: ``<task>-<name>.toml``, and the rows of the study's ablations."""

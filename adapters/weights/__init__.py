@@ -1,1 +1,0 @@
-"""Weights that come with prbench: ``<name>.safetensors`` and its card ``<name>.json``. Data only."""
