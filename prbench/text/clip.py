@@ -84,7 +84,10 @@ class Clip:
         careful = careful_loading(self.source)
         if careful is None:
             raise self._unusable("no such folder")
-        from transformers import CLIPTextModelWithProjection, CLIPTokenizerFast
+        from transformers import (
+            CLIPTextModelWithProjection,
+            CLIPTokenizerFast,  # pyright: ignore[reportAttributeAccessIssue] - an alias made late
+        )
 
         class TextTower(CLIPTextModelWithProjection):
             """Silent about the parts of a whole CLIP that it does not need."""

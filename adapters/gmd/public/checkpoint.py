@@ -77,16 +77,17 @@ def read_checkpoint(path: Path) -> Checkpoint:
         UsageError: if this version of PyTorch cannot be trusted to open it.
     """
     require_safe_torch()
-    content = _content(path)
-    copy = next((name for name in _COPIES if isinstance(content, Mapping) and name in content), "only")
-    state = content[copy] if copy != "only" else content
-    if not isinstance(state, Mapping):
-        raise InputFileError(path, copy, expected="tensors by name", found=f"a {type(state).__name__}")
+    content = _mapping(path, _content(path))
+    copy = next((name for name in _COPIES if name in content), "only")
+    state = content if copy == "only" else _mapping(path, content[copy])
+    tensors = {}
     for name, value in state.items():
         if not isinstance(value, Tensor):
             found = f"a {type(value).__name__}"
             raise InputFileError(path, f"'{name}'", expected="a tensor", found=found, remedy=_saving_anew(path))
-    return Checkpoint(path, copy, {name: value for name, value in state.items() if is_learnt(name)})
+        if is_learnt(name):
+            tensors[name] = value
+    return Checkpoint(path, copy, tensors)
 
 
 def require_safe_torch() -> None:
@@ -102,6 +103,12 @@ def require_safe_torch() -> None:
             f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} (CVE-2025-32434)."
             f" Run: pip install 'torch>={least}'"
         )
+
+
+def _mapping(path: Path, value: object) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise InputFileError(path, "", expected="tensors by name", found=f"a {type(value).__name__}")
+    return value
 
 
 def _content(path: Path) -> object:

@@ -25,10 +25,12 @@ def configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float
         InputFileError: if the files hold no such networks.
     """
     size, text_dimension = motion.require("embed_text.weight", (None, None)).shape
-    widths = {"motion_widths": widths_of(motion), "trajectory_widths": widths_of(trajectory)}
+    motion_widths, trajectory_widths = widths_of(motion), widths_of(trajectory)
+    levels = max(len(motion_widths), len(trajectory_widths))
     try:
         return GMDConfiguration(
-            **widths,
+            motion_widths=motion_widths,
+            trajectory_widths=trajectory_widths,
             condition_width=size,
             emphasis=emphasis,
             text_encoder=clip.NAME,
@@ -36,7 +38,7 @@ def configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float
             diffusion_steps=1000,
             representation="reference",  # the original's own heading
             padded_frames=_PADDED_FRAMES,
-            padding_step=max(_PADDING_STEP, 2 ** (max(map(len, widths.values())) - 1)),
+            padding_step=max(_PADDING_STEP, 2 ** (levels - 1)),
             uniform_skeleton=True,  # HumanML3D's people share one
         )
     except ValueError as error:

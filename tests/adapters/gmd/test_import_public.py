@@ -186,7 +186,7 @@ def test_exchanged_checkpoints_are_told(files, tmp_path):
         (b"<html>not found</html>", r"expected a checkpoint of torch\.save .*found another format.*unpack it first"),
         ({"state_dict": torch.nn.Linear(1, 1)}, "found one that asks for 'torch.nn.modules.linear.Linear'"),
         ({"epoch": 3}, "'epoch': expected a tensor, found a int"),
-        ([1, 2], "only: expected tensors by name, found a list"),
+        ([1, 2], "expected tensors by name, found a list"),
         ({"weight": torch.zeros(2)}, r"'embed_text\.weight': expected a tensor of shape \(any, any\), found none"),
     ],
 )
