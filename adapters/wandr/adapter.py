@@ -80,7 +80,7 @@ class WANDR:
         joints = WORLD.to_y_up(roll_out(self.network, start, noise)).float().cpu().numpy()
         joints[left] = mirror(joints[left])
         joints[:, 0] = batch.initial_joints
-        return Motions(joints, batch.n_frames, Cost(noise.shape[1]))
+        return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
 
     def _require_fit(self, batch: ConditionBatch) -> None:
         if batch.fps != self.native_fps:
