@@ -62,15 +62,6 @@ def test_small_networks_fit_the_package_as_float16():
     assert model.text_encoder == "hashed-ngrams"  # nothing to download
 
 
-def test_small_takes_the_steps_and_batches_of_the_p_and_r_model():
-    """All baselines get the same data, steps and parameters."""
-    for stage in ("pretrain", "finetune"):
-        own = _load("small", stage)
-        theirs = load_configuration("small", package="prbench_adapters.pr", task="pr", stage=stage)
-        assert (own.training.steps, own.training.batch_size) == (theirs.training.steps, theirs.training.batch_size)
-        assert own.data == theirs.data
-
-
 def test_every_number_of_the_paper_configuration_names_its_source():
     for line in resources.files(PACKAGE).joinpath("dart-paper.toml").read_text(encoding="utf-8").splitlines():
         key, _, value = line.partition("=")

@@ -219,15 +219,6 @@ def test_small_networks_fit_the_package_as_float16():
     assert (model.diffusion_steps, model.text_encoder) == (100, "hashed-ngrams")
 
 
-def test_small_has_the_data_steps_and_optimiser_of_the_pr_model():
-    shared = "prbench_adapters.pr"
-    for stage in ("pretrain", "finetune"):
-        pr, gmd = load_configuration("small", package=shared, task="pr", stage=stage), _load("small", stage)
-        assert gmd.data == pr.data
-        for key in ("steps", "batch_size", "learning_rate", "schedule", "warmup_steps", "ema", "precision"):
-            assert getattr(gmd.training, key) == getattr(pr.training, key), key
-
-
 def test_the_paper_configuration_holds_the_numbers_of_the_original():
     """methods/gmd.md; the meta device has shapes without numbers."""
     pretraining, fine_tuning = _load("paper", "pretrain"), _load("paper", "finetune")
