@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prbench_adapters.dart.networks import LatentDenoiser
+from prbench_adapters.dart.prepared import PreparedDenoiser
 from prbench_adapters.dart.rollout import SampleLatent
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 from prbench_adapters.diffusion.schedule import CosineSchedule
@@ -18,7 +19,7 @@ class GuidedDenoiser:
     """A denoiser under B texts.
 
     Args:
-        denoiser: Of latents.
+        denoiser: Of latents, in evaluation mode.
         text: One vector each.
         scale: Of the guidance; 1 is the conditional estimate alone, in one pass, anything else takes two.
     """
@@ -38,11 +39,12 @@ class GuidedDenoiser:
         texts = torch.cat((text, torch.zeros_like(text))) if self.doubled else text
         histories = torch.cat((history, history)) if self.doubled else history
 
+        prepared = PreparedDenoiser(self.denoiser, texts, histories)
+
         def denoise(noisy: Tensor, step: int) -> Tensor:
             rows = torch.cat((noisy, noisy)) if self.doubled else noisy
             self.passes += len(rows)
-            steps = torch.full((len(rows),), step, dtype=torch.long, device=noisy.device)
-            clean = self.denoiser(rows, steps, texts, histories)
+            clean = prepared(rows, step)
             if not self.doubled:
                 return clean
             conditional, unconditional = clean.chunk(2)

@@ -20,7 +20,6 @@ from prbench.training.task import TrainingModule
 from prbench_adapters.dart.adapter import DartControl
 from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.guidance import GuidedDenoiser
 from prbench_adapters.dart.losses import Objective, PerMotion, body_losses, delta_loss, divergence, huber
 from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, FeatureScaling, pooled_texts
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
@@ -216,7 +215,10 @@ class DartTraining(TrainingModule):
         was_training = self.denoiser.training
         self.denoiser.eval()
         shape = (len(history), 1, self.configuration.latent)
-        denoise = GuidedDenoiser(self.denoiser, text, 1.0).under(history)
+
+        def denoise(noisy: Tensor, step: int) -> Tensor:
+            return self.denoiser(noisy, torch.full((len(noisy),), step, device=noisy.device), text, history)
+
         start = _normal(shape, generator, history.device)
         latent = sample_ddpm(denoise, self.schedule, start, lambda _: _normal(shape, generator, history.device))
         self.denoiser.train(was_training)

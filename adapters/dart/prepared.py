@@ -1,0 +1,63 @@
+"""The denoiser for the ten steps of a primitive: what does not change from step to step is computed once."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from prbench_adapters.dart.configuration import HISTORY_FRAMES
+from prbench_adapters.dart.networks import LatentDenoiser
+
+_CONTEXT = slice(1, 2 + HISTORY_FRAMES)  # places of text and history among the tokens
+_LATENT = 2 + HISTORY_FRAMES
+
+
+class PreparedDenoiser:
+    """The same as :class:`LatentDenoiser` up to rounding, a quarter cheaper, with gradients.
+
+    Only the last token changes within a primitive, besides the one for the step: the others are embedded, and projected
+    for the first layer's attention, once. Only the last token is read, so the last layer has no other queries.
+
+    Args:
+        denoiser: In evaluation mode.
+        text: One vector each; zeros for no text.
+        history: Standardised features.
+    """
+
+    def __init__(
+        self,
+        denoiser: LatentDenoiser,
+        text: Float[Tensor, "batch dimension"],
+        history: Float[Tensor, "batch history 276"],
+    ) -> None:
+        self.denoiser, self.places = denoiser, denoiser.sinusoid
+        self.project = denoiser.layers[0].self_attention.query_key_value
+        context = (denoiser.text_embedding(text)[:, None], denoiser.history_embedding(history))
+        self.context = torch.cat(context, dim=1) + self.places[_CONTEXT]
+        times = self.places[: denoiser.configuration.diffusion_steps]
+        self.times = denoiser.time_embedding(times) + self.places[0]
+        self.projected_context, self.projected_times = self.project(self.context), self.project(self.times)
+
+    def __call__(self, noisy: Float[Tensor, "batch 1 latent"], step: int) -> Float[Tensor, "batch 1 latent"]:
+        """The clean latent from a noisy one at a diffusion step."""
+        latent = self.denoiser.latent_embedding(noisy) + self.places[_LATENT]
+        stream = _tokens(self.times[step], self.context, latent)
+        projected = _tokens(self.projected_times[step], self.projected_context, self.project(latent))
+        for number, layer in enumerate(self.denoiser.layers):
+            if number:
+                projected = layer.self_attention.query_key_value(stream)
+            if number == len(self.denoiser.layers) - 1:
+                stream = stream[:, -1:]
+            attended = layer.self_attention.of_projected(projected, None, queries=stream.shape[1])
+            stream = layer.self_attention_norm(stream + attended)
+            stream = layer.feed_forward_norm(stream + layer.feed_forward(stream))
+        return self.denoiser.head(stream)
+
+
+def _tokens(
+    time: Float[Tensor, " width"],
+    context: Float[Tensor, "batch context width"],
+    latent: Float[Tensor, "batch 1 width"],
+) -> Float[Tensor, "batch tokens width"]:
+    return torch.cat((time.expand(len(latent), 1, -1), context, latent), dim=1)
