@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.networks import LatentDenoiser
@@ -14,7 +15,7 @@ _LATENT = 2 + HISTORY_FRAMES
 
 
 class PreparedDenoiser:
-    """The same as :class:`LatentDenoiser` up to rounding, a quarter cheaper, with gradients.
+    """The same as :class:`LatentDenoiser` up to rounding, with gradients, in about three quarters of the time.
 
     Only the last token changes within a primitive, besides the one for the step: the others are embedded, and projected
     for the first layer's attention, once. Only the last token is read, so the last layer has no other queries.
@@ -41,23 +42,28 @@ class PreparedDenoiser:
 
     def __call__(self, noisy: Float[Tensor, "batch 1 latent"], step: int) -> Float[Tensor, "batch 1 latent"]:
         """The clean latent from a noisy one at a diffusion step."""
-        latent = self.denoiser.latent_embedding(noisy) + self.places[_LATENT]
+        rows = len(noisy)
+        latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
         stream = _tokens(self.times[step], self.context, latent)
         projected = _tokens(self.projected_times[step], self.projected_context, self.project(latent))
         for number, layer in enumerate(self.denoiser.layers):
             if number:
                 projected = layer.self_attention.query_key_value(stream)
+            of_heads = projected.view(rows, _LATENT + 1, 3, layer.self_attention.heads, -1)
+            query, key, value = of_heads.permute(2, 0, 3, 1, 4).unbind()
             if number == len(self.denoiser.layers) - 1:
-                stream = stream[:, -1:]
-            attended = layer.self_attention.of_projected(projected, None, queries=stream.shape[1])
-            stream = layer.self_attention_norm(stream + attended)
-            stream = layer.feed_forward_norm(stream + layer.feed_forward(stream))
-        return self.denoiser.head(stream)
+                query, stream = query[:, :, -1:], stream.view(rows, _LATENT + 1, -1)[:, -1]
+            looked = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).reshape(stream.shape)
+            stream = layer.self_attention_norm(stream + layer.self_attention.output(looked))
+            hidden = functional.gelu(layer.feed_forward.expand(stream))
+            stream = layer.feed_forward_norm(stream + layer.feed_forward.contract(hidden))
+        return self.denoiser.head(stream)[:, None]
 
 
 def _tokens(
     time: Float[Tensor, " width"],
     context: Float[Tensor, "batch context width"],
-    latent: Float[Tensor, "batch 1 width"],
-) -> Float[Tensor, "batch tokens width"]:
-    return torch.cat((time.expand(len(latent), 1, -1), context, latent), dim=1)
+    latent: Float[Tensor, "batch width"],
+) -> Float[Tensor, "rows width"]:
+    """All tokens of all rows below each other: linear layers take a matrix quicker than a stack of them."""
+    return torch.cat((time.expand(len(latent), 1, -1), context, latent[:, None]), dim=1).flatten(0, 1)

@@ -30,19 +30,7 @@ class SelfAttention(nn.Module):
         self, stream: Float[Tensor, "batch length width"], visible: Bool[Tensor, "batch 1 1 length"] | None
     ) -> Float[Tensor, "batch length width"]:
         """Attend; ``visible`` says which positions of the stream are keys."""
-        return self.of_projected(self.query_key_value(stream), visible)
-
-    def of_projected(
-        self,
-        projected: Float[Tensor, "batch length width_of_three"],
-        visible: Bool[Tensor, "batch 1 1 length"] | None,
-        *,
-        queries: int | None = None,
-    ) -> Float[Tensor, "batch queries width"]:
-        """The same from queries, keys and values; for the last ``queries`` positions alone, if it is given."""
-        query, key, value = _split_heads(projected, 3, self.heads)
-        if queries is not None:
-            query = query[:, :, -queries:]
+        query, key, value = _split_heads(self.query_key_value(stream), 3, self.heads)
         return self.output(_attend(query, key, value, visible, self.dropout if self.training else 0.0))
 
 
