@@ -1,0 +1,109 @@
+"""What the bundled GMD weights can do on people and rooms that are not in their training."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from prbench.contract import Condition, ConditionBatch
+from prbench.curation import build_from_sources
+from prbench.evaluation.adapters import load_adapter
+from prbench.evaluation.conditions import ConditionSource, run_salt
+from prbench.evaluation.motions import generate_checked
+from prbench.evaluation.planning import select
+from prbench.sequences import SequenceTable
+from prbench.skeleton import Joint
+from prbench.storage import file_digest
+from prbench.workflows.synthetic_table import Staging, synthetic_source
+from prbench_adapters.gmd import adapter
+from prbench_adapters.gmd.model import GMDModel
+
+FOLDER = adapter.weights_folder()
+NAMES = ("gmd-small", "gmd-small-pretrained")
+LARGEST = 2_500_000  # bytes
+HELD_OUT = (29, 25)  # recordings of the embedded ADT table that are in its test split, with short sequences
+SEQUENCES = 8
+NEAR = 0.1  # metres
+FEW = "20"  # of 100 steps, for all that they cost
+
+pytestmark = pytest.mark.skipif(not (FOLDER / "gmd-small.safetensors").is_file(), reason="no weights are bundled")
+
+
+@pytest.fixture(scope="module")
+def held_out(tmp_path_factory: pytest.TempPathFactory) -> ConditionBatch:
+    """The shortest sequences: what they show does not depend on their length, but what they cost does."""
+    folder = tmp_path_factory.mktemp("held-out") / "table"
+    build_from_sources([synthetic_source(Staging("adt", 0), index) for index in HELD_OUT], folder)
+    selection = select(SequenceTable.open(folder), split="test", limit=None)
+    rows = np.sort(np.argsort(selection.n_frames, kind="stable")[:SEQUENCES])
+    source, salt = ConditionSource.read(selection), run_salt(0, "held-out")
+    assert len(rows) == SEQUENCES
+    return source.batch(rows, Condition.GOAL_POSE, seed=0, salt=salt, sample=0)
+
+
+def _off_the_keyframes(
+    batch: ConditionBatch, *, name: str = "gmd-small", led_to: np.ndarray | None = None, **options: str
+) -> Float[np.ndarray, "2 batch"]:
+    """How far the root is from the first and from the last keyframe, metres; motions may be led to other goals."""
+    assert batch.initial_joints is not None
+    assert batch.goal_joints is not None
+    given = batch if led_to is None else replace(batch, goal_joints=led_to)
+    ids = tuple(str(row) for row in range(len(batch)))
+    method = load_adapter("gmd", FOLDER / f"{name}.safetensors", options, "cpu")
+    motions, _ = generate_checked(method, given, seed=0, method="gmd", sequence_ids=ids)
+    last = motions.joints[np.arange(len(batch)), batch.n_frames - 1]
+    ends = ((motions.joints[:, 0], batch.initial_joints), (last, batch.goal_joints))
+    ground = [(found - wanted)[:, Joint.PELVIS, ::2] for found, wanted in ends]
+    return np.linalg.norm(ground, axis=-1)
+
+
+def test_the_root_is_at_both_keyframes_in_every_sequence(held_out):
+    assert _off_the_keyframes(held_out, steps=FEW).max() < NEAR
+
+
+def test_so_it_is_in_all_steps_as_the_method_runs_without_options(held_out):
+    assert _off_the_keyframes(held_out.rows(0, 2)).max() < NEAR
+
+
+def test_the_root_ends_elsewhere_when_it_is_led_to_the_goal_of_another(held_out):
+    """``--control shuffled-goal``; the keyframe in the first frame is nobody else's."""
+    assert held_out.goal_joints is not None
+    first, last = _off_the_keyframes(held_out, led_to=np.roll(held_out.goal_joints, 1, axis=0), steps=FEW)
+    assert first.max() < NEAR
+    assert np.median(last) > 5 * NEAR
+
+
+def test_the_pretrained_weights_keep_to_the_keyframes_too(held_out):
+    """The goal is no condition of the networks, so fine-tuning does not decide whether it is met."""
+    assert _off_the_keyframes(held_out.rows(0, 2), name="gmd-small-pretrained", steps=FEW).max() < NEAR
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_weights_are_those_of_the_small_configuration(name):
+    model = GMDModel.load(FOLDER / f"{name}.safetensors")
+    assert model.configuration.diffusion_steps == 100
+    assert model.configuration.max_frames == 241
+    assert model.configuration.text_encoder == "hashed-ngrams"
+    assert bool((model.space.std > 0).all())
+    assert float(model.space.std[1]) == float(model.space.std[2])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_card_describes_its_weights(name):
+    path = FOLDER / f"{name}.safetensors"
+    card = json.loads(path.with_suffix(".json").read_text("utf-8"))
+    assert path.stat().st_size <= LARGEST
+    assert card["weights"] == path.name
+    assert card["weights_sha256"] == file_digest(path)
+    assert (card["method"], card["finished"]) == ("gmd", True)
+    assert all(table["synthetic"] for table in card["data"])
+
+
+def test_the_default_are_the_fine_tuned_weights_and_they_name_what_they_began_with():
+    assert adapter.load(None, options={}, device="cpu").weights == FOLDER / "gmd-small.safetensors"
+    card = json.loads((FOLDER / "gmd-small.json").read_text("utf-8"))
+    assert file_digest(FOLDER / "gmd-small-pretrained.safetensors") in " ".join(card["learned_from"])
