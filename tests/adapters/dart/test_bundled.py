@@ -27,7 +27,7 @@ FOLDER = Path(adapter.__file__).with_name("weights")
 NAMES = ("dart-small", "dart-small-pretrained")
 LARGEST = 2_500_000  # bytes
 HELD_OUT = (29, 25)  # recordings of the embedded ADT table that are in its test split, with short sequences
-SEQUENCES = 4
+SEQUENCES = 2
 ITERATIONS = {Condition.GOAL_LOCATION: "100", Condition.GOAL_POSE: "40"}
 """The default for the one; for the other fewer, for the sake of the suite's time."""
 NEAR = {Condition.GOAL_LOCATION: 0.05, Condition.GOAL_POSE: 0.4}
