@@ -58,9 +58,7 @@ def load_task(name: str) -> TrainingTask:
 def _find(name: str) -> EntryPoint:
     found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
     if not found:
-        found = [
-            _beside(point) for point in entry_points_of(METHODS) if point.name == name and _defines_a_task(point)
-        ]
+        found = [_beside(point) for point in entry_points_of(METHODS) if point.name == name and _defines_a_task(point)]
     if len({point.value for point in found}) > 1:
         offers = ", ".join(point.value for point in found)
         raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
