@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -9,6 +11,7 @@ from torch.nn import functional
 
 from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.networks import LatentDenoiser
+from prbench_adapters.diffusion.layers import TransformerLayer
 
 _CONTEXT = slice(1, 2 + HISTORY_FRAMES)  # places of text and history among the tokens
 _LATENT = 2 + HISTORY_FRAMES
@@ -33,7 +36,8 @@ class PreparedDenoiser:
         history: Float[Tensor, "batch history 276"],
     ) -> None:
         self.denoiser, self.places = denoiser, denoiser.sinusoid
-        self.project = denoiser.layers[0].self_attention.query_key_value
+        self.layers = cast(list[TransformerLayer], list(denoiser.layers))
+        self.project = self.layers[0].self_attention.query_key_value
         context = (denoiser.text_embedding(text)[:, None], denoiser.history_embedding(history))
         self.context = torch.cat(context, dim=1) + self.places[_CONTEXT]
         times = self.places[: denoiser.configuration.diffusion_steps]
@@ -46,12 +50,12 @@ class PreparedDenoiser:
         latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
         stream = _tokens(self.times[step], self.context, latent)
         projected = _tokens(self.projected_times[step], self.projected_context, self.project(latent))
-        for number, layer in enumerate(self.denoiser.layers):
+        for number, layer in enumerate(self.layers):
             if number:
                 projected = layer.self_attention.query_key_value(stream)
             of_heads = projected.view(rows, _LATENT + 1, 3, layer.self_attention.heads, -1)
             query, key, value = of_heads.permute(2, 0, 3, 1, 4).unbind()
-            if number == len(self.denoiser.layers) - 1:
+            if number == len(self.layers) - 1:
                 query, stream = query[:, :, -1:], stream.view(rows, _LATENT + 1, -1)[:, -1]
             looked = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).reshape(stream.shape)
             stream = layer.self_attention_norm(stream + layer.self_attention.output(looked))
