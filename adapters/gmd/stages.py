@@ -54,6 +54,8 @@ class GMDSettings:
     keyframes: Keyframes = "root"
     steps: int | None = None
     """Of the training schedule, in each stage; None for all of them."""
+    bones: Literal["predicted", "initial"] = "predicted"
+    """Whether bones have the lengths that the network gives them, or those of the initial pose."""
 
 
 class GuidedNetwork:

@@ -43,7 +43,8 @@ def test_the_entry_point_loads_the_method_with_the_limits_of_its_weights(weights
 
 def test_options_reach_the_settings(weights):
     given = {"keyframes": "pose", "guidance": "1", "goal_scale": "30", "goal_loss": "squared", "imputation": "demo"}
-    assert _load(weights, steps="7", **given).settings == GMDSettings(1.0, 30.0, "squared", "demo", "pose", 7)
+    settings = _load(weights, steps="7", bones="initial", **given).settings
+    assert settings == GMDSettings(1.0, 30.0, "squared", "demo", "pose", 7, "initial")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import torch
 
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
-from prbench.skeleton import Joint
+from prbench.skeleton import Joint, bone_lengths
 from prbench_adapters.diffusion.noise import SequenceNoise
 from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.gmd import stages
@@ -131,6 +131,20 @@ def test_whole_poses_are_met_when_they_are_imputed(model):
     assert np.allclose(last, batch.goal_joints, atol=1e-3)
     rooted = generate(model, batch, GMDSettings(steps=5)).joints
     assert not np.allclose(rooted[:, 0], batch.initial_joints, atol=0.1)
+
+
+def test_bones_keep_the_lengths_of_the_initial_pose_if_asked(model):
+    """And the root stays where it is."""
+    batch = tiny.batch((12, 14))
+    predicted, own = (
+        generate(model, batch, GMDSettings(bones=which, steps=5)).joints for which in ("predicted", "initial")
+    )
+    assert batch.initial_joints is not None
+    wanted = bone_lengths(batch.initial_joints)
+    for row, n in enumerate((12, 14)):
+        assert np.allclose(bone_lengths(own[row, :n]), wanted[row], rtol=1e-4)
+        assert not np.allclose(bone_lengths(predicted[row, :n]), wanted[row], rtol=0.1)
+        assert np.array_equal(own[row, :, 0], predicted[row, :, 0])
 
 
 def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
