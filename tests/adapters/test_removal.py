@@ -18,31 +18,48 @@ LEARNED = {"dart", "gmd", "mdm", "pr", "wandr"}
 GROUP = "prbench.adapters"
 
 LOOK_AROUND = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import prbench
-from prbench.errors import AdapterError
-from prbench.evaluation.adapters import load_adapter
-from prbench.evaluation.installed import list_adapters
-from prbench.training.installed import list_tasks, load_task
-from prbench_adapters.diffusion.bundled import bundled_names
+import importlib.util, os, sys
+from pathlib import Path
+import numpy, safetensors.torch, scipy.spatial, torch  # what takes long to import, once for all copies
 
-assert prbench.__file__.startswith(sys.argv[1])
-print(*sorted(adapter.name for adapter in list_adapters()))
-print(*list_tasks())
-print(*bundled_names())
-for removed in sys.argv[2:]:
+
+def look_around(removed):
+    import prbench
+    from prbench.errors import AdapterError
+    from prbench.evaluation.adapters import load_adapter
+    from prbench.evaluation.installed import list_adapters
+    from prbench.training.installed import list_tasks, load_task
+    from prbench_adapters.diffusion.bundled import bundled_names
+
+    assert prbench.__file__.startswith(sys.path[0])
+    assert importlib.util.find_spec("prbench_adapters." + removed) is None
+    print(*sorted(adapter.name for adapter in list_adapters()))
+    print(*list_tasks())
+    print(*bundled_names())
     try:
         load_adapter(removed, None, {}, "cpu")
     except AdapterError as error:
         print(error)
-for task in list_tasks():
-    assert load_task(task).name == task
-for adapter in list_adapters():
-    try:
-        assert load_adapter(adapter.name, None, {}, "cpu").name == adapter.name
-    except AdapterError as error:  # without weights it says so
-        print(error)
+    for task in list_tasks():
+        assert load_task(task).name == task
+    for adapter in list_adapters():
+        try:
+            assert load_adapter(adapter.name, None, {}, "cpu").name == adapter.name
+        except AdapterError as error:  # without weights it says so
+            print(error)
+
+
+for site in map(Path, sys.argv[1:]):
+    child = os.fork()
+    if not child:
+        for stream, name in ((1, "found"), (2, "failed")):
+            os.dup2(os.open(site / name, os.O_WRONLY | os.O_CREAT), stream)
+        sys.path.insert(0, str(site))
+        # an editable installation has a finder that would bring back what is deleted here
+        sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in finder.__module__]
+        look_around(site.name)
+        sys.exit()
+    (site / "status").write_text(str(os.waitpid(child, 0)[1]))
 """
 
 
@@ -69,7 +86,8 @@ def _imported(path: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def imports() -> dict[Path, set[str]]:
-    return {path: _imported(path) for folder in ("prbench", "adapters") for path in (ROOT / folder).rglob("*.py")}
+    paths = [path for folder in ("prbench", "adapters") for path in (ROOT / folder).rglob("*.py")]
+    return {path: _imported(path) for path in paths if "prbench_adapters" in path.read_text(encoding="utf-8")}
 
 
 def test_these_are_all_methods():
@@ -107,17 +125,22 @@ def test_importing_them_loads_neither_torch_nor_their_own_modules():
     assert found.stdout.strip() == "[]"
 
 
-def _copy_without(methods: tuple[str, ...], site: Path) -> None:
-    """The package as it is installed once a folder and a line of each of these methods are deleted."""
-    shutil.copytree(ROOT / "prbench", site / "prbench", ignore=shutil.ignore_patterns("__pycache__"))
-    gone = {_own(method) for method in methods}
+def _linked(source: str, target: str) -> None:
+    """Files stand in for themselves, compiled ones too: copying and compiling is most of the time otherwise."""
+    Path(target).symlink_to(source)
+
+
+def _copy_without(method: str, site: Path) -> None:
+    """The package as it is installed once the folder, or the file, and the line of a method are deleted."""
+    shutil.copytree(ROOT / "prbench", site / "prbench", copy_function=_linked)
     shutil.copytree(
         ADAPTERS,
         site / "prbench_adapters",
-        ignore=lambda folder, names: {n for n in names if n == "__pycache__" or Path(folder, n) in gone},
+        copy_function=_linked,
+        ignore=lambda folder, names: {name for name in names if Path(folder, name) == _own(method)},
     )
     groups = _pyproject()["project"]["entry-points"]
-    kept = {group: {k: v for k, v in lines.items() if k not in methods} for group, lines in groups.items()}
+    kept = {group: {k: v for k, v in lines.items() if k != method} for group, lines in groups.items()}
     metadata = site / "prbench-0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: prbench\nVersion: 0\n")
@@ -125,14 +148,22 @@ def _copy_without(methods: tuple[str, ...], site: Path) -> None:
     (metadata / "entry_points.txt").write_text(text)
 
 
+@pytest.fixture(scope="module")
+def without(tmp_path_factory) -> Path:
+    """A folder with a copy of the package for each method, which is missing there, and what was found in it."""
+    folder = tmp_path_factory.mktemp("without")
+    for method in METHODS:
+        _copy_without(method, folder / method)
+    sites = [str(folder / method) for method in METHODS]
+    subprocess.run([sys.executable, "-c", LOOK_AROUND, *sites], cwd=folder, check=True)
+    return folder
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_without_it_the_others_are_listed_loaded_and_trained(tmp_path, method):
-    _copy_without((method,), tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-c", LOOK_AROUND, str(tmp_path), method], capture_output=True, text=True, cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    adapters, tasks, weights, refusal, *rest = done.stdout.splitlines()
+def test_without_it_the_others_are_listed_loaded_and_trained(without, method):
+    assert (without / method / "status").read_text() == "0", (without / method / "failed").read_text()
+    found = (without / method / "found").read_text()
+    adapters, tasks, weights, refusal, *rest = found.splitlines()
     assert set(adapters.split()) == set(METHODS) - {method}
     assert set(tasks.split()) & set(METHODS) == LEARNED - {method}
     assert not any(name.startswith(f"{method}-") for name in weights.split())
