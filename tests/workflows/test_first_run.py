@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 
 from prbench.cli import main
+from prbench.contract import Condition
 from prbench.engine import InProcess
+from prbench.evaluation.installed import list_adapters
+from prbench.evaluation.request import RunRequest
 from prbench.workflows import first_run
 
 
@@ -43,3 +46,13 @@ def test_another_version_of_the_people_gets_another_folder(cache, monkeypatch):
     folder = first_run.default_table_folder()
     monkeypatch.setattr(first_run, "GENERATOR_VERSION", first_run.GENERATOR_VERSION + 1)
     assert first_run.default_table_folder() != folder
+
+
+def test_a_first_run_is_shown_beside_the_methods_that_are_installed(monkeypatch):
+    request = RunRequest(method="pr", condition=Condition.GOAL_LOCATION)
+    beside = [(one.method, one.condition) for one in first_run.companions(request)]
+    assert beside[0] == ("mdm", Condition.TEXT)
+    assert [method for method, _ in beside[1:]] == ["scripted", "static", "ground-truth"]
+    without = [adapter for adapter in list_adapters() if adapter.name != "mdm"]
+    monkeypatch.setattr(first_run, "list_adapters", lambda: without)
+    assert [(one.method, one.condition) for one in first_run.companions(request)] == beside[1:]
