@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NAME = "gmd"
 DEFAULT_WEIGHTS = "gmd-small"
-_OPTIONS = ("guidance", "goal-scale", "goal-loss", "imputation", "keyframes", "steps", "bones", "text-path")
+_OPTIONS = ("guidance", "goal-scale", "goal-loss", "imputation", "keyframes", "steps", "clamp", "bones", "text-path")
 
 
 class GMD:
@@ -57,8 +57,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
 
     Options: ``keyframes`` (root, or pose to impute both given poses), ``guidance`` (2.5), ``goal-scale`` (100, weight
     of the goal's gradient), ``goal-loss`` (absolute or squared), ``imputation`` (end, demo or evaluation: until when is
-    imputed), ``steps`` (of each stage; all of the training's), ``bones`` (predicted, or initial for the lengths of the
-    initial pose), ``text-path`` (files of the text encoder, if the weights need one that has some).
+    imputed), ``steps`` (of each stage; all of the training's), ``clamp`` (6 standard deviations, at which
+    estimates of the trajectory are cut), ``bones`` (predicted, or initial for the lengths of the initial pose),
+    ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``gmd-small``.
@@ -99,5 +100,6 @@ def _settings(options: Mapping[str, str], *, diffusion_steps: int) -> GMDSetting
         imputation=cast("Imputation", choice(options, "imputation", ("end", "demo", "evaluation"))),
         keyframes=cast("Keyframes", choice(options, "keyframes", ("root", "pose"))),
         steps=whole_number(options, "steps", most=diffusion_steps),
+        clamp=number(options, "clamp", GMDSettings.clamp, least=1.0),
         bones="initial" if choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
     )

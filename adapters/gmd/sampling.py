@@ -22,7 +22,8 @@ from prbench_adapters.gmd.features import FeatureSpace
 GoalLoss = Literal["absolute", "squared"]
 RowLoss = Callable[[Tensor], Tensor]
 """From the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
-_MOST_DEVIATIONS = 6.0
+MOST_DEVIATIONS = 6.0
+"""At which the original cuts the clean estimate of the trajectory, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +80,15 @@ class Imputed:
 
 
 def clean_of_noise(
-    chain: Chain, i: int, state: Float[Tensor, "batch frames columns"], noise: Float[Tensor, "batch frames columns"]
+    chain: Chain,
+    i: int,
+    state: Float[Tensor, "batch frames columns"],
+    noise: Float[Tensor, "batch frames columns"],
+    most: float = MOST_DEVIATIONS,
 ) -> Float[Tensor, "batch frames columns"]:
-    """The clean estimate that belongs to an estimate of the noise, at most six standard deviations."""
+    """The clean estimate that belongs to an estimate of the noise, cut at ``most`` standard deviations."""
     level = float(chain.alphas_cumprod[i])
-    return ((state - math.sqrt(1 - level) * noise) / math.sqrt(level)).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+    return ((state - math.sqrt(1 - level) * noise) / math.sqrt(level)).clamp(-most, most)
 
 
 def guided_mean(

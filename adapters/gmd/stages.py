@@ -18,6 +18,7 @@ from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.gmd.features import N_ROOT, ROOT_XZ, FeatureSpace
 from prbench_adapters.gmd.goals import Ends, Keyframes, imputed_root
 from prbench_adapters.gmd.sampling import (
+    MOST_DEVIATIONS,
     GoalLoss,
     RootGoal,
     RowLoss,
@@ -54,6 +55,9 @@ class GMDSettings:
     keyframes: Keyframes = "root"
     steps: int | None = None
     """Of the training schedule, in each stage; None for all of them."""
+    clamp: float = MOST_DEVIATIONS
+    """Where the clean estimate of the trajectory is cut, in standard deviations of the data: farther goals are met by
+    the imputed frame alone."""
     bones: Literal["predicted", "initial"] = "predicted"
     """Whether bones have the lengths that the network gives them, or those of the initial pose."""
 
@@ -116,7 +120,7 @@ def sample_trajectory(
     for i in range(len(chain) - 1, -1, -1):
         index = int(chain.indices[i])
         mean = guided_mean(
-            lambda noisy, step, i=i: clean_of_noise(chain, i, noisy, predict_noise(noisy, step)),
+            lambda noisy, step, i=i: clean_of_noise(chain, i, noisy, predict_noise(noisy, step), settings.clamp),
             chain,
             i,
             state,

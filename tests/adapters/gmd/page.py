@@ -75,6 +75,7 @@ class Stage:
     kind: str = "absolute"
     until: str = "end"
     scale: float = 100.0
+    most: float = 6.0
 
     def reached(self, t: int, limit: int) -> bool:
         """Whether t is at or above a limit that is given for 1000 steps."""
@@ -107,10 +108,10 @@ def trajectory(stage: Stage, keyframes: Keyframes, draws: list[np.ndarray]) -> n
     for t in reversed(range(stage.steps)):
         before, now, posterior = levels[t], levels[t + 1], Posterior.at(t, stage.steps)
         estimate = (x - np.sqrt(1 - now) * stage.network(x)) / np.sqrt(now)
-        clean = np.clip(estimate, -6, 6)
+        clean = np.clip(estimate, -stage.most, stage.most)
         mean = posterior.clean * clean + posterior.noisy * x
         if stage.reached(t, GUIDED_FROM):
-            inner = np.where(np.abs(estimate) < 6, stage.goal_gradient(clean, keyframes), 0.0)
+            inner = np.where(np.abs(estimate) < stage.most, stage.goal_gradient(clean, keyframes), 0.0)
             gradient = (inner - np.sqrt(1 - now) * stage.back(inner)) / np.sqrt(now)
             mean = mean - posterior.variance * stage.scale * gradient
         x = mean + np.sqrt(posterior.variance) * next(remaining) if t else mean

@@ -16,7 +16,7 @@ from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.gmd import stages
 from prbench_adapters.gmd.generation import generate
 from prbench_adapters.gmd.goals import Ends, imputed_root
-from prbench_adapters.gmd.sampling import RootGoal, guided_mean
+from prbench_adapters.gmd.sampling import RootGoal, clean_of_noise, guided_mean
 from prbench_adapters.gmd.stages import GMDSettings
 from tests.adapters.gmd import tiny
 
@@ -71,6 +71,13 @@ def test_the_gradient_goes_through_the_network():
     expected = torch.zeros(1, 5, 4)
     expected[0, 4, 1:3] = 100.0 * float(chain.posterior_variance[6]) * 3.0 / 2
     assert torch.allclose(mean, expected, rtol=1e-6)
+
+
+def test_estimates_of_the_trajectory_are_cut_at_six_deviations_or_where_one_wants():
+    chain, noise = CosineSchedule(10), torch.zeros(1, 2, 4)
+    state = torch.tensor([5.0, 8.0])[None, :, None].expand(1, 2, 4) * float(chain.alphas_cumprod[3]) ** 0.5
+    assert torch.allclose(clean_of_noise(chain, 3, state, noise)[0, :, 0], torch.tensor([5.0, 6.0]))
+    assert torch.allclose(clean_of_noise(chain, 3, state, noise, 9.0)[0, :, 0], torch.tensor([5.0, 8.0]))
 
 
 def test_without_a_goal_no_gradient_is_taken():
