@@ -88,7 +88,7 @@ class Incomplete:
 
 
 def points(*targets: str, group: str = installed.ENTRY_POINT_GROUP):
-    return lambda asked: [(EntryPoint("mine", target, asked), None) for target in targets if asked == group]
+    return lambda asked: [EntryPoint("mine", target, asked) for target in targets if asked == group]
 
 
 @pytest.mark.parametrize(

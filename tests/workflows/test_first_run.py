@@ -48,8 +48,8 @@ def test_another_version_of_the_people_gets_another_folder(cache, monkeypatch):
     assert first_run.default_table_folder() != folder
 
 
-def test_a_first_run_is_shown_beside_the_methods_that_are_installed(monkeypatch):
-    request = RunRequest(method="pr", condition=Condition.GOAL_LOCATION)
+def test_a_first_run_is_shown_beside_the_methods_that_are_installed(tmp_path, monkeypatch):
+    request = RunRequest(method="pr", condition=Condition.GOAL_LOCATION, data=(tmp_path,))
     beside = [(one.method, one.condition) for one in first_run.companions(request)]
     assert beside[0] == ("mdm", Condition.TEXT)
     assert [method for method, _ in beside[1:]] == ["scripted", "static", "ground-truth"]
