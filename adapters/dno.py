@@ -62,7 +62,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """Entry point ``dno``.
 
     Options: ``optimise`` (fast or paper), ``prompt`` (none, own for each sequence's text, or any text), ``guidance``
-    (1), ``text-path``, and those of :mod:`prbench_adapters.diffusion.noise_optimisation.options`.
+    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`.
 
     Args:
         weights: File, folder or name of bundled weights of a text-to-motion model; None for ``mdm-small``.
@@ -76,10 +76,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """
     from prbench_adapters.diffusion.bundled import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
-    from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation import KEYFRAME_OPTIONS
     from prbench_adapters.diffusion.options import require_known
 
-    require_known(options, ("optimise", "prompt", "guidance", "text-path", *OPTIMISATION_OPTIONS))
+    require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
     if weights is None and DEFAULT_WEIGHTS not in bundled_names():
         raise AdapterError(
             f"dno has no network of its own, and its default '{DEFAULT_WEIGHTS}' (part of the method mdm) is not"

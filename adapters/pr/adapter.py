@@ -114,10 +114,10 @@ def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR:
     """Entry point ``pr``.
 
-    Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the others of
-    :mod:`prbench_adapters.diffusion.noise_optimisation.options`; ``guidance`` (1), ``steps``; without optimisation also
-    ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the lengths of the initial pose); ``text-path``
-    (files of the text encoder, if the weights need one that has some).
+    Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
+    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`; ``guidance`` (1), ``steps``;
+    without optimisation also ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the initial pose's
+    lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -131,10 +131,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         ValueError: for options that are unknown or have impossible values.
     """
     from prbench_adapters.diffusion.bundled import resolve
-    from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", *OPTIMISATION_OPTIONS))
+    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", *PRIME_AND_REACH_OPTIONS))
     text_path = options.get("text-path")
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -173,13 +173,18 @@ def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Conditi
 
 def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
     """What the options ask for, checked before anything is generated."""
-    from prbench_adapters.diffusion.noise_optimisation import OPTIMISATION_OPTIONS, fast, optimisation_settings, paper
+    from prbench_adapters.diffusion.noise_optimisation import (
+        PRIME_AND_REACH_OPTIONS,
+        fast,
+        optimisation_settings,
+        paper,
+    )
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, choice, sampling_settings
 
     sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in OPTIMISATION_OPTIONS if key in options and key not in ("bones", *SAMPLING_OPTIONS)]
+        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", *SAMPLING_OPTIONS)]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         return Generation(sampling, None, own_bones=choice(options, "bones", _BONES) == "initial")

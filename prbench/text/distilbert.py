@@ -79,9 +79,13 @@ class DistilBert:
 
         try:
             tokenizer = DistilBertTokenizerFast.from_pretrained(self.source, **careful)
-            model = DistilBertModel.from_pretrained(self.source, use_safetensors=True, **careful)
+            careful |= {"use_safetensors": True, "output_loading_info": True}
+            loaded: Any = DistilBertModel.from_pretrained(self.source, **careful)
         except (OSError, ValueError, KeyError, RuntimeError) as error:
             raise self._unusable(f"none that can be loaded ({first_line(error)})") from error
+        model, report = loaded
+        if missing := sorted(report["missing_keys"]):  # they would be random numbers
+            raise self._unusable(f"a model without '{missing[0]}'")
         if model.config.dim != DIMENSION:
             raise self._unusable(f"a model of dimension {model.config.dim}")
         self._loaded = tokenizer, model.eval().requires_grad_(False)

@@ -140,7 +140,9 @@ def test_a_sequence_that_is_too_long_is_refused(prior):
         adapter.generate(batch(n_frames=(41,)), seed=0)
 
 
-@pytest.mark.parametrize(("key", "value"), [("optimise", "slow"), ("hand", "both"), ("promt", "x"), ("guidance", "-1")])
+@pytest.mark.parametrize(
+    ("key", "value"), [("optimise", "slow"), ("hand", "both"), ("promt", "x"), ("guidance", "-1"), ("alpha", "1")]
+)
 def test_unknown_options_and_values_are_refused(prior, key, value):
     with pytest.raises(ValueError, match=key):
         dno.load(prior, options={key: value}, device="cpu")

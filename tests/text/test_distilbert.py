@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 
 import numpy as np
 import pytest
@@ -81,6 +82,16 @@ def test_pickled_weights_are_not_read(tiny_model, tmp_path):
     torch.save({}, tmp_path / "pytorch_model.bin")
     with pytest.raises(InputFileError, match="none that can be loaded"):
         text_encoder("distilbert", tmp_path).encode(["puts"])
+
+
+def test_a_file_that_lacks_parameters_is_refused_instead_of_filled_with_random_numbers(tiny_model, tmp_path):
+    safetensors = pytest.importorskip("safetensors.numpy")
+    copied = shutil.copytree(tiny_model[0], tmp_path / "copy")
+    tensors = safetensors.load_file(copied / "model.safetensors")
+    del tensors["transformer.layer.0.ffn.lin1.bias"]
+    safetensors.save_file(tensors, copied / "model.safetensors", metadata={"format": "pt"})
+    with pytest.raises(InputFileError, match=r"a model without 'transformer\.layer\.0\.ffn\.lin1\.bias'"):
+        text_encoder("distilbert", copied).encode(["puts"])
 
 
 def test_another_dimension_is_refused(tmp_path, tiny_model):

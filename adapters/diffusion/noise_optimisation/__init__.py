@@ -9,12 +9,17 @@ from prbench_adapters.diffusion.noise_optimisation.objective import (
     keyframes,
     prime_and_reach,
 )
-from prbench_adapters.diffusion.noise_optimisation.options import OPTIMISATION_OPTIONS, optimisation_settings
+from prbench_adapters.diffusion.noise_optimisation.options import (
+    KEYFRAME_OPTIONS,
+    PRIME_AND_REACH_OPTIONS,
+    optimisation_settings,
+)
 from prbench_adapters.diffusion.noise_optimisation.result import History, OptimisedMotions
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings, dno_paper, fast, paper
 
 __all__ = [
-    "OPTIMISATION_OPTIONS",
+    "KEYFRAME_OPTIONS",
+    "PRIME_AND_REACH_OPTIONS",
     "History",
     "Keyframes",
     "OptimisationSettings",

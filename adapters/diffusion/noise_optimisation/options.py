@@ -10,15 +10,12 @@ from prbench_adapters.diffusion.noise_optimisation.settings import Bones, Hand, 
 from prbench_adapters.diffusion.options import choice, number, whole_number
 from prbench_adapters.diffusion.schedule import Spacing
 
-OPTIMISATION_OPTIONS = (
+_SHARED = (
     "ddim-steps",
     "spacing",
     "iterations",
     "learning-rate",
-    "alpha",
     "decorrelation",
-    "initial-velocity-weight",
-    "initial-frames",
     "hand",
     "bones",
     "keep",
@@ -27,6 +24,10 @@ OPTIMISATION_OPTIONS = (
     "precision",
     "compile",
 )
+PRIME_AND_REACH_OPTIONS = (*_SHARED, "alpha", "initial-velocity-weight")
+"""With the objective of :func:`~prbench_adapters.diffusion.noise_optimisation.prime_and_reach`."""
+KEYFRAME_OPTIONS = (*_SHARED, "initial-frames")
+"""With the objective of :func:`~prbench_adapters.diffusion.noise_optimisation.keyframes`."""
 _MOST_ITERATIONS = 100_000
 
 
@@ -36,7 +37,7 @@ def optimisation_settings(
     """A preset with the options that were given; the warm-up keeps its share of the iterations.
 
     Args:
-        options: As given; keys that are none of :data:`OPTIMISATION_OPTIONS` are not looked at.
+        options: As given; keys that are in neither list above are not looked at.
         preset: What holds for options that are not given.
         diffusion_steps: Steps that the model was trained with.
 

@@ -207,6 +207,7 @@ def test_bones_can_keep_the_lengths_of_the_initial_pose(weights, options):
     ("options", "message"),
     [
         ({"guidence": "2"}, "unknown option 'guidence'. Did you mean 'guidance'"),
+        ({"initial-frames": "2"}, "unknown option 'initial-frames'"),
         ({"optimise": "off", "hand": "left"}, "'hand' belongs to noise optimisation"),
         ({"optimise": "fast", "sampler": "ddpm"}, "needs a fixed map from noise to motion"),
         ({"optimise": "slow"}, "option 'optimise': expected"),
