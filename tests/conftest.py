@@ -11,6 +11,9 @@ from jaxtyping import install_import_hook
 
 os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
 
+for _library in ("OMP", "OPENBLAS", "MKL"):  # a test for each processor runs already; threads that wait for others only burn
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
 if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
     install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
 
