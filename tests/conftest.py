@@ -11,7 +11,7 @@ from jaxtyping import install_import_hook
 
 os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
 
-for _library in ("OMP", "OPENBLAS", "MKL"):  # a test for each processor runs already; threads that wait for others only burn
+for _library in ("OMP", "OPENBLAS", "MKL"):  # each processor runs a test; more threads only wait
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
