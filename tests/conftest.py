@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
 
 os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
 
@@ -15,7 +16,15 @@ for _library in ("OMP", "OPENBLAS", "MKL"):  # each processor runs a test; more 
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
-    install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
+    jaxtyping.install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
+
+
+@pytest.fixture
+def unchecked_shapes() -> Iterator[None]:
+    """For tests of very many calls, where the checks would take the most time; other tests check the same code."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")

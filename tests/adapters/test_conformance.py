@@ -42,7 +42,7 @@ class TestMDM(BuiltInConformance):
 
 class TestGMD(BuiltInConformance):
     method = "gmd"
-    options: ClassVar = {"steps": "5"}
+    options: ClassVar = {"steps": "2"}
 
 
 class TestDNO(BuiltInConformance):
