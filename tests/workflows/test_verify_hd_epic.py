@@ -58,8 +58,8 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_table_of_twelve_recordings_resembles_table_1(tmp_path: Path) -> None:
-    report = build_synthetic_table("hd-epic", 12, SEED, tmp_path / "table", n_events=6)
+def test_a_table_of_twenty_recordings_resembles_table_1(tmp_path: Path) -> None:
+    report = build_synthetic_table("hd-epic", 20, SEED, tmp_path / "table", n_events=6)
     rows, target = SequenceTable.open(report.folder).scalars(), TARGETS["hd-epic"]
     columns = {
         "duration": np.asarray(rows["event_time"]) - np.asarray(rows["prime_time"]) + 2.0,
