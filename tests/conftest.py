@@ -12,8 +12,7 @@ import pytest
 
 os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
 
-for _library in ("OMP", "OPENBLAS", "MKL"):  # each processor runs a test; more threads only wait
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # each processor runs a test; more of PyTorch's threads only wait
 
 if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
     jaxtyping.install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")

@@ -6,9 +6,12 @@ it every bone length; the study does not use them, so this is an option (``bones
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 
+from prbench.contract import ConditionBatch, Motions
 from prbench.skeleton import BONES, N_JOINTS, PARENTS
 
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
@@ -33,6 +36,13 @@ def with_bone_lengths(
     directions = bones / bones.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
     offsets = directions * lengths[:, None, :, None]
     return joints[..., :1, :] + _ancestry(joints) @ offsets
+
+
+def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
+    """The motions with the bone lengths of the initial pose in every frame."""
+    lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
+    joints = with_bone_lengths(torch.as_tensor(motions.joints, dtype=torch.float32), lengths)
+    return replace(motions, joints=joints.numpy())
 
 
 def _ancestry(joints: torch.Tensor) -> Float[torch.Tensor, "22 21"]:

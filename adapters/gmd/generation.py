@@ -10,7 +10,7 @@ from prbench.contract import ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
 from prbench.skeleton import N_JOINTS
 from prbench_adapters.diffusion.batching import parts_of_similar_length
-from prbench_adapters.diffusion.bones import bone_lengths, with_bone_lengths
+from prbench_adapters.diffusion.bones import on_own_bones
 from prbench_adapters.diffusion.noise import SequenceNoise
 from prbench_adapters.diffusion.skeletons import ModelBodies
 from prbench_adapters.gmd.configuration import GMDConfiguration
@@ -39,18 +39,8 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
         own, spent = _sample(model, bodies.batch, rows, settings)
         joints[rows, : own.shape[1]] = own
         passes += spent
-    joints = bodies.own(joints)
-    return Motions(
-        _on_own_bones(joints, batch) if settings.bones == "initial" else joints, batch.n_frames, Cost(passes)
-    )
-
-
-def _on_own_bones(
-    joints: Float[np.ndarray, "batch frames 22 3"], batch: ConditionBatch
-) -> Float[np.ndarray, "batch frames 22 3"]:
-    """The same pelvis and directions of bones, with the lengths that they have in the initial pose."""
-    lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
-    return with_bone_lengths(torch.from_numpy(joints), lengths).numpy()
+    motions = Motions(bodies.own(joints), batch.n_frames, Cost(passes))
+    return on_own_bones(motions, batch) if settings.bones == "initial" else motions
 
 
 def _parts(n_frames: Int[np.ndarray, " batch"], model: GMDModel) -> list[Int[np.ndarray, " _"]]:

@@ -82,6 +82,7 @@ class PR:
         model = self._trained_for(batch.condition).model
         require_goals_within_reach(batch, adapter=self.name)
         if self.generation.optimisation is None:
+            from prbench_adapters.diffusion.bones import on_own_bones
             from prbench_adapters.diffusion.generation import generate
 
             motions = generate(model, batch, self.generation.sampling)
@@ -98,17 +99,6 @@ class PR:
             f"weights {given.path}: expected a model of goal '{GOALS[condition]}' for '{condition.value}', found one of"
             f" goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
         )
-
-
-def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
-    """The motions with the bone lengths of the initial pose in every frame."""
-    import torch
-
-    from prbench_adapters.diffusion.bones import bone_lengths, with_bone_lengths
-
-    lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
-    joints = with_bone_lengths(torch.as_tensor(motions.joints, dtype=torch.float32), lengths)
-    return replace(motions, joints=joints.numpy())
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR:
