@@ -68,6 +68,21 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def remove_folder(path: Path) -> None:
+    """Delete a folder; whoever looks for it while it goes, or after a kill, finds none rather than half of it.
+
+    What a kill leaves is cleared by :func:`remove_leftovers`. A folder that cannot be moved or deleted stays.
+    """
+    if not path.is_dir():
+        return
+    with contextlib.suppress(OSError):
+        going = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=".partial", dir=path.parent))
+        try:
+            path.replace(going / path.name)
+        finally:
+            shutil.rmtree(going, ignore_errors=True)
+
+
 def remove_leftovers(path: Path) -> None:
     """Clear away what a process that was killed left beside ``path``; call it before writing there again.
 

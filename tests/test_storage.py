@@ -17,6 +17,7 @@ from prbench.storage import (
     file_digest,
     inside,
     read_json,
+    remove_folder,
     remove_leftovers,
     text_digest,
     write_json,
@@ -110,6 +111,31 @@ def test_a_folder_that_was_about_to_be_replaced_gets_its_name_back(tmp_path):
     remove_leftovers(folder)
     assert [entry.name for entry in tmp_path.iterdir()] == ["tables.v1"]
     assert [entry.name for entry in folder.iterdir()] == ["old"]
+
+
+def test_a_folder_is_deleted_whole_or_found_whole(tmp_path):
+    folder = tmp_path / ".tables.work"
+    (folder / "one").mkdir(parents=True)
+    (folder / "one" / "file").write_text("1")
+    script = (
+        "import os, shutil\n"
+        "from pathlib import Path\n"
+        "from prbench.storage import remove_folder\n"
+        "shutil.rmtree = lambda *_, **__: os._exit(9)\n"
+        f"remove_folder(Path({str(folder)!r}))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert not folder.exists()
+    assert len(list(tmp_path.iterdir())) == 1
+    remove_leftovers(folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_deleting_a_folder_leaves_nothing(tmp_path):
+    (tmp_path / "work" / "part").mkdir(parents=True)
+    remove_folder(tmp_path / "work")
+    remove_folder(tmp_path / "work")  # none there
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_equal_values_give_equal_json_bytes(tmp_path):

@@ -6,7 +6,6 @@ was interrupted or not.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from prbench.sequences.corpus import CorpusRecord
 from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
 from prbench.sequences.corpus_schema import CORPUS_TABLES
 from prbench.sequences.corpus_table import write_corpus
-from prbench.storage import remove_leftovers, require_replaceable, text_digest
+from prbench.storage import require_replaceable, text_digest
 
 _IN_PROCESS = InProcess()
 _DEFAULTS = CorpusOptions()
@@ -76,7 +75,7 @@ def build_corpus(
         options.on_error == "fail",
         parts.work_folder(out),
     )
-    remove_leftovers(out)
+    parts.remove_half_written(out)
     finished, done, total = [], 0, sum(len(group.recordings) for group in groups)
     for part in engine.map(job, groups):
         finished.append(part)
@@ -87,7 +86,7 @@ def build_corpus(
     info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
     folders = [part.folder for part in finished]
     info = write_corpus(out, info, {table: parts.read_batches(folders, table) for table in CORPUS_TABLES})
-    shutil.rmtree(parts.work_folder(out), ignore_errors=True)
+    parts.remove_parts(out)
     records = tuple(record for part in finished for record in part.receipt.records)
     return CorpusReport(out, info, records, sum(len(part.receipt.records) for part in finished if part.reused))
 

@@ -7,7 +7,6 @@ was interrupted or not.
 from __future__ import annotations
 
 import itertools
-import shutil
 from collections.abc import Callable
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
@@ -15,10 +14,7 @@ from pathlib import Path
 
 from prbench.curation.job import CurationJob
 from prbench.curation.options import NO_OPTIONS, BuildOptions
-from prbench.curation.parts import (
-    read_batches,
-    work_folder,
-)
+from prbench.curation.parts import read_batches
 from prbench.curation.provenance import describe
 from prbench.curation.sources import NativeSource, RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
@@ -26,9 +22,10 @@ from prbench.errors import InputFileError, StorageError, TableError
 from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences.parts import remove_half_written, remove_parts, work_folder
 from prbench.sequences.sequence import RecordingRecord
 from prbench.sequences.write_dataset import write_dataset
-from prbench.storage import remove_leftovers, require_replaceable
+from prbench.storage import require_replaceable
 
 _IN_PROCESS = InProcess()
 
@@ -111,7 +108,7 @@ def build_from_sources(
     manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
     options.curation.require_fits(manifest)
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
-    remove_leftovers(out)
+    remove_half_written(out)
     receipts = []
     for receipt in engine.map(job, sources):
         receipts.append(receipt)
@@ -125,7 +122,7 @@ def build_from_sources(
         events=read_batches(receipts, "events"),
         recordings=read_batches(receipts, "recordings"),
     )
-    shutil.rmtree(work_folder(out), ignore_errors=True)
+    remove_parts(out)
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from prbench.curation.curate import CuratedRecording
 from prbench.sequences import parts
-from prbench.sequences.parts import part_folder, work_folder
+from prbench.sequences.parts import part_folder
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.sequence import RecordingRecord, event_batch, recording_batch, sequence_batch
 
@@ -21,7 +21,6 @@ __all__ = [
     "part_folder",
     "read_batches",
     "read_receipt",
-    "work_folder",
     "write_part",
 ]
 

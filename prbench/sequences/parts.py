@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 
 import prbench
-from prbench.storage import atomic_folder, read_json, text_digest, write_json
+from prbench.storage import atomic_folder, read_json, remove_folder, remove_leftovers, text_digest, write_json
 
 _RECEIPT = "receipt.json"
 
@@ -60,3 +60,14 @@ def read_batches(folders: Iterable[Path], table: str) -> Iterator[pa.RecordBatch
             for batch in pa.ipc.open_file(source).read_all().to_batches():
                 if batch.num_rows:
                     yield batch
+
+
+def remove_parts(out: Path) -> None:
+    """Delete the parts of a result that stands, all or none: half a part would look finished to the next build."""
+    remove_folder(work_folder(out))
+
+
+def remove_half_written(out: Path) -> None:
+    """Clear away what a build that was killed half wrote, or half removed; finished parts stay."""
+    remove_leftovers(out)
+    remove_leftovers(work_folder(out))
