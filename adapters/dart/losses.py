@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
@@ -14,6 +14,8 @@ from prbench_adapters.kinematics.skeleton import forward_kinematics
 
 PerMotion = Float[Tensor, " batch"]
 Shares = tuple[float, float, float]
+PARTS = ("reconstruction", "divergence", "body", "consistency", "deltas", "latent")
+"""Names of the parts of the loss; those that a phase does not have are 0 in its log."""
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -103,3 +105,27 @@ def delta_loss(predicted: Frames, history: Frames) -> PerMotion:
         + huber(chain("orientation_delta")[:, :-1], orientation[:, 1:] @ orientation[:, :-1].mT)
         + huber(chain("joints_delta")[:, :-1], chain("joints").diff(dim=1))
     )
+
+
+class Totals:
+    """Losses of all primitives of a step, averaged over those that lie inside their motion.
+
+    Args:
+        valid: Which do.
+    """
+
+    def __init__(self, valid: Bool[Tensor, "batch primitives"]) -> None:
+        self.valid, self.sums = valid, dict[str, Tensor]()
+
+    def add(self, number: int, losses: dict[str, PerMotion]) -> None:
+        """The losses of one primitive of each motion."""
+        for name, loss in losses.items():
+            kept = torch.where(self.valid[:, number], loss, 0.0).sum()
+            self.sums[name] = self.sums.get(name, 0.0) + kept
+
+    def result(self, **weights: float) -> dict[str, Tensor]:
+        """The weighted sum ``loss`` and all parts."""
+        count = self.valid.sum().clamp_min(1)
+        parts = {name: total / count for name, total in self.sums.items()}
+        loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
+        return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from prbench.errors import InputFileError, UsageError
-from prbench.text import text_encoder
+from prbench.errors import UsageError
+from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
-from prbench.training.weights import Weights, read_weights
+from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.losses import Objective
 from prbench_adapters.dart.model import KIND, scaling_of
@@ -58,13 +56,13 @@ class DartTask:
                 f"frames per second of the tables: the model expects {configuration.fps:g}, found {data.fps:g}."
                 " Change one of the two."
             )
-        texts = _text_vectors(configuration)
+        texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         if objective.vae_share == 0 and start is None:
             raise UsageError("model.vae_share: 0 keeps the VAE of initial weights; give some with --init.")
         vae, denoiser = PrimitiveVAE(configuration), LatentDenoiser(configuration)
         if start is not None:
-            _require_same_networks(start, configuration)
+            start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(vae, "vae")
             start.load_into(denoiser, "denoiser")
         return DartTraining(
@@ -75,7 +73,7 @@ class DartTask:
             objective=objective,
             data=data.train,
             latent_std=_kept_latent_std(start) if start is not None and objective.vae_share == 0 else 0.0,
-            origin=_origin(configuration, start),
+            origin=(texts.origin, *origin_of(start)),
         )
 
 
@@ -85,43 +83,8 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DartConfiguration, Objec
     Raises:
         UsageError: for an unknown key or an impossible value.
     """
-    trained_for = {key: value for key, value in model.items() if key in Objective.__struct_fields__}
-    networks = {key: value for key, value in model.items() if key not in trained_for}
-    try:
-        return msgspec.convert(networks, DartConfiguration), msgspec.convert(trained_for, Objective)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"[model]: {error}.") from error
-
-
-def _text_vectors(configuration: DartConfiguration) -> TextVectors:
-    encoder = text_encoder(configuration.text_encoder)
-    if encoder.dimension != configuration.text_dimension:
-        raise UsageError(
-            f"model.text_dimension: the text encoder '{encoder.name}' has vectors of {encoder.dimension} numbers,"
-            f" found {configuration.text_dimension}."
-        )
-    return TextVectors(encoder)
-
-
-def _require_same_networks(start: Weights, configuration: DartConfiguration) -> None:
-    old = start.configuration(DartConfiguration)
-    for name in DartConfiguration.__struct_fields__:
-        if name not in FREE_TO_CHANGE and getattr(old, name) != getattr(configuration, name):
-            raise InputFileError(
-                start.path,
-                f"configuration.{name}",
-                expected=f"{getattr(configuration, name)}, as in the configuration of this training",
-                found=f"{getattr(old, name)}",
-                remedy=f"Add --set model.{name}={getattr(old, name)}, or start from other weights.",
-            )
+    return split_model_table(model, DartConfiguration, Objective)
 
 
 def _kept_latent_std(start: Weights) -> float:
     return float(start.require("latent.std", (1,)))
-
-
-def _origin(configuration: DartConfiguration, start: Weights | None) -> tuple[str, ...]:
-    lines = [f"text encoder {configuration.text_encoder} (frozen)"]
-    if start is not None:
-        lines.append(f"initial weights {start.path.name}, sha256 {start.digest}")
-    return tuple(lines)

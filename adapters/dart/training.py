@@ -20,9 +20,10 @@ from prbench.training.task import TrainingModule
 from prbench_adapters.dart.adapter import DartControl
 from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.losses import Objective, PerMotion, body_losses, delta_loss, divergence, huber
+from prbench_adapters.dart.losses import Objective, Totals, body_losses, delta_loss, divergence, huber
 from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, FeatureScaling, pooled_texts
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
+from prbench_adapters.dart.phases import Moment, moment_of
 from prbench_adapters.dart.rollout import next_history
 from prbench_adapters.dart.settings import DartSettings
 from prbench_adapters.dart.windows import Window, drawn_starts, primitives_of, window
@@ -31,21 +32,7 @@ from prbench_adapters.diffusion.schedule import CosineSchedule
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.kinematics.skeleton import rest_offsets
 
-PARTS = ("reconstruction", "divergence", "body", "consistency", "deltas", "latent")
-"""Names of the parts of the loss; those that a phase does not have are 0 in its log."""
 _MEASURED_MOTIONS = 512
-
-
-@dataclass(frozen=True)
-class Moment:
-    """Where in its training a call is."""
-
-    vae: bool
-    """Whether the VAE is trained, or the denoiser."""
-    progress: float
-    """Share of the phase that is over, from 0 to below 1."""
-    feedback: float
-    """Probability that a primitive starts from the end of what was predicted before it."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +90,7 @@ class DartTraining(TrainingModule):
         """Losses of consecutive primitives of each motion: of the VAE or of the denoiser, whichever's turn it is.
 
         Returns:
-            ``loss`` and its parts, unweighted (:data:`PARTS`).
+            ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.losses.PARTS`).
         """
         _require_one_process()
         moment, generator = self.moment(step), self.generator(step)
@@ -118,13 +105,9 @@ class DartTraining(TrainingModule):
 
     def moment(self, step: int) -> Moment:
         """Where a call is; a validation is in the phase of the training around it, without feedback."""
-        of_vae = round(self.objective.vae_share * self.calls)
         if step < 0:
             return Moment(not self._measured(), 0.0, 0.0)
-        vae = step < of_vae
-        progress = step / of_vae if vae else min(1.0, (step - of_vae) / max(1, self.calls - of_vae))
-        stages = self.objective.vae_stages if vae else self.objective.denoiser_stages
-        return Moment(vae, progress, feedback(progress, stages))
+        return moment_of(step, self.calls, self.objective)
 
     def learning_rate_factor(self, step: int) -> float:
         """Falls linearly to 0 in each phase."""
@@ -143,7 +126,7 @@ class DartTraining(TrainingModule):
 
     def _train_vae(self, cut: Window, moment: Moment, generator: torch.Generator) -> dict[str, Tensor]:
         self.vae.train(self.training)
-        totals = _Totals(cut.valid)
+        totals = Totals(cut.valid)
         own: Frames | None = None
         for number in range(self.objective.primitives):
             given = self._given(cut, number, own, moment, generator)
@@ -175,7 +158,7 @@ class DartTraining(TrainingModule):
         self, cut: Window, texts: tuple[str, ...], moment: Moment, generator: torch.Generator
     ) -> dict[str, Tensor]:
         text = self._texts(texts, generator)
-        totals = _Totals(cut.valid)
+        totals = Totals(cut.valid)
         own: Frames | None = None
         for number in range(self.objective.primitives):
             given = self._given(cut, number, own, moment, generator)
@@ -298,33 +281,6 @@ class DartTraining(TrainingModule):
     def gradient_groups(self) -> tuple[tuple[nn.Parameter, ...], ...]:
         """Each network's gradient is clipped by its own norm."""
         return tuple(self.vae.parameters()), tuple(self.denoiser.parameters())
-
-
-def feedback(progress: float, stages: tuple[float, float, float]) -> float:
-    """Probability of starting from one's own prediction: 0 in the first stage, 1 in the last, rising in between."""
-    recorded, rising, _ = stages
-    if progress < recorded:
-        return 0.0
-    return min(1.0, (progress - recorded) / rising) if rising else 1.0
-
-
-class _Totals:
-    """Losses of all primitives of a step, averaged over those that lie inside their motion."""
-
-    def __init__(self, valid: Bool[Tensor, "batch primitives"]) -> None:
-        self.valid, self.sums = valid, dict[str, Tensor]()
-
-    def add(self, number: int, losses: dict[str, PerMotion]) -> None:
-        for name, loss in losses.items():
-            kept = torch.where(self.valid[:, number], loss, 0.0).sum()
-            self.sums[name] = self.sums.get(name, 0.0) + kept
-
-    def result(self, **weights: float) -> dict[str, Tensor]:
-        """The weighted sum ``loss`` and all parts."""
-        count = self.valid.sum().clamp_min(1)
-        parts = {name: total / count for name, total in self.sums.items()}
-        loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
-        return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
 
 
 def _detached(frames: Frames) -> Frames:

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import torch
 
 from prbench.contract import Adapter
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import UsageError
 from prbench.representation.features import N_FEATURES
-from prbench.text import text_encoder
+from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
-from prbench.training.weights import Weights, read_weights
+from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition_vector import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
@@ -69,7 +68,7 @@ class DiffusionTask:
             max_frames=configuration.max_frames,
         )
         _require_one_skeleton(configuration, data)
-        texts = _text_vectors(configuration)
+        texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         denoiser = Denoiser(configuration)
         if start is not None:
@@ -81,7 +80,7 @@ class DiffusionTask:
             texts=texts,
             objective=objective,
             validating=self.validating,
-            origin=_origin(configuration, start),
+            origin=(texts.origin, *origin_of(start)),
         )
 
     def _require_goal(self, configuration: DenoiserConfiguration, stage: str) -> None:
@@ -99,12 +98,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, O
     Raises:
         UsageError: for an unknown key or a value of a wrong kind.
     """
-    trained_for = {key: value for key, value in model.items() if key in Objective.__struct_fields__}
-    network = {key: value for key, value in model.items() if key not in trained_for}
-    try:
-        return msgspec.convert(network, DenoiserConfiguration), msgspec.convert(trained_for, Objective)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"[model]: {error}.") from error
+    return split_model_table(model, DenoiserConfiguration, Objective)
 
 
 def continue_from(denoiser: Denoiser, start: Weights) -> None:
@@ -113,23 +107,9 @@ def continue_from(denoiser: Denoiser, start: Weights) -> None:
     Raises:
         InputFileError: if the weights are of another architecture, or were trained for another goal.
     """
-    old, new = start.configuration(DenoiserConfiguration), denoiser.configuration
-    changed = [
-        name
-        for name in DenoiserConfiguration.__struct_fields__
-        if name not in FREE_TO_CHANGE and getattr(old, name) != getattr(new, name)
-    ]
-    if old.goal != "none":
-        changed += [name for name in ("goal", "injection") if getattr(old, name) != getattr(new, name)]
-    if changed:
-        name = changed[0]
-        raise InputFileError(
-            start.path,
-            f"configuration.{name}",
-            expected=f"{getattr(new, name)}, as in the configuration of this training",
-            found=f"{getattr(old, name)}",
-            remedy=f"Add --set model.{name}={getattr(old, name)}, or start from other weights.",
-        )
+    old = start.configuration(DenoiserConfiguration)
+    fixed_by_goal = frozenset() if old.goal == "none" else {"goal", "injection"}
+    start.require_same(denoiser.configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
     trained = Denoiser(old)
     start.load_into(trained, "denoiser")
     denoiser.load_state_dict(trained.state_dict(), strict=False)
@@ -145,16 +125,6 @@ def _require_one_skeleton(configuration: DenoiserConfiguration, data: TrainingDa
                 f"model.uniform_skeleton: expected bodies on HumanML3D's skeleton, found {table.info.dataset}, whose"
                 " people have bones of their own. Leave the key out, or train on a HumanML3D corpus alone."
             )
-
-
-def _text_vectors(configuration: DenoiserConfiguration) -> TextVectors:
-    encoder = text_encoder(configuration.text_encoder)
-    if encoder.dimension != configuration.text_dimension:
-        raise UsageError(
-            f"model.text_dimension: the text encoder '{encoder.name}' has vectors of {encoder.dimension} numbers,"
-            f" found {configuration.text_dimension}."
-        )
-    return TextVectors(encoder)
 
 
 def _statistics(start: Weights | None, data: TrainingData) -> tuple[torch.Tensor, torch.Tensor]:
@@ -176,10 +146,3 @@ def _scaling(
         size = (configuration.condition_size,)
         mean, std = start.require("condition.mean", size), start.require("condition.std", size)
     return ConditionScaling.of(configuration, mean, std)
-
-
-def _origin(configuration: DenoiserConfiguration, start: Weights | None) -> tuple[str, ...]:
-    lines = [f"text encoder {configuration.text_encoder} (frozen)"]
-    if start is not None:
-        lines.append(f"initial weights {start.path.name}, sha256 {start.digest}")
-    return tuple(lines)

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from prbench.text import TextEncoder
+from prbench.errors import UsageError
+from prbench.text import TextEncoder, text_encoder
 
 _MOST_TEXTS = 65_536
 """Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB."""
@@ -20,6 +21,30 @@ class TextVectors:
     def __init__(self, encoder: TextEncoder) -> None:
         self.encoder = encoder
         self._known: dict[str, Float[np.ndarray, "tokens dimension"]] = {}
+
+    @classmethod
+    def of_model(cls, name: str, dimension: int) -> TextVectors:
+        """Those of the encoder that the table ``[model]`` names.
+
+        Args:
+            name: Its ``text_encoder``.
+            dimension: Its ``text_dimension``.
+
+        Raises:
+            UsageError: if there is no such encoder, or its vectors have another size.
+        """
+        encoder = text_encoder(name)
+        if encoder.dimension != dimension:
+            raise UsageError(
+                f"model.text_dimension: the text encoder '{name}' has vectors of {encoder.dimension} numbers,"
+                f" found {dimension}."
+            )
+        return cls(encoder)
+
+    @property
+    def origin(self) -> str:
+        """A line for the card of weights that build upon it."""
+        return f"text encoder {self.encoder.name} (frozen)"
 
     def __call__(
         self, texts: Sequence[str]

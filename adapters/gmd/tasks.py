@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import torch
 
-from prbench.errors import InputFileError, UsageError
 from prbench.representation.statistics import StatisticsAccumulator
-from prbench.text import text_encoder
+from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
-from prbench.training.weights import Weights, read_weights
+from prbench.training.weights import origin_of, read_weights
 from prbench_adapters.diffusion.text_vectors import TextVectors
 from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.features import FeatureSpace, emphasis_projection, with_absolute_root
@@ -59,14 +57,14 @@ class GMDTask:
             fps=configuration.fps,
             max_frames=configuration.max_frames,
         )
-        texts = _text_vectors(configuration)
+        texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         networks = GMDNetworks(configuration)
         if start is not None:
-            _require_same_networks(configuration, start)
+            start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(networks, "networks")
         space = stored_space(start) if start is not None else _space_of(data, configuration)
-        origin = _origin(configuration, start)
+        origin = (texts.origin, *origin_of(start))
         return GMDTraining(networks, space=space, texts=texts, objective=objective, origin=origin)
 
 
@@ -76,12 +74,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[GMDConfiguration, Object
     Raises:
         UsageError: for an unknown key or a value of a wrong kind.
     """
-    trained_for = {key: value for key, value in model.items() if key in Objective.__struct_fields__}
-    networks = {key: value for key, value in model.items() if key not in trained_for}
-    try:
-        return msgspec.convert(networks, GMDConfiguration), msgspec.convert(trained_for, Objective)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"[model]: {error}.") from error
+    return split_model_table(model, GMDConfiguration, Objective)
 
 
 def _space_of(data: TrainingData, configuration: GMDConfiguration) -> FeatureSpace:
@@ -92,33 +85,3 @@ def _space_of(data: TrainingData, configuration: GMDConfiguration) -> FeatureSpa
     found = accumulator.result()
     projection = emphasis_projection(configuration.emphasis)
     return FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
-
-
-def _require_same_networks(configuration: GMDConfiguration, start: Weights) -> None:
-    old = start.configuration(GMDConfiguration)
-    for name in GMDConfiguration.__struct_fields__:
-        if name not in FREE_TO_CHANGE and getattr(old, name) != getattr(configuration, name):
-            raise InputFileError(
-                start.path,
-                f"configuration.{name}",
-                expected=f"{getattr(configuration, name)}, as in the configuration of this training",
-                found=f"{getattr(old, name)}",
-                remedy=f"Add --set model.{name}={getattr(old, name)}, or start from other weights.",
-            )
-
-
-def _text_vectors(configuration: GMDConfiguration) -> TextVectors:
-    encoder = text_encoder(configuration.text_encoder)
-    if encoder.dimension != configuration.text_dimension:
-        raise UsageError(
-            f"model.text_dimension: the text encoder '{encoder.name}' has vectors of {encoder.dimension} numbers,"
-            f" found {configuration.text_dimension}."
-        )
-    return TextVectors(encoder)
-
-
-def _origin(configuration: GMDConfiguration, start: Weights | None) -> tuple[str, ...]:
-    lines = [f"text encoder {configuration.text_encoder} (frozen)"]
-    if start is not None:
-        lines.append(f"initial weights {start.path.name}, sha256 {start.digest}")
-    return tuple(lines)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import torch
 from jaxtyping import Float
 
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import UsageError
 from prbench.training import MotionBatch, collate
+from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
-from prbench.training.weights import Weights, read_weights
+from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.wandr.configuration import WandrConfiguration
 from prbench_adapters.wandr.losses import Objective
 from prbench_adapters.wandr.network import Standardisation, WandrNetwork
@@ -63,11 +63,7 @@ class WandrTask:
         configuration, objective = read_model_table(model)
         if initial is not None:
             start = read_weights(initial, kind=KIND)
-            return WandrTraining(
-                _continued(configuration, start),
-                objective,
-                (f"initial weights {start.path.name}, sha256 {start.digest}",),
-            )
+            return WandrTraining(_continued(configuration, start), objective, origin_of(start))
         network = WandrNetwork(configuration)
         take_statistics(network, data)
         return WandrTraining(network, objective)
@@ -79,12 +75,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Obje
     Raises:
         UsageError: for an unknown key or a value of a wrong kind.
     """
-    trained_for = {key: value for key, value in model.items() if key in Objective.__struct_fields__}
-    network = {key: value for key, value in model.items() if key not in trained_for}
-    try:
-        return msgspec.convert(network, WandrConfiguration), msgspec.convert(trained_for, Objective)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"[model]: {error}.") from error
+    return split_model_table(model, WandrConfiguration, Objective)
 
 
 def take_statistics(network: WandrNetwork, data: TrainingData) -> None:
@@ -125,16 +116,7 @@ def _continued(configuration: WandrConfiguration, start: Weights) -> WandrNetwor
     Raises:
         InputFileError: if it differs in others, or the file is damaged.
     """
-    old = start.configuration(WandrConfiguration)
-    for name in WandrConfiguration.__struct_fields__:
-        if name not in FREE_TO_CHANGE and getattr(old, name) != getattr(configuration, name):
-            raise InputFileError(
-                start.path,
-                f"configuration.{name}",
-                expected=f"{getattr(configuration, name)}, as in the configuration of this training",
-                found=f"{getattr(old, name)}",
-                remedy=f"Add --set model.{name}={getattr(old, name)}, or start from other weights.",
-            )
+    start.require_same(configuration, apart_from=FREE_TO_CHANGE)
     network = WandrNetwork(configuration)
     network.load_state_dict(network_of(start).state_dict())
     return network

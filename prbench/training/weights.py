@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -64,6 +64,28 @@ class Weights:
                 remedy="The weights were made by another version of prbench or by another program; train them again.",
             ) from error
 
+    def require_same(self, configuration: msgspec.Struct, *, apart_from: Collection[str]) -> None:
+        """Refuse to go on from these weights with a network of another configuration.
+
+        Args:
+            configuration: Of the network that will be trained.
+            apart_from: Its fields that may differ.
+
+        Raises:
+            InputFileError: naming the first field that differs, and how to keep the old value.
+        """
+        old = self.configuration(type(configuration))
+        for name in configuration.__struct_fields__:
+            wanted, found = getattr(configuration, name), getattr(old, name)
+            if name not in apart_from and wanted != found:
+                raise InputFileError(
+                    self.path,
+                    f"configuration.{name}",
+                    expected=f"{wanted}, as in the configuration of this training",
+                    found=f"{found}",
+                    remedy=f"Add --set model.{name}={found}, or start from other weights.",
+                )
+
     def require_representation(self, mode: str) -> None:
         """Refuse weights of other features than the configuration in the same header says.
 
@@ -113,6 +135,11 @@ class Weights:
     def _misfit(self, where: str, expected: str, found: str) -> InputFileError:
         remedy = "The file does not fit the configuration in its own header; train or download it again."
         return InputFileError(self.path, where, expected=expected, found=found, remedy=remedy)
+
+
+def origin_of(start: Weights | None) -> tuple[str, ...]:
+    """The line of a card about the initial weights of a training, where it has some."""
+    return () if start is None else (f"initial weights {start.path.name}, sha256 {start.digest}",)
 
 
 def write_weights(

@@ -13,7 +13,7 @@ from torch import nn
 
 from prbench.errors import InputFileError
 from prbench.storage import file_digest, read_json
-from prbench.training.weights import read_weights, write_weights
+from prbench.training.weights import origin_of, read_weights, write_weights
 
 HEADER = {"kind": "denoiser", "configuration": '{"width":3}', "representation": "humanml3d-263/continuous"}
 
@@ -72,6 +72,11 @@ def test_the_card_names_the_file_that_it_belongs_to(path):
         "weights": "w.safetensors",
         "weights_sha256": file_digest(path),
     }
+
+
+def test_a_card_says_where_its_training_began(path):
+    assert origin_of(None) == ()
+    assert origin_of(read_weights(path)) == (f"initial weights w.safetensors, sha256 {file_digest(path)}",)
 
 
 def test_views_of_one_memory_are_written_apart(tmp_path):
@@ -139,6 +144,14 @@ def test_weights_of_another_kind_or_representation_are_refused(path):
         read_weights(path, kind="t2m-evaluator")
     with pytest.raises(InputFileError, match="expected 'humanml3d-263/reference', found 'humanml3d-263/continuous'"):
         read_weights(path).require_representation("reference")
+
+
+def test_training_goes_on_from_the_same_network_alone(path):
+    weights = read_weights(path)
+    weights.require_same(Network(width=3), apart_from=())
+    weights.require_same(Network(width=4), apart_from=("width",))
+    with pytest.raises(InputFileError, match=r"configuration\.width: .*4.* found 3.*--set model\.width=3"):
+        weights.require_same(Network(width=4), apart_from=())
 
 
 def test_a_configuration_of_another_network_is_refused(tensors, tmp_path):

@@ -7,17 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import msgspec
 import torch
 
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion.configuration import GLOVE, EvaluatorConfiguration
 from prbench.representation import N_FEATURES, Statistics
+from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
 from prbench.training.weights import Weights, read_weights
 from prbench.workflows.text_to_motion.losses import EvaluatorObjective
 from prbench.workflows.text_to_motion.tokens import token_vectors
 from prbench.workflows.text_to_motion.training import MOVEMENT_KIND, STAGES, EvaluatorTraining, Stage
+
+_MOVEMENT_ENCODER = frozenset({"movement_width", "representation", "fps"})
+"""Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +78,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[EvaluatorConfiguration, 
     Raises:
         UsageError: for an unknown key or a value of a wrong kind.
     """
-    trained_for = {key: value for key, value in model.items() if key in EvaluatorObjective.__struct_fields__}
-    networks = {key: value for key, value in model.items() if key not in trained_for}
-    try:
-        return msgspec.convert(networks, EvaluatorConfiguration), msgspec.convert(trained_for, EvaluatorObjective)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"[model]: {error}.") from error
+    return split_model_table(model, EvaluatorConfiguration, EvaluatorObjective)
 
 
 def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjective) -> None:
@@ -110,17 +108,8 @@ def _continue_from(module: EvaluatorTraining, start: Weights) -> None:
     Raises:
         InputFileError: if it is one of another size or representation.
     """
-    old = start.configuration(EvaluatorConfiguration)
-    for name in ("movement_width", "representation", "fps"):
-        wanted, found = getattr(module.configuration, name), getattr(old, name)
-        if wanted != found:
-            raise InputFileError(
-                start.path,
-                f"configuration.{name}",
-                expected=f"{wanted}, as in the configuration of this training",
-                found=f"{found}",
-                remedy=f"Add --set model.{name}={found}, or start from another autoencoder.",
-            )
+    of_no_matter = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
+    start.require_same(module.configuration, apart_from=of_no_matter)
     start.load_into(module.movement, "movement")
 
 
