@@ -63,7 +63,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             if path.exists():
                 path.replace(replaced)
             temporary.replace(path)
-            shutil.rmtree(replaced, ignore_errors=True)
+            if replaced.exists():
+                replaced.replace(temporary)  # from here on half of it may be gone, so it is never put back
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -113,6 +113,24 @@ def test_a_folder_that_was_about_to_be_replaced_gets_its_name_back(tmp_path):
     assert [entry.name for entry in folder.iterdir()] == ["old"]
 
 
+def test_a_folder_that_was_replaced_and_half_deleted_never_comes_back(tmp_path):
+    folder = tmp_path / "table"
+    folder.mkdir()
+    script = (
+        "import os, shutil\n"
+        "from pathlib import Path\n"
+        "from prbench.storage import atomic_folder\n"
+        "shutil.rmtree = lambda *_, **__: os._exit(9)\n"
+        f"with atomic_folder(Path({str(folder)!r})):\n"
+        "    pass\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert len(list(tmp_path.iterdir())) == 2
+    folder.rmdir()
+    remove_leftovers(folder)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_is_deleted_whole_or_found_whole(tmp_path):
     folder = tmp_path / ".tables.work"
     (folder / "one").mkdir(parents=True)
