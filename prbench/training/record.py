@@ -10,7 +10,7 @@ import msgspec
 
 from prbench.errors import StorageError, TrainingError
 from prbench.sequences import CorpusTable, SequenceTable
-from prbench.storage import read_json, write_json
+from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
 
 RECORD = "training.json"
@@ -67,6 +67,7 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
         StorageError: if it holds something else.
     """
     path = out / RECORD
+    remove_leftovers(path)  # of a process that was killed before the file stood there
     if not path.is_file():
         if out.is_file() or (out.is_dir() and any(out.iterdir())):
             raise StorageError(

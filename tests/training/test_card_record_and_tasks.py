@@ -55,6 +55,12 @@ def test_the_same_training_may_go_on(tmp_path):
     require_same_training(tmp_path, with_training(save_every=7, log_every=3))
 
 
+def test_a_training_that_was_killed_before_its_record_stood_there_begins_anew(tmp_path):
+    (tmp_path / ".training-abcd1234.partial.json").write_text("{")
+    require_same_training(tmp_path, RECORD)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("other", "message"),
     [

@@ -19,7 +19,7 @@ from prbench.evaluation.progress import ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.sequences import SequenceTable
-from prbench.storage import write_json, write_text
+from prbench.storage import remove_leftovers, write_json, write_text
 from prbench.workflows.table_two.as_json import as_builtins
 from prbench.workflows.table_two.as_markdown import as_markdown
 from prbench.workflows.table_two.budget import DatasetSize, even_batch_size
@@ -102,6 +102,8 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         outcomes = _outcomes(planned, runs, engine, say)
         minutes = plan.minutes if plan.fits else None
         layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
+        for name in (MARKDOWN, JSON):
+            remove_leftovers(folder / name)  # of a process that was killed while it wrote them
         write_text(folder / MARKDOWN, as_markdown(layout))
         write_json(folder / JSON, as_builtins(layout))
     return TableReport(folder, layout, outcomes)

@@ -348,6 +348,8 @@ def test_what_a_killed_process_was_writing_is_cleared_away(small_tables, tmp_pat
     shutil.rmtree(row)
     row.mkdir()
     (row / ".run-abcd1234.partial.json").write_text("{")
+    (tmp_path / "t/.table_2-abcd1234.partial.md").write_text("|")
+    (tmp_path / "t/.table_2-abcd1234.partial.json").write_text("{")
     assert lines(run_table(asked))["goal-loc-reacher-finetuned"].state == "run"
     assert not list((tmp_path / "t").rglob(".*"))
 
