@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -15,6 +14,7 @@ import pytest
 
 from prbench.curation import build_from_sources
 from prbench.sequences.parts import work_folder
+from tests.crashes import tried_by
 from tests.curation.sources import SceneSource, folder_bytes, some_sources
 
 ROOT = Path(__file__).parents[2]
@@ -40,21 +40,9 @@ def kill_after(process: subprocess.Popen, out: Path, parts: int, delay: float) -
     process.wait()
 
 
-def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
-    chance = random.Random(20)
-    out = tmp_path / "adt"
-    reached = []
-    for parts in (1, 3, 6, 8):
-        kill_after(start(out), out, parts, chance.uniform(0.0, 0.06))
-        reached.append(8 if out.is_dir() else finished_parts(out))
-    # The last kill falls into the merge, or just after it; no finished part is ever lost before the table stands.
-    assert reached == sorted(reached)
-    assert reached[2] >= 6
-    process = start(out)
-    assert process.wait() == 0
-    build_from_sources(some_sources(8), tmp_path / "undisturbed")
-    assert folder_bytes(out) == folder_bytes(tmp_path / "undisturbed")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["adt", "undisturbed"]
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="crashes are tried in forked processes")
+def test_killed_before_any_of_its_file_operations_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    assert tried_by("tests.curation.killed_builds", tmp_path) > 50
 
 
 def test_killed_while_its_parts_are_removed_it_builds_again_with_the_same_bytes(tmp_path: Path, monkeypatch) -> None:
