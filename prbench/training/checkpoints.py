@@ -10,7 +10,7 @@ import safetensors.torch
 from safetensors import SafetensorError
 
 from prbench.errors import InputFileError, TrainingError
-from prbench.storage import atomic_folder, read_json, write_json
+from prbench.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.training.state import Tally, TrainingState
 
 KEPT = 2
@@ -40,7 +40,7 @@ class Checkpoints:
             safetensors.torch.save_file(tensors, temporary / _TENSORS)
             write_json(temporary / _STATE, _described(state))
         for step in self.steps()[:-KEPT]:
-            shutil.rmtree(self._path(step), ignore_errors=True)
+            remove_folder(self._path(step))
 
     def restore(self, state: TrainingState) -> bool:
         """Put the newest checkpoint into ``state``; false if there is none.
