@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 import jaxtyping
 import pytest
+
+from tests.shapes import unchecked
 
 os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
 
@@ -18,12 +20,13 @@ if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
     jaxtyping.install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
 
 
-@pytest.fixture
-def unchecked_shapes() -> Iterator[None]:
-    """For tests of very many calls, where the checks would take the most time; other tests check the same code."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """The marker ``unchecked_shapes``, for a test with the fixtures that it is the first to ask for."""
+    if item.get_closest_marker("unchecked_shapes") is None:
+        return (yield)
+    with unchecked():
+        return (yield)
 
 
 @pytest.fixture(scope="session")

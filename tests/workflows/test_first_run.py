@@ -20,6 +20,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
+@pytest.mark.unchecked_shapes
 def test_a_run_without_data_builds_it_once_and_says_where(cache, tmp_path, capsys):
     run = ["run", "--method", "ground-truth", "--split", "train"]
     assert main([*run, "--out", str(tmp_path / "one")]) == 0

@@ -17,6 +17,7 @@ SEED = 301
 
 
 @pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+@pytest.mark.unchecked_shapes
 def test_events_and_primes_are_found_within_the_limits(level) -> None:
     """All limits apply; events are annotated, so recall and precision say that no row is lost or invented."""
     result = verify_level(level, preset="gimo", recordings=3, seed=SEED)
@@ -24,6 +25,7 @@ def test_events_and_primes_are_found_within_the_limits(level) -> None:
     assert [limit for limit in limits(level, result, preset="gimo") if not limit.holds] == []
 
 
+@pytest.mark.unchecked_shapes
 def test_native_files_give_what_the_recording_exit_gives(tmp_path) -> None:
     synthesize_tree("gimo", tmp_path / "tree", recordings=1, seed=SEED, n_events=3, provocations={})
     result = verify_tree(tmp_path / "tree", dataset="gimo")
@@ -39,6 +41,7 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.unchecked_shapes
 def test_the_row_of_table_1_is_met_within_a_third_of_its_spread() -> None:
     staging = Staging("gimo", SEED, n_events=6)
     rows = [

@@ -36,6 +36,7 @@ def test_events_are_found_within_the_limits(level: SensorLevel) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.unchecked_shapes
 def test_primes_are_found_within_the_limits_that_apply() -> None:
     level = LEVELS[1]
     result = verify_level(level, preset="hd-epic", recordings=20, seed=SEED)
@@ -58,6 +59,7 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.unchecked_shapes
 def test_a_table_of_twenty_recordings_resembles_table_1(tmp_path: Path) -> None:
     report = build_synthetic_table("hd-epic", 20, SEED, tmp_path / "table", n_events=6)
     rows, target = SequenceTable.open(report.folder).scalars(), TARGETS["hd-epic"]

@@ -57,6 +57,7 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.unchecked_shapes
 def test_a_table_of_twelve_recordings_resembles_table_1(tmp_path: Path) -> None:
     build_synthetic_table("mogaze", 12, TABLE_SEED, tmp_path / "table", n_events=6)
     rows = SequenceTable.open(tmp_path / "table").scalars()

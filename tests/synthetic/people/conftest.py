@@ -6,6 +6,7 @@ import pytest
 
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.performance import Performance
+from tests.shapes import unchecked
 
 N_RECORDINGS = 20
 
@@ -13,7 +14,8 @@ N_RECORDINGS = 20
 @pytest.fixture(scope="session")
 def crowds() -> dict[str, list[Performance]]:
     """Twenty recordings of every preset, without provocations, at 60 Hz."""
-    return {preset: [_act(preset, index) for index in range(N_RECORDINGS)] for preset in PRESETS}
+    with unchecked():
+        return {preset: [_act(preset, index) for index in range(N_RECORDINGS)] for preset in PRESETS}
 
 
 def _act(preset: str, index: int) -> Performance:
