@@ -65,7 +65,7 @@ def in_a_child(work: Work, folder: Path, *, dies_before: int = 0) -> bool:
                 _die_before(dies_before, str(folder))
             work(folder)
             status = 0
-        except BaseException:
+        except BaseException:  # told to the parent by the status; pytest's own handlers must not run twice
             traceback.print_exc()
         finally:
             os._exit(status)

@@ -8,6 +8,7 @@ tensor. This module needs torch and safetensors only, so that an adapter may loa
 from __future__ import annotations
 
 import json
+import shlex
 import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -83,7 +84,7 @@ class Weights:
                     f"configuration.{name}",
                     expected=f"{wanted}, as in the configuration of this training",
                     found=f"{found}",
-                    remedy=f"Add --set model.{name}={found}, or start from other weights.",
+                    remedy=f"Add --set {_setting(name, found)}, or start from other weights.",
                 )
 
     def require_representation(self, mode: str) -> None:
@@ -135,6 +136,12 @@ class Weights:
     def _misfit(self, where: str, expected: str, found: str) -> InputFileError:
         remedy = "The file does not fit the configuration in its own header; train or download it again."
         return InputFileError(self.path, where, expected=expected, found=found, remedy=remedy)
+
+
+def _setting(name: str, value: object) -> str:
+    """The key of a table ``[model]`` with its value, as a shell and TOML take them."""
+    text = value if isinstance(value, str) else json.dumps(msgspec.to_builtins(value))
+    return shlex.quote(f"model.{name}={text}")
 
 
 def origin_of(start: Weights | None) -> tuple[str, ...]:

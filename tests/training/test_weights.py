@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
+import shlex
 
 import msgspec
 import pytest
@@ -13,6 +15,7 @@ from torch import nn
 
 from prbench.errors import InputFileError
 from prbench.storage import file_digest, read_json
+from prbench.training.configuration import resolve
 from prbench.training.weights import origin_of, read_weights, write_weights
 
 HEADER = {"kind": "denoiser", "configuration": '{"width":3}', "representation": "humanml3d-263/continuous"}
@@ -72,6 +75,33 @@ def test_the_card_names_the_file_that_it_belongs_to(path):
         "weights": "w.safetensors",
         "weights_sha256": file_digest(path),
     }
+
+
+class Layered(msgspec.Struct, forbid_unknown_fields=True):
+    widths: tuple[int, ...] = ()
+    reference: bool = False
+    encoder: str = "words"
+
+
+@pytest.mark.parametrize(
+    ("kept", "advice"),
+    [
+        (Layered(widths=(8, 16)), "--set 'model.widths=[8, 16]',"),
+        (Layered(reference=True), "--set model.reference=true,"),
+        (Layered(encoder="clip-vit-b32"), "--set model.encoder=clip-vit-b32,"),
+    ],
+)
+def test_how_to_keep_a_setting_can_be_pasted_into_a_shell(kept, advice, tensors, tmp_path):
+    header = {**HEADER, "configuration": msgspec.json.encode(kept).decode()}
+    write_weights(tmp_path / "w.safetensors", tensors, header, {})
+    with pytest.raises(InputFileError, match=re.escape(advice)) as refused:
+        read_weights(tmp_path / "w.safetensors").require_same(Layered(), apart_from=())
+    (setting,) = re.findall(r"--set (\S+=.*), or", str(refused.value))
+    (unquoted,) = shlex.split(setting)
+    key, _, value = unquoted.partition("=")
+    tables = {"model": {}, "data": {}, "training": {"steps": 1}}
+    resolved = resolve(tables, source=tmp_path, stage="pretrain", overrides=[(key, value)])
+    assert msgspec.convert(resolved.model, Layered) == kept
 
 
 def test_a_card_says_where_its_training_began(path):
