@@ -10,6 +10,8 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
+from prbench.shown import clean, quoted
+
 
 class PrbenchError(Exception):
     """A problem that the user can repair."""
@@ -32,8 +34,8 @@ class InputFileError(PrbenchError):
 
     def __init__(self, path: Path | str, where: str, *, expected: str, found: str, remedy: str = "") -> None:
         self.path, self.where, self.expected, self.found, self.remedy = Path(path), where, expected, found, remedy
-        place = f"{path}, {where}" if where else f"{path}"
-        super().__init__(f"{place}: expected {expected}, found {found}.{' ' + remedy if remedy else ''}")
+        place = f"{clean(path)}, {quoted(where)}" if where else clean(path)
+        super().__init__(f"{place}: expected {expected}, found {quoted(found)}.{' ' + remedy if remedy else ''}")
 
     def __reduce__(self) -> tuple[object, ...]:
         """Keep the keyword-only parts when the error crosses a process border."""

@@ -11,6 +11,8 @@ ROOT = Path(__file__).parents[1]
 
 FLOORS = {
     "prbench.errors": 0,
+    "prbench.limits": 0,
+    "prbench.shown": 0,
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
     "prbench.axes": 1,
@@ -32,8 +34,9 @@ FLOORS = {
 NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
+    ("prbench.errors", "prbench.shown"),
 }
-"""The only arrows on floor 1."""
+"""The only arrows between rooms of one floor."""
 
 
 def _modules() -> list[tuple[str, Path]]:
