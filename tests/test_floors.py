@@ -28,6 +28,7 @@ FLOORS = {
             "engine",
             "storage",
             "locks",
+            "workers",
             "randomness",
         )
     },
@@ -44,6 +45,7 @@ FLOORS = {
 NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
+    ("prbench.engine", "prbench.workers"),
     ("prbench.errors", "prbench.shown"),
     ("prbench.locks", "prbench.storage"),
 }

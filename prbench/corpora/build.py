@@ -78,7 +78,7 @@ def build_corpus(
     )
     finished, done, total = [], 0, sum(len(group.recordings) for group in groups)
     with sole_writer(out), parts.working_in_parts(out):
-        for part in engine.map(job, groups):
+        for part in engine.map(job, groups, if_full=job.if_full):
             finished.append(part)
             done += len(part.receipt.records)
             if progress is not None:

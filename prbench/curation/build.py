@@ -111,7 +111,7 @@ def build_from_sources(
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
     with sole_writer(out), working_in_parts(out):
         receipts = []
-        for receipt in engine.map(job, sources):
+        for receipt in engine.map(job, sources, if_full=job.if_full):
             receipts.append(receipt)
             if progress is not None:
                 progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))

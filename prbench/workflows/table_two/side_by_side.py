@@ -21,6 +21,7 @@ from prbench.evaluation.run import missing_batches
 from prbench.locks import sole_writer
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import FILE_NAME as RECORD
+from prbench.workers import is_out_of_memory
 
 Counting = Callable[[int, int, str], None]
 """Called with finished items, all items, and the next or last one's name."""
@@ -71,7 +72,8 @@ def generate_side_by_side(
     broken = None
     try:
         with contextlib.ExitStack() as held:  # until the last batch is made
-            for tried in engine.map(_try, _tasks(requests, engine, begun, failed, until, held)):
+            tasks = _tasks(requests, engine, begun, failed, until, held)
+            for tried in engine.map(_try, tasks, if_full=lambda named, error: _Tried(named.name, str(error))):
                 if tried.reason is not None:
                     failed.setdefault(tried.name, tried.reason)
                 counting(begun.index(tried.name), len(requests), tried.name)
@@ -125,6 +127,8 @@ def _try(named: _NamedTask) -> _Tried:
     except StorageError:
         raise
     except Exception as error:  # a defect of a method, which must not cost the other rows
+        if is_out_of_memory(error):
+            raise  # the engine tries again when nothing else is done beside it
         return _Tried(named.name, why(error))
     return _Tried(named.name, None)
 

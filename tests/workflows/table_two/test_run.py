@@ -87,7 +87,7 @@ class DiesOnce:
     def __init__(self) -> None:
         self.dies = True
 
-    def map(self, function, items):
+    def map(self, function, items, *, if_full=None):
         for item in items:
             yield function(item)
             if self.dies:
