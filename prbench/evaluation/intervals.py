@@ -10,11 +10,11 @@ is that of this estimator: its spread is measured by leaving out, or drawing ane
   correlation; then the interval is that of Clopper and Pearson with one trial a recording, so that 0 % and 100 % never
   claim certainty.
 * **Metres and ratios** get a percentile bootstrap over recordings, with samples drawn anew inside their sequences. It
-  is computed instead of drawn (:mod:`prbench.evaluation.bootstrap`), so that no seed moves a printed digit. Percentiles of
-  few recordings lie too close together; they are taken further out by as much as Student's interval is wider than the
-  normal one (Hesterberg 2015, "expanded percentiles"). Below ten recordings the interval is Student's itself, from the
-  jackknife over recordings with recordings - 1 degrees of freedom. With recordings of one size this is the t interval
-  of the recording means.
+  is computed instead of drawn (:mod:`prbench.evaluation.bootstrap`), so that no seed moves a printed digit.
+  Percentiles of few recordings lie too close together; they are taken further out by as much as Student's interval is
+  wider than the normal one (Hesterberg 2015, "expanded percentiles"). Below ten recordings the interval is Student's
+  itself, from the jackknife over recordings with recordings - 1 degrees of freedom. With recordings of one size this
+  is the t interval of the recording means.
 * With a single recording, a mean has no interval; a rate has that of one trial.
 """
 
