@@ -103,7 +103,7 @@ def _restore_described(state: TrainingState, described: object, folder: Path) ->
     state.rows, state.validations = described["rows"], described["validations"]
 
 
-def _restore_timing(state: TrainingState, timing: dict[str, Any]) -> None:
+def _restore_timing(state: TrainingState, timing: Any) -> None:
     state.seconds = timing["seconds"]
     state.waited = timing["waited"]
     state.timings = timing.get("timings", [])
