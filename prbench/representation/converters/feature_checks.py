@@ -52,9 +52,6 @@ class _Doubt:
     """Nothing but other statistics explains it, so that the motion needs no company to be refused."""
 
 
-_Look = Callable[[int, np.ndarray], "_Doubt | None"]
-
-
 def check_features(
     features: Float[np.ndarray, "rows 263"] | Sequence[Float[np.ndarray, "_ 263"]],
     *,
@@ -83,7 +80,7 @@ def check_features(
     motions = [features] if isinstance(features, np.ndarray) and features.ndim == 2 else list(features)
     walking = [row for row, motion in enumerate(motions) if max(_step_lengths(motion)) > _WALKS]
     everything = list(range(len(motions)))
-    examinations: tuple[tuple[_Look, list[int]], ...] = (
+    examinations: tuple[tuple[Callable[[int, np.ndarray], _Doubt | None], list[int]], ...] = (
         (_steps, walking),
         (_contacts, everything),
         (_speed, everything),

@@ -11,6 +11,7 @@ from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
 from prbench.storage import atomic_folder, remove_leftovers
 from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
+from prbench.workflows.scaffold.one_file import ONE_FILE, converters_file
 from prbench.workflows.scaffold.templating import filled, read_template
 from prbench.workflows.scaffold.values import command_lines, template_flags, template_values
 
@@ -117,7 +118,7 @@ def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
         f"{names.program}.py": "program.py",
         f"{names.program}.toml": "method.toml",
     }
-    return _filled(templates, names, request)
+    return _filled(templates, names, request) | {ONE_FILE: converters_file()}
 
 
 def _filled(templates: dict[str, str], names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
