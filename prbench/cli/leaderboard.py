@@ -102,6 +102,7 @@ def _checker(arguments: argparse.Namespace) -> RunChecker:
 
 def _export(arguments: argparse.Namespace) -> int:
     from prbench.leaderboard import collect_runs, export, make_leaderboard
+    from prbench.locks import sole_writer
     from prbench.storage import write_text
 
     collected = collect_runs(arguments.runs, check=_checker(arguments).check)
@@ -114,6 +115,7 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         print(text, end="")
         return 0
-    write_text(arguments.out, text)
+    with sole_writer(arguments.out):
+        write_text(arguments.out, text)
     print(f"leaderboard: {arguments.out}")
     return 0
