@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.evaluation.doctor.patient import Finding, Patient
+from prbench.evaluation.doctor.tremor import Tremor
 from prbench.evaluation.doctor.types import Diagnosis
 from prbench.skeleton import BONES, Joint, bone_lengths
 
-_TREMBLING, _TREMOR = 1.2, 0.003  # second over first differences (noise 1.7, movement 0.3); metres
 _STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
 
 
@@ -40,17 +40,12 @@ def _stretching(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
 
 
 def _trembling(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
-    ratios, sizes = [], []
-    for motion in motions:
-        limbs = motion - motion[:, :1]
-        first, second = (np.linalg.norm(np.diff(limbs, n, axis=0), axis=-1).mean(axis=-1) for n in (1, 2))
-        ratios.append(float(np.median(second) / max(float(np.median(first)), 1e-9)))
-        sizes.append(float(np.median(second)) / np.sqrt(6))
-    if np.median(ratios) < _TREMBLING or np.median(sizes) < _TREMOR:
+    tremor = Tremor.of(motions)
+    if tremor is None:
         return ()
     evidence = (
-        f"joints tremble by about {np.median(sizes) * 1000:.0f} mm: steps change from frame to frame by"
-        f" {np.median(ratios):.2f} of their own size (medians of {len(motions)} motions;"
+        f"joints tremble by about {tremor.metres * 1000:.0f} mm: steps change from frame to frame by"
+        f" {tremor.ratio:.2f} of their own size (medians of {tremor.motions} motions;"
         " smooth movement 0.3, noise 1.7)"
     )
     cause = "noise of a sampler with few steps, or frames that are generated without their neighbours"

@@ -7,10 +7,13 @@ suspicious, and says nothing where nobody steps or reaches.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from prbench.evaluation.doctor.patient import Patient
 from prbench.evaluation.doctor.remedies import AT_RATE
+from prbench.evaluation.doctor.tremor import SMOOTHED_OVER, Tremor, smoothed
 from prbench.evaluation.doctor.types import Diagnosis
 from prbench.skeleton import TOES, WRISTS, Joint
 
@@ -20,18 +23,43 @@ _ENOUGH = 4
 _SWING, _SWING_RANGE = 0.29, (0.20, 0.40)  # seconds: usual, and what is not suspicious
 _REACH_RANGE = (0.25, 1.6)
 _FARTHEST = 7.0  # times; 120 frames a second shown at 20 make 6, and what is farther off is no clock: feet slide, say
+_ENOUGH_BENEATH_TREMOR = 12
+_EQUALLY_LONG = 0.2  # interquartile range of the logarithm; walking 0.03 to 0.18, noise on other bodies 0.22 and more
 _COARSEST = 1.9  # frames: narrower peaks are jitter
 
 
 def tempo_of_limbs(patient: Patient) -> tuple[Diagnosis, ...]:
-    """Suspicious durations of steps, or of reaches where nobody steps."""
-    swings = np.concatenate([_durations(motion[:, toe][:, [0, 2]]) for motion in patient.motions for toe in TOES])
+    """Suspicious durations of steps, or of reaches where nobody steps.
+
+    Trembling moves the places at which a swing begins and ends, and makes swings of its own. So it is smoothed away
+    first, and only steps that then last equally long count, as those of a walking person do at any rate.
+    """
+    if Tremor.of(patient.motions) is not None:
+        return _tempo_beneath_tremor(patient)
+    swings = _swings(patient.motions)
     if len(swings) >= _ENOUGH:
         return _judged(swings, patient.fps, "steps", _SWING_RANGE)
     reaches = np.concatenate(
         [_durations(motion[:, wrist] - motion[:, Joint.PELVIS]) for motion in patient.motions for wrist in WRISTS]
     )
     return _judged(reaches, patient.fps, "hands' movements", _REACH_RANGE) if len(reaches) >= _ENOUGH else ()
+
+
+def _tempo_beneath_tremor(patient: Patient) -> tuple[Diagnosis, ...]:
+    swings = _swings([smoothed(motion) for motion in patient.motions])
+    if len(swings) < _ENOUGH_BENEATH_TREMOR:
+        return ()
+    spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
+    if spread > _EQUALLY_LONG:
+        return ()
+    widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
+    durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
+    return _judged(durations, patient.fps, "steps", _SWING_RANGE)
+
+
+def _swings(motions: Sequence[np.ndarray]) -> np.ndarray:
+    """Frames that each swing of a foot takes."""
+    return np.concatenate([_durations(motion[:, toe][:, [0, 2]]) for motion in motions for toe in TOES])
 
 
 def _judged(frames: np.ndarray, fps: float, what: str, usual: tuple[float, float]) -> tuple[Diagnosis, ...]:

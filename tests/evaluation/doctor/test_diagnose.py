@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -101,6 +102,48 @@ def test_feet_that_slide_along_are_no_frame_rate(walkers: list[np.ndarray]) -> N
     assert "frame-rate" not in [each.kind for each in diagnose(glided, None, fps=20.0)]
     slow = [each.kind for each in diagnose([_slowed(motion, 6) for motion in walkers], None, fps=20.0)]
     assert "frame-rate" in slow  # 120 frames a second shown at 20 are still told
+
+
+def trembling(motions: list[np.ndarray], *, by: float) -> list[np.ndarray]:
+    generator = np.random.default_rng(0)
+    return [motion + generator.normal(scale=by, size=motion.shape) for motion in motions]
+
+
+@pytest.mark.parametrize("metres", [0.01, 0.02, 0.04])
+def test_trembling_of_walking_people_is_no_frame_rate(metres: float, walkers: list[np.ndarray]) -> None:
+    kinds = [each.kind for each in diagnose(trembling(walkers, by=metres), None, fps=20.0)]
+    assert "jitter" in kinds
+    assert "frame-rate" not in kinds
+
+
+@pytest.mark.parametrize(("joints", "metres"), [(1, 0.3), (22, 0.15)])
+def test_trembling_bodies_that_slide_about_are_no_frame_rate(
+    joints: int, metres: float, walkers: list[np.ndarray]
+) -> None:
+    """As models with random weights make them: a body, or each joint on its own, swings slowly and trembles."""
+    generator = np.random.default_rng(0)
+    seconds = np.arange(120)[:, None, None] / 20
+    sliding = []
+    for motion in walkers:
+        period = generator.uniform(1, 5, size=(1, joints, 3))
+        phase = generator.uniform(0, 6, size=(1, joints, 3))
+        swing = np.sin(2 * np.pi * seconds / period + phase) * (metres, metres / 10, metres)
+        sliding.append(motion[:1] + swing)
+    kinds = [each.kind for each in diagnose(trembling(sliding, by=0.02), None, fps=20.0)]
+    assert "jitter" in kinds
+    assert "frame-rate" not in kinds
+
+
+@pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)
+@pytest.mark.parametrize("metres", [0.01, 0.02])
+def test_a_wrong_rate_is_told_beside_the_trembling(fault: Fault, metres: float, walkers: list[np.ndarray]) -> None:
+    found = diagnose(trembling(changed(fault, walkers), by=metres), None, fps=20.0)
+    kinds = [each.kind for each in found]
+    assert {"frame-rate", "jitter"} <= set(kinds)
+    (rate,) = (each for each in found if each.kind == "frame-rate")
+    told = re.search(r"about (\d+) frames", rate.cause)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(float(fault.name[:2]), rel=0.1)
 
 
 def _slowed(motion: np.ndarray, times: int) -> np.ndarray:

@@ -215,8 +215,9 @@ def test_a_single_motion_whose_steps_disagree_is_kept_and_told_once_with_method_
     names = [f"s{row:02}" for row in range(16)]
     frames = [len(WALKING)] * 16
     with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         motions = motions_from_features(batch, frames, source="glide", sequences=names)
-        motions_from_features(batch, frames, source="glide", sequences=names)
+        motions_from_features(batch[::-1], frames, source="glide", sequences=names)
     assert [warning.category for warning in told] == [FeatureWarning]
     assert "glide, row 15 (sequence s15), columns 1 and 2: expected" in str(told[0].message)
     assert "odd in 1 of the 16 motions" in str(told[0].message)

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from prbench.axes import z_up
+from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
 from prbench.evaluation.doctor import Expected, diagnose
@@ -301,10 +303,62 @@ def test_features_are_converted_offline(tmp_path, monkeypatch) -> None:
         initial_joints=batch.initial_joints,
     )
     monkeypatch.chdir(tmp_path)
-    exec(compile(block("A model that lives"), "docs/wrapping.md", "exec"), {})
+    offline = re.search(r'^```python\n("""convert.py.*?)^```', GUIDE, re.MULTILINE | re.DOTALL)
+    exec(compile(offline[1], "docs/wrapping.md", "exec"), {})
     with np.load("predictions.npz") as file:
         assert file["opaque_id"].tolist() == ["a", "b"]
         assert max(errors(Motions(file["joints"], file["n_frames"]), motions)) < 1e-3
+
+
+def test_a_program_converts_features_with_the_one_file(tmp_path, monkeypatch) -> None:
+    motions = two_motions()
+    rng = np.random.default_rng(0)
+    mean, std = rng.normal(size=263).astype(np.float32), rng.uniform(0.01, 0.5, size=263).astype(np.float32)
+    (tmp_path / "model").mkdir()
+    np.save(tmp_path / "model" / "Mean.npy", mean)
+    np.save(tmp_path / "model" / "Std.npy", std)
+    assert main(["adapters", "converters", "--out", str(tmp_path / "prbench_converters.py")]) == 0
+    drawn = []
+
+    def sample(text, goal, n_frames):
+        drawn.append(np.random.normal())  # noqa: NPY002 - as a public sampler draws
+        return FeatureModel(motions, mean, std).sample((text,), goal, np.array([n_frames]), None)
+
+    monkeypatch.setitem(sys.modules, "glide_model", types.SimpleNamespace(sample=sample))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "prbench_converters", raising=False)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(block("A model that lives"), "docs/wrapping.md", "exec"), names)
+    batch = batch_of(motions)
+    for _ in range(2):
+        for row, motion in enumerate(motions):
+            given = {"initial_joints": batch.initial_joints[row], "goal_location": batch.goal_location[row]}
+            given |= {"noise_seed": batch.noise_seed[row], "text": batch.text[row]}
+            assert mean_error(names["motion"](given, len(motion), 20.0, {}), motion) < 1e-3
+    assert drawn[:2] == drawn[2:]
+    assert drawn[0] != drawn[1]
+    del sys.modules["prbench_converters"]
+
+
+def test_samplers_without_a_generator_obey_the_noise_seed() -> None:
+    names: dict = {}
+    exec(compile(block("A sampler that takes no generator"), "docs/wrapping.md", "exec"), names)
+    batch = batch_of(two_motions())
+
+    def sampler(texts):
+        return [row + torch.randn_like(row) for row in torch.randn(len(texts), 3)]
+
+    def batched(texts):
+        noise = torch.randn(len(texts), 3)
+        return noise + torch.randn_like(noise)
+
+    for name, each in (("one_at_a_time", sampler), ("all_at_once", batched)):
+        together = names[name](each, batch)
+        torch.rand(3)
+        alone = [names[name](each, batch.rows(row, row + 1))[0] for row in (1, 0)]
+        assert torch.equal(torch.stack(list(together)), torch.stack(alone[::-1])), name
+        assert not torch.equal(together[0], together[1])
 
 
 def test_the_map_of_the_guide_is_a_map(tmp_path) -> None:
