@@ -1,0 +1,63 @@
+"""Every command that writes, killed before its file operations (run by the test in an interpreter of its own)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pyarrow as pa
+
+from tests.crashes import in_a_child, operations
+from tests.writing import WRITING, Inputs, Writing
+
+PLACES = "PRBENCH_FUZZ"
+"""Variable that says before how many of its operations each command is killed, the heavy ones too."""
+_STRIDE = 37
+"""Commands begin at different places, so that a few kills see different moments."""
+ONLY = "PRBENCH_KILL"
+"""Variable that holds a part of the names of the commands to kill."""
+
+
+def check(folder: Path) -> int:
+    """Every command, repeated, ends with the bytes of an undisturbed call; returns how many kills were tried."""
+    pa.set_cpu_count(1)
+    asked = os.environ.get(PLACES)
+    chosen = [writing for writing in WRITING if asked or not writing.heavy]
+    chosen = [writing for writing in chosen if os.environ.get(ONLY, "") in writing.name]
+    inputs = Inputs.make(folder / "inputs", heavy=any(writing.heavy for writing in chosen))
+    return sum(
+        _check(writing, inputs, folder / f"{number}", int(asked) if asked else 1, number)
+        for number, writing in enumerate(chosen)
+    )
+
+
+def _check(writing: Writing, inputs: Inputs, folder: Path, places: int, number: int) -> int:
+    started = time.monotonic()
+    work = partial(writing.work, inputs)
+    count = operations(work, _made(folder / "undisturbed"))
+    wanted = writing.same(folder / "undisturbed")
+    step = max(count // places, 1)
+    tried = range(1 + number * _STRIDE % step, count + 1, step)
+    for place in tried:
+        left = _made(folder / str(place))
+        assert in_a_child(work, left, dies_before=place), f"{writing.name}: only {place - 1} operations"
+        in_a_child(work, left)
+        found = writing.same(left)
+        differing = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+        assert not differing, f"{writing.name}, killed before operation {place} of {count}: {differing}"
+        hidden = [path for path in left.glob("cache/**/.*") if path.is_file()]
+        assert not hidden, f"{writing.name}, killed before operation {place} of {count}: {hidden}"
+        shutil.rmtree(left)
+    shutil.rmtree(folder)
+    seconds = time.monotonic() - started
+    sys.stderr.write(f"{writing.name}: {len(tried)} of {count} operations, {seconds:.1f} s\n")
+    return len(tried)
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder
