@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import shutil
+import socket
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.main import main
 from prbench.errors import StorageError
 from prbench.synthetic.layouts.egoallo import write_smplh_model
@@ -87,7 +89,7 @@ class Writing:
     result: str = "result"
     """Path of the result below the folder of a try."""
     held: str = ""
-    """Path that the command holds while it writes; by default that of the result."""
+    """Path that the command holds while it writes, below the folder of a try; by default that of the result."""
     before: Callable[[Inputs, Path], Sequence[object]] | None = None
     """A command that has succeeded in the same place before."""
     varies: tuple[str, ...] = ()
@@ -109,6 +111,13 @@ class Writing:
         code = run(folder, *self.arguments(inputs, folder / self.result), expected=None)
         assert code == (StorageError.exit_code if finished else self.exit_code), f"{self.name}: exit code {code}"
 
+    def is_refused(self, inputs: Inputs, folder: Path, *, owner: int) -> None:
+        """Call the command while another process holds what it writes; it ends at once and names that process."""
+        said = io.StringIO()
+        code = run(folder, *self.arguments(inputs, folder / self.result), expected=None, said=said)
+        assert code == (NOT_EVERYTHING if "all --out" in self.name else StorageError.exit_code), said.getvalue()
+        assert f"process {owner} on {socket.gethostname()} is writing there" in said.getvalue(), said.getvalue()
+
     def same(self, folder: Path) -> dict[str, bytes]:
         """What must not depend on kills: all files and folders below a folder, but for the cache."""
         found = {}
@@ -120,11 +129,11 @@ class Writing:
         return found
 
 
-def run(folder: Path, *arguments: object, expected: int | None = 0) -> int:
+def run(folder: Path, *arguments: object, expected: int | None = 0, said: io.StringIO | None = None) -> int:
     """Call a command with a cache below a folder; what it prints is shown if it does not end as expected."""
     os.environ["PRBENCH_CACHE"] = str(folder / "cache")
     os.environ["FAKE_CALLS"] = os.devnull
-    said = io.StringIO()
+    said = said or io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pytest.MonkeyPatch.context() as patch:
         if "toy" in arguments:
             patch.setattr("prbench.training.installed.entry_points_of", entry_points_of)
@@ -139,6 +148,7 @@ _RUN = ("run", "--method", "ground-truth", "--limit", 2, "--batch-size", 1)
 _CONDITIONS = ("export-conditions", "--condition", "goal-loc", "--limit", 2)
 _TRAIN = ("train", "--method", "toy", "--set", "training.steps=2", "--set", "training.save_every=1")
 
+_RECORDING = "Apartment_release_synthetic_seed0_seq000_M1292"
 _HEAVY = {
     "build-dataset all --out",
     "synthesize --out",
@@ -198,6 +208,7 @@ WRITING = (
         "run --view",
         lambda given, out: (*_RUN, "--data", given.table, "--out", out.parent / "run", "--view", out),
         "v.png",
+        held="run",
         varies=("cost.json",),
     ),
     Writing(
@@ -228,7 +239,7 @@ WRITING = (
     Writing(
         "export-release --out",
         lambda given, out: ("export-release", given.table, "--out", out),
-        held="result/SYNTHETIC-ADT",
+        held="result/synthetic-adt",
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(
@@ -271,11 +282,13 @@ WRITING = (
             "--poses-root",
             out,
         ),
+        held=f"result/{_RECORDING}/egoallo_outputs",
         varies=(".log",),
     ),
     Writing(
         "poses --prepare",
         lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--prepare", "--poses-root", out),
+        held=f"result/{_RECORDING}",
     ),
     Writing("adapters new --out", lambda _, out: ("adapters", "new", "glide", "--out", out), refuses=True),
     Writing("adapters check --json", lambda _, out: ("adapters", "check", "static", "--json", out), "a.json"),

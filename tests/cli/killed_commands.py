@@ -1,4 +1,4 @@
-"""Every command that writes, killed before its file operations (run by the test in an interpreter of its own)."""
+"""Every command that writes, beside another process and killed (run by the test in an interpreter of its own)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from prbench.locks import sole_writer
 from tests.crashes import in_a_child, operations
-from tests.writing import WRITING, Inputs, Writing
+from tests.writing import WRITING, Inputs, Writing, run
 
 PLACES = "PRBENCH_FUZZ"
 """Variable that says before how many of its operations each command is killed, the heavy ones too."""
@@ -37,6 +38,7 @@ def check(folder: Path) -> int:
 
 def _check(writing: Writing, inputs: Inputs, folder: Path, places: int, number: int) -> int:
     started = time.monotonic()
+    _is_refused(writing, inputs, _made(folder / "held"))
     work = partial(writing.work, inputs)
     count = operations(work, _made(folder / "undisturbed"))
     wanted = writing.same(folder / "undisturbed")
@@ -49,13 +51,24 @@ def _check(writing: Writing, inputs: Inputs, folder: Path, places: int, number: 
         found = writing.same(left)
         differing = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
         assert not differing, f"{writing.name}, killed before operation {place} of {count}: {differing}"
-        hidden = [path for path in left.glob("cache/**/.*") if path.is_file()]
+        # A lock file of an entry that stands already stays there; it holds nobody up.
+        hidden = [path for path in left.glob("cache/**/.*") if path.suffix != ".lock"]
         assert not hidden, f"{writing.name}, killed before operation {place} of {count}: {hidden}"
         shutil.rmtree(left)
     shutil.rmtree(folder)
     seconds = time.monotonic() - started
     sys.stderr.write(f"{writing.name}: {len(tried)} of {count} operations, {seconds:.1f} s\n")
     return len(tried)
+
+
+def _is_refused(writing: Writing, inputs: Inputs, folder: Path) -> None:
+    """A second process ends with one message that names this one, and leaves nothing."""
+    if writing.before is not None:
+        run(folder, *writing.before(inputs, folder / writing.result))
+    with sole_writer(folder / (writing.held or writing.result)):
+        before = writing.same(folder)
+        in_a_child(partial(writing.is_refused, inputs, owner=os.getpid()), folder)
+        assert writing.same(folder) == before, writing.name
 
 
 def _made(folder: Path) -> Path:
