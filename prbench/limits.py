@@ -16,3 +16,6 @@ LARGEST_JSON = 2**30
 
 FARTHEST_COORDINATE = 100.0
 """Metres from the origin beyond which a coordinate of a generated motion is refused."""
+
+LARGEST_PICKLE = 2**20
+"""Bytes of one pickled pose, and of all storages that it unpacks; GIMO's have a few thousand."""
