@@ -13,6 +13,7 @@ from prbench.engine import InProcess
 from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
 from prbench.workflows import first_run
+from tests.fakes import fake_dataset
 from tests.test_locks import holder
 
 
@@ -66,10 +67,12 @@ def test_a_first_run_is_shown_beside_the_methods_that_are_installed(tmp_path, mo
 def test_a_first_run_waits_for_the_one_that_builds_the_dataset_and_says_for_whom(cache, monkeypatch):
     said, built = [], []
     folder = first_run.default_table_folder()
-    monkeypatch.setattr(
-        "prbench.workflows.synthetic_table.build_synthetic_table", lambda *_, out, **__: built.append(out)
-    )
-    monkeypatch.setattr(first_run.SequenceTable, "open", lambda folder: folder)
+
+    def build(*arguments, out, **more):
+        built.append(out)
+        fake_dataset(out, 2)
+
+    monkeypatch.setattr("prbench.workflows.synthetic_table.build_synthetic_table", build)
     with holder(folder.with_name(f"{folder.name}.first-run")) as process:
 
         def let_go_when_told():
@@ -80,7 +83,7 @@ def test_a_first_run_waits_for_the_one_that_builds_the_dataset_and_says_for_whom
 
         other = threading.Thread(target=let_go_when_told)
         other.start()
-        assert first_run.default_table(InProcess(), lambda done, total, last: None, said.append) == folder
+        first_run.default_table(InProcess(), lambda done, total, last: None, said.append)
         other.join()
     assert f"waiting until process {process.pid} on " in said[0]
     assert built == [folder]
