@@ -324,7 +324,7 @@ WRITING = (
     Writing(
         "train --out",
         lambda given, out: (*_TRAIN, "--data", given.table, "--out", out),
-        varies=("state.json", "weights.json", "curves.png", "log.jsonl"),
+        varies=("timing.json", "state.json", "weights.json", "curves.png", "log.jsonl"),
     ),
 )
 
