@@ -79,6 +79,11 @@ def in_turn(path: Path, tell: Callable[[str], None] = lambda _: None) -> Iterato
         yield
 
 
+def lock_file(path: Path) -> Path:
+    """The file beside a result that is there while a process writes it, or after one was killed."""
+    return path.with_name(f".{path.name}.lock")
+
+
 class _HeldByAnotherError(StorageError):
     """Another process writes there."""
 
@@ -101,7 +106,7 @@ def _acquired(path: Path) -> FileLock | None:
     """
     path = Path(os.path.abspath(path))  # noqa: PTH100 - a result may replace a link, whose own name counts
     for file in (
-        path.with_name(f".{path.name}.lock"),
+        lock_file(path),
         cache_folder() / "locks" / f"{text_digest(str(path))[:32]}.lock",
     ):
         try:

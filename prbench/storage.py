@@ -102,6 +102,12 @@ def remove_leftovers(path: Path) -> None:
             left.unlink(missing_ok=True)
 
 
+def remove_half_written(folder: Path) -> None:
+    """Delete the files that a process which was killed left half-written anywhere in a folder that it alone wrote."""
+    for left in folder.rglob(".*.partial*"):
+        left.unlink(missing_ok=True)
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
@@ -183,7 +189,7 @@ def read_json(path: Path) -> object:
     """
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise InputFileError(path, "", expected="a JSON file", found="no file") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         where = f"line {error.lineno} column {error.colno}" if isinstance(error, json.JSONDecodeError) else ""

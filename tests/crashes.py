@@ -17,7 +17,7 @@ import pyarrow as pa
 
 ROOT = Path(__file__).parents[1]
 _DIED = 9
-_CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod"}
+_CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.symlink", "os.truncate"}
 _FOR_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 Work = Callable[[Path], object]
@@ -50,6 +50,14 @@ def crashes(work: Work, base: Path) -> Iterator[Path]:
             return
 
 
+def operations(work: Work, folder: Path) -> int:
+    """Do work in this process, undisturbed; how many file operations it did."""
+    count = itertools.count()
+    _at_each_operation(str(folder), lambda: next(count))
+    work(folder)
+    return next(count)
+
+
 def in_a_child(work: Work, folder: Path, *, dies_before: int = 0) -> bool:
     """Whether the work died before its so-manieth file operation; 0 lets it live.
 
@@ -78,10 +86,20 @@ def in_a_child(work: Work, folder: Path, *, dies_before: int = 0) -> bool:
 def _die_before(operation: int, folder: str) -> None:
     count = itertools.count(1)
 
+    def die_if_its_turn() -> None:
+        if next(count) == operation:
+            os._exit(_DIED)
+
+    _at_each_operation(folder, die_if_its_turn)
+
+
+def _at_each_operation(folder: str, act: Callable[[], object]) -> None:
+    """Call something before each file operation below a folder."""
+
     def look(event: str, arguments: tuple) -> None:
         changes = bool((arguments[2] or 0) & _FOR_WRITING) if event == "open" else event in _CHANGES
         relative = event in ("os.remove", "os.rmdir")  # shutil.rmtree names what it deletes within its folder
-        if changes and (relative or any(folder in str(place) for place in arguments[:2])) and next(count) == operation:
-            os._exit(_DIED)
+        if changes and (relative or any(folder in str(place) for place in arguments[:2])):
+            act()
 
     sys.addaudithook(look)

@@ -52,7 +52,9 @@ def _poses(arguments: argparse.Namespace) -> int:
     _print_states(states)
     if arguments.prepare:
         return _prepare(lacking, arguments)
-    if arguments.dry_run or not lacking:
+    if arguments.dry_run:
+        return 0
+    if config is None and not lacking:
         return 0
     if config is None:
         print(f"\n{instructions(arguments.root, lacking)}", end="")

@@ -14,7 +14,7 @@ from prbench.errors import RunError, StorageError
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
 from prbench.sequences.redistribution import NOTICE_FILE
-from prbench.storage import inside, remove_leftovers
+from prbench.storage import inside, remove_half_written, remove_leftovers
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,7 @@ class RunFolder:
         remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
         if (path / record.FILE_NAME).is_file():
             wanted.require_same(RunRecord.read(path), path)
-            for left in path.rglob(".*.partial*"):  # by a process that was killed while it wrote
-                left.unlink(missing_ok=True)
+            remove_half_written(path)
         elif path.exists() and not path.is_dir():
             raise StorageError(f"{path}: is a file. Choose an empty or new folder for --out.")
         elif path.is_dir() and any(path.iterdir()):

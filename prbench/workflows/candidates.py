@@ -11,9 +11,10 @@ from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
 from prbench.formats import gimo
-from prbench.locks import sole_file
+from prbench.locks import sole_writer
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.gimo.segments import row_of
+from prbench.storage import atomic_path
 
 DATASETS = ("gimo",)
 """Datasets whose events a person has to annotate."""
@@ -77,17 +78,18 @@ def write_candidates(
         raise UsageError(
             f"events of '{dataset}' need no annotation by hand; candidates are for: {', '.join(DATASETS)}."
         )
-    if out.exists():
-        raise StorageError(
-            f"{out}: exists already, and annotations are never overwritten. Name another file, and merge the two."
-        )
-    found = reader_for(dataset, options).find(root)
-    proposals = []
-    for proposal in engine.map(Proposer(dataset, tuple(sorted((options or {}).items()))), found):
-        proposals.append(proposal)
-        if progress is not None:
-            progress(len(proposals), len(found), proposal.segment.name)
-    _write(out, proposals)
+    with sole_writer(out):
+        if out.exists():
+            raise StorageError(
+                f"{out}: exists already, and annotations are never overwritten. Name another file, and merge the two."
+            )
+        found = reader_for(dataset, options).find(root)
+        proposals = []
+        for proposal in engine.map(Proposer(dataset, tuple(sorted((options or {}).items()))), found):
+            proposals.append(proposal)
+            if progress is not None:
+                progress(len(proposals), len(found), proposal.segment.name)
+        _write(out, proposals)
     return tuple(proposals)
 
 
@@ -110,7 +112,7 @@ class Proposer:
 
 
 def _write(path: Path, proposals: Iterable[Proposal]) -> None:
-    with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([row[name] for name in COLUMNS] for row in (proposal.row() for proposal in proposals))

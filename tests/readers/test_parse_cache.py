@@ -244,3 +244,13 @@ def test_digests_are_taken_again_when_the_cache_is_off(tmp_path, hashed, monkeyp
     monkeypatch.setenv("PRBENCH_PARSE_CACHE", "off")
     remembered_digest(path)
     assert len(hashed) == 2
+
+
+def test_an_entry_that_another_process_is_writing_is_never_deleted_as_the_oldest(tmp_path, monkeypatch):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
+    folder = tmp_path / "parsed"
+    folder.mkdir()
+    for name in ("old.arrow", ".new-abcd1234.partial.arrow"):
+        (folder / name).write_bytes(b"x" * 100)
+    parse_cache._shrink(folder, 50)
+    assert [path.name for path in folder.iterdir()] == [".new-abcd1234.partial.arrow"]

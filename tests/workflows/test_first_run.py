@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import pytest
 
 from prbench.cli import main
@@ -10,6 +13,8 @@ from prbench.engine import InProcess
 from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
 from prbench.workflows import first_run
+from tests.fakes import fake_dataset
+from tests.test_locks import holder
 
 
 @pytest.fixture
@@ -57,3 +62,28 @@ def test_a_first_run_is_shown_beside_the_methods_that_are_installed(tmp_path, mo
     without = [adapter for adapter in list_adapters() if adapter.name != "mdm"]
     monkeypatch.setattr(first_run, "list_adapters", lambda: without)
     assert [(one.method, one.condition) for one in first_run.companions(request)] == beside[1:]
+
+
+def test_a_first_run_waits_for_the_one_that_builds_the_dataset_and_says_for_whom(cache, monkeypatch):
+    said, built = [], []
+    folder = first_run.default_table_folder()
+
+    def build(*arguments, out, **more):
+        built.append(out)
+        fake_dataset(out, 2)
+
+    monkeypatch.setattr("prbench.workflows.synthetic_table.build_synthetic_table", build)
+    with holder(folder.with_name(f"{folder.name}.first-run")) as process:
+
+        def let_go_when_told():
+            while not said:
+                time.sleep(0.01)
+            assert not built
+            process.communicate("\n")
+
+        other = threading.Thread(target=let_go_when_told)
+        other.start()
+        first_run.default_table(InProcess(), lambda done, total, last: None, said.append)
+        other.join()
+    assert f"waiting until process {process.pid} on " in said[0]
+    assert built == [folder]

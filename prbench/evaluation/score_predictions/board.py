@@ -15,7 +15,7 @@ from prbench.runs.folder import RunFolder
 from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.runs.scores import write_scores
-from prbench.storage import file_digest, text_digest
+from prbench.storage import file_digest, remove_half_written, text_digest
 
 OFFLINE = "offline"
 """Kind of a method whose motions came as a file."""
@@ -91,6 +91,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
         StorageError: if the folder is that of a run, or cannot be written.
     """
     _require_no_run(folder)
+    remove_half_written(folder)
     parts = [folder if len(scored) == 1 else folder / one.summary.dataset for one in scored]
     for part, one in zip(parts, scored):
         write_scores(part / "scores.parquet", [one.scores])

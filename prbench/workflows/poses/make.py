@@ -10,7 +10,7 @@ from typing import Literal
 
 from prbench.errors import InputFileError, PrbenchError
 from prbench.formats import egoallo as ego
-from prbench.locks import sole_writer
+from prbench.locks import lock_file, sole_writer
 from prbench.readers.egoallo import find_model
 from prbench.readers.egoallo.joints import read_window
 from prbench.storage import atomic_folder
@@ -90,14 +90,17 @@ def _model(config: PosesConfig, root: Path, lacking: Sequence[PoseState]) -> Pat
 
 def _make(state: PoseState, config: PosesConfig, model: Path | None, keep_inputs: bool) -> Outcome:
     name = state.found.recording_id
+    work = state.target.parent / _WORK
     if not state.lacking:
+        if lock_file(state.target).exists():  # of a process that was killed after its outputs had found their place
+            with sole_writer(state.target):
+                _clear(work)
         return Outcome(name, "kept" if state.state == "complete" else "skipped", state.message)
     if state.inputs is None:
         return Outcome(name, "failed", state.message)
     lacking = state.inputs.lacking(config.needs)
     if lacking:
         return Outcome(name, "failed", lacking)
-    work = state.target.parent / _WORK
     with sole_writer(state.target):
         _clear(work)
         try:

@@ -172,7 +172,12 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
     else:
         with opened(source) as packed, gzip.open(packed, "rb") as plain:
             table = _turned(source, plain.read())
-    with atomic_path(place) as temporary, gzip.open(temporary, "wb", compresslevel=1) as file:
+    # Without name and time, equal points are equal files.
+    with (
+        atomic_path(place) as temporary,
+        open(temporary, "wb") as packed,
+        gzip.GzipFile("", "wb", compresslevel=1, fileobj=packed, mtime=0) as file,
+    ):
         file.write((",".join(table.column_names) + "\n").encode())
         options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
         pyarrow.csv.write_csv(table, pa.PythonFile(file, mode="w"), options)

@@ -52,13 +52,14 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
     """
     names = method_names(request.name)
     folder = request.out or Path(names.method if request.program else names.distribution)
-    _require_new(folder)
-    contents = _program(names, request) if request.program else _package(names, request)
-    with sole_writer(folder), atomic_folder(folder) as temporary:
-        for path, text in contents.items():
-            target = temporary / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(text, encoding="utf-8", newline="\n")
+    with sole_writer(folder):
+        _require_new(folder)
+        contents = _program(names, request) if request.program else _package(names, request)
+        with atomic_folder(folder) as temporary:
+            for path, text in contents.items():
+                target = temporary / path
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_text(text, encoding="utf-8", newline="\n")
     warning = None if request.program else taken_by(names)
     return ScaffoldReport(
         folder,

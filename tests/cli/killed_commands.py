@@ -1,0 +1,76 @@
+"""Every command that writes, beside another process and killed (run by the test in an interpreter of its own)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pyarrow as pa
+
+from prbench.locks import sole_writer
+from tests.crashes import in_a_child, operations
+from tests.writing import WRITING, Inputs, Writing, run
+
+PLACES = "PRBENCH_FUZZ"
+"""Variable that says before how many of its operations each command is killed, the heavy ones too."""
+_STRIDE = 37
+"""Commands begin at different places, so that a few kills see different moments."""
+ONLY = "PRBENCH_KILL"
+"""Variable that holds a part of the names of the commands to kill."""
+
+
+def check(folder: Path) -> int:
+    """Every command, repeated, ends with the bytes of an undisturbed call; returns how many kills were tried."""
+    pa.set_cpu_count(1)
+    asked = os.environ.get(PLACES)
+    chosen = [writing for writing in WRITING if asked or not writing.heavy]
+    chosen = [writing for writing in chosen if os.environ.get(ONLY, "") in writing.name]
+    inputs = Inputs.make(folder / "inputs", heavy=any(writing.heavy for writing in chosen))
+    return sum(
+        _check(writing, inputs, folder / f"{number}", int(asked) if asked else 1, number)
+        for number, writing in enumerate(chosen)
+    )
+
+
+def _check(writing: Writing, inputs: Inputs, folder: Path, places: int, number: int) -> int:
+    started = time.monotonic()
+    _is_refused(writing, inputs, _made(folder / "held"))
+    work = partial(writing.work, inputs)
+    count = operations(work, _made(folder / "undisturbed"))
+    wanted = writing.same(folder / "undisturbed")
+    step = max(count // places, 1)
+    tried = range(1 + number * _STRIDE % step, count + 1, step)
+    for place in tried:
+        left = _made(folder / str(place))
+        assert in_a_child(work, left, dies_before=place), f"{writing.name}: only {place - 1} operations"
+        in_a_child(work, left)
+        found = writing.same(left)
+        differing = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+        assert not differing, f"{writing.name}, killed before operation {place} of {count}: {differing}"
+        # A lock file of an entry that stands already stays there; it holds nobody up.
+        hidden = [path for path in left.glob("cache/**/.*") if path.suffix != ".lock"]
+        assert not hidden, f"{writing.name}, killed before operation {place} of {count}: {hidden}"
+        shutil.rmtree(left)
+    shutil.rmtree(folder)
+    seconds = time.monotonic() - started
+    sys.stderr.write(f"{writing.name}: {len(tried)} of {count} operations, {seconds:.1f} s\n")
+    return len(tried)
+
+
+def _is_refused(writing: Writing, inputs: Inputs, folder: Path) -> None:
+    """A second process ends with one message that names this one, and leaves nothing."""
+    if writing.before is not None:
+        run(folder, *writing.before(inputs, folder / writing.result))
+    with sole_writer(folder / (writing.held or writing.result)):
+        before = writing.same(folder)
+        in_a_child(partial(writing.is_refused, inputs, owner=os.getpid()), folder)
+        assert writing.same(folder) == before, writing.name
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder

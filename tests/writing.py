@@ -1,0 +1,336 @@
+"""Every way in which a command writes, small: for tests of kills and of two processes at once."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.main import main
+from prbench.errors import StorageError
+from prbench.synthetic.layouts.egoallo import write_smplh_model
+from tests.fakes import fake_dataset
+from tests.readers import gimo_sample
+from tests.training.toy import entry_points_of
+
+FAKE_EGOALLO = Path(__file__).parent / "workflows" / "fake_egoallo.py"
+TABLE_OF = "synthetic-adt"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the commands read, made once and never written to."""
+
+    folder: Path
+
+    def __getattr__(self, name: str) -> Path:
+        return self.folder / name
+
+    @classmethod
+    def make(cls, folder: Path, *, heavy: bool = False) -> Inputs:
+        """Make all of them below a folder, those of heavy commands only if asked for."""
+        made = cls(folder)
+        if heavy:
+            _make_for_heavy(made)
+        fake_dataset(made.table, 6)
+        synthesised = ("synthesize", "adt", "--recordings", 1, "--events", 2, "--no-verify", "--out", made.adt)
+        run(made.folder, *synthesised)
+        gimo_sample.write_root(made.gimo, gimo_sample.readings())
+        for name in ("run", "run-of-conditions"):
+            run(made.folder, *_RUN, "--data", made.table, "--out", folder / name)
+        run(made.folder, "export-release", made.table, "--out", made.release)
+        run(made.folder, *_CONDITIONS, "--data", made.table, "--out", folder / "conditions.npz")
+        _make_bodiless(made)
+        return made
+
+
+def _make_for_heavy(made: Inputs) -> None:
+    run(made.folder, "synthesize", "hd-epic", "--recordings", 1, "--events", 4, "--no-verify", "--out", made.hdepic)
+    run(made.folder, "build-corpus", "synthetic", "--recordings", 4, "--out", made.corpus)
+    configured = ("--config", "smoke", "--set", "training.steps=2")
+    run(made.folder, "train", "--method", "t2m-evaluator", *configured, "--data", made.corpus, "--out", made.evaluator)
+
+
+def _make_bodiless(made: Inputs) -> None:
+    """Four seconds of ADT without a body, and what EgoAllo needs for one."""
+    shutil.copytree(made.adt, made.bodiless)
+    for metadata in made.bodiless.glob("*/metadata.json"):
+        metadata.with_name("video.vrs").write_bytes(b"VRS")
+        trajectory = metadata.with_name("aria_trajectory.csv")
+        trajectory.write_text("".join(trajectory.read_text().splitlines(keepends=True)[:121]))
+    write_smplh_model(made.bodiless / "smplh" / "neutral" / "model.npz")
+    arguments = (
+        "{python}", str(FAKE_EGOALLO), "--traj-root", "{mps}", "--traj-length", "{frames}", "--guidance-mode",
+        "{guidance}", "--recording", "{recording}", "--smplh-npz-path", "{model}",
+    )  # fmt: skip
+    quoted = ", ".join(f'"{text}"' for text in arguments)
+    (made.folder / "egoallo.toml").write_text(
+        f'[egoallo]\npython = "{sys.executable}"\nfolder = "."\ncommand = [{quoted}]\ntimeout_minutes = 0.5\n'
+    )
+
+
+@dataclass(frozen=True)
+class Writing:
+    """One way in which a command writes."""
+
+    name: str
+    """The command with what says where it writes."""
+    arguments: Callable[[Inputs, Path], Sequence[object]]
+    """From the inputs and the path of the result to the command's arguments."""
+    result: str = "result"
+    """Path of the result below the folder of a try."""
+    held: str = ""
+    """Path that the command holds while it writes, below the folder of a try; by default that of the result."""
+    before: Callable[[Inputs, Path], Sequence[object]] | None = None
+    """A command that has succeeded in the same place before."""
+    varies: tuple[str, ...] = ()
+    """Endings of names of files that two undisturbed calls write differently: they hold times."""
+    exit_code: int = 0
+    refuses: bool = False
+    """It never replaces a finished result."""
+
+    @property
+    def heavy(self) -> bool:
+        """Whether it is only tried at night."""
+        return self.name in _HEAVY
+
+    def work(self, inputs: Inputs, folder: Path) -> None:
+        """Call the command."""
+        if self.before is not None and not (folder / self.result).exists():
+            run(folder, *self.before(inputs, folder / self.result))
+        finished = self.refuses and (folder / self.result).exists()
+        code = run(folder, *self.arguments(inputs, folder / self.result), expected=None)
+        assert code == (StorageError.exit_code if finished else self.exit_code), f"{self.name}: exit code {code}"
+
+    def is_refused(self, inputs: Inputs, folder: Path, *, owner: int) -> None:
+        """Call the command while another process holds what it writes; it ends at once and names that process."""
+        said = io.StringIO()
+        code = run(folder, *self.arguments(inputs, folder / self.result), expected=None, said=said)
+        assert code == (NOT_EVERYTHING if "all --out" in self.name else StorageError.exit_code), said.getvalue()
+        assert f"process {owner} on {socket.gethostname()} is writing there" in said.getvalue(), said.getvalue()
+
+    def same(self, folder: Path) -> dict[str, bytes]:
+        """What must not depend on kills: all files and folders below a folder, but for the cache."""
+        found = {}
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder).as_posix()
+            if name.split("/")[0] != "cache" and not name.startswith("result/tensorboard/"):  # a file a session
+                compared = path.is_file() and not name.endswith(self.varies or ("\0",))
+                found[name] = path.read_bytes() if compared else b""
+        return found
+
+
+def run(folder: Path, *arguments: object, expected: int | None = 0, said: io.StringIO | None = None) -> int:
+    """Call a command with a cache below a folder; what it prints is shown if it does not end as expected."""
+    os.environ["PRBENCH_CACHE"] = str(folder / "cache")
+    os.environ["FAKE_CALLS"] = os.devnull
+    said = said or io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pytest.MonkeyPatch.context() as patch:
+        if "toy" in arguments:
+            patch.setattr("prbench.training.installed.entry_points_of", entry_points_of)
+        code = main([str(argument) for argument in arguments])
+    if code not in (0, 3, 8) or (expected is not None and code != expected):
+        sys.stderr.write(said.getvalue())
+    assert expected is None or code == expected, arguments
+    return code
+
+
+_RUN = ("run", "--method", "ground-truth", "--limit", 2, "--batch-size", 1)
+_CONDITIONS = ("export-conditions", "--condition", "goal-loc", "--limit", 2)
+_TRAIN = ("train", "--method", "toy", "--set", "training.steps=2", "--set", "training.save_every=1")
+
+_RECORDING = "Apartment_release_synthetic_seed0_seq000_M1292"
+_HEAVY = {
+    "build-dataset all --out",
+    "synthesize --out",
+    "synthesize --gallery",
+    "synthesize --histograms",
+    "run --view",
+    "run --method all --out",
+    "view --out png",
+    "view --out html",
+    "view --out mp4",
+    "stats --draw",
+    "explain --draw",
+    "synthesize nymeria --out",
+    "adapters check --json",
+    "validate --out",
+    "evaluate-text --out",
+}
+WRITING = (
+    Writing("build-dataset --out", lambda given, out: ("build-dataset", "adt", "--root", given.adt, "--out", out)),
+    Writing(
+        "build-dataset --out, over an older table",
+        lambda given, out: ("build-dataset", "adt", "--root", given.adt, "--out", out),
+        before=lambda given, out: (
+            "build-dataset",
+            "adt",
+            "--root",
+            given.adt,
+            "--out",
+            out,
+            "--in-hand",
+            "wrist",
+        ),
+    ),
+    Writing(
+        "build-dataset all --out",
+        lambda given, out: ("build-dataset", "all", "--root", given.adt, "--out", out),
+        held="result/adt",
+    ),
+    Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--recordings", 1, "--out", out)),
+    Writing(
+        "synthesize --out",
+        lambda _, out: ("synthesize", "adt", "--recordings", 1, "--events", 2, "--no-verify", "--out", out),
+    ),
+    Writing(
+        "synthesize --table",
+        lambda _, out: ("synthesize", "adt", "--table", "--recordings", 1, "--events", 2, "--out", out),
+    ),
+    Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--recordings", 1, "--out", out)),
+    Writing("synthesize --gallery", lambda _, out: ("synthesize", "adt", "--gallery", out), "g.png"),
+    Writing(
+        "synthesize --histograms",
+        lambda _, out: ("synthesize", "adt", "--recordings", 1, "--histograms", out),
+        "h.png",
+    ),
+    Writing("run --out", lambda given, out: (*_RUN, "--data", given.table, "--out", out), varies=("cost.json",)),
+    Writing(
+        "run --view",
+        lambda given, out: (*_RUN, "--data", given.table, "--out", out.parent / "run", "--view", out),
+        "v.png",
+        held="run",
+        varies=("cost.json",),
+    ),
+    Writing(
+        "run --method all --out",
+        lambda given, out: (
+            "run",
+            "--method",
+            "all",
+            "--condition",
+            "none",
+            "--data",
+            given.table,
+            "--limit",
+            2,
+            "--workers",
+            1,
+            "--out",
+            out,
+        ),
+        varies=("cost.json", "plan.json", "table_2.json", "table_2.md"),
+    ),
+    Writing("score --out", lambda given, out: ("score", given.run, "--data", given.table, "--out", out)),
+    Writing("export-conditions --out", lambda given, out: (*_CONDITIONS, "--data", given.table, "--out", out), "c.npz"),
+    Writing(
+        "import-release --out",
+        lambda given, out: ("import-release", given.release, "--dataset", TABLE_OF, "--out", out),
+    ),
+    Writing(
+        "export-release --out",
+        lambda given, out: ("export-release", given.table, "--out", out),
+        held="result/synthetic-adt",
+    ),
+    Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
+    Writing(
+        "view --out png",
+        lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
+        "v.png",
+    ),
+    Writing(
+        "view --out html",
+        lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
+        "v.html",
+    ),
+    Writing(
+        "view --out mp4",
+        lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
+        "v.mp4",
+    ),
+    Writing("stats --draw", lambda given, out: ("stats", given.table, "--draw", out), "s.png"),
+    Writing(
+        "explain --draw",
+        lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--draw", out),
+        "e.png",
+    ),
+    Writing("diff --csv", lambda given, out: ("diff", given.table, given.table, "--csv", out), "d.csv"),
+    Writing(
+        "candidates --out",
+        lambda given, out: ("candidates", "gimo", "--root", given.gimo, "--out", out),
+        "c.csv",
+        refuses=True,
+    ),
+    Writing(
+        "poses --poses-root",
+        lambda given, out: (
+            "poses",
+            "egoallo",
+            "--root",
+            given.bodiless,
+            "--config",
+            given.folder / "egoallo.toml",
+            "--poses-root",
+            out,
+        ),
+        held=f"result/{_RECORDING}/egoallo_outputs",
+        varies=(".log",),
+    ),
+    Writing(
+        "poses --prepare",
+        lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--prepare", "--poses-root", out),
+        held=f"result/{_RECORDING}",
+    ),
+    Writing("adapters new --out", lambda _, out: ("adapters", "new", "glide", "--out", out), refuses=True),
+    Writing("adapters check --json", lambda _, out: ("adapters", "check", "static", "--json", out), "a.json"),
+    Writing(
+        "doctor --json",
+        lambda given, out: ("doctor", given.run / "predictions", "--data", given.table, "--json", out),
+        "d.json",
+    ),
+    Writing(
+        "validate --out",
+        lambda given, out: ("validate", "hd-epic", "--root", given.hdepic, "--limit", 1, "--out", out),
+        "v.json",
+    ),
+    Writing(
+        "evaluate-text --out",
+        lambda given, out: (
+            "evaluate-text",
+            "--evaluator",
+            given.evaluator / "weights.safetensors",
+            "--corpus",
+            given.corpus,
+            "--repetitions",
+            1,
+            "--diversity-pairs",
+            2,
+            "--split",
+            "train",
+            "--out",
+            out,
+        ),
+        "t.json",
+    ),
+    Writing(
+        "train --out",
+        lambda given, out: (*_TRAIN, "--data", given.table, "--out", out),
+        varies=("timing.json", "state.json", "weights.json", "curves.png", "log.jsonl"),
+    ),
+)
+
+
+def first_event(table: Path) -> str:
+    """Of a table."""
+    from prbench.sequences import SequenceTable
+
+    return SequenceTable.open(table).events()["event_id"][0].as_py()
