@@ -47,7 +47,8 @@ def _compare(arguments: argparse.Namespace) -> int:
     from prbench.leaderboard import compare_runs
 
     rows = []
-    for row in compare_runs(arguments.first, arguments.second):
+    compared = compare_runs(arguments.first, arguments.second)
+    for row in compared:
         difference, p = row.comparison.difference, row.comparison.adjusted_p_value
         scale, unit = (100.0, " points") if row.info.unit == "rate" else (1.0, " m" if row.info.unit == "m" else "")
         if "all_equal" in difference.marks:
@@ -66,7 +67,22 @@ def _compare(arguments: argparse.Namespace) -> int:
         rows,
         numbers=(2, 3, 4),
     )
+    for path in (arguments.first, arguments.second):
+        print("\n".join(_described(path, sorted({row.dataset for row in compared}))))
     return 0
+
+
+def _described(path: Path, datasets: list[str]) -> list[str]:
+    """Whose method a run is of, and where it handed in recorded motions."""
+    from prbench.runs import DatasetSummary, RunFolder
+
+    run = RunFolder.open(path)
+    lines = [f"{path.name}: {run.record.method.name}, {run.record.method.origin}"]
+    for name in datasets:
+        mark = DatasetSummary.read(run.dataset(name).path).recorded_motion_mark
+        if mark:
+            lines.append(f"{path.name}, {name}: {mark}.")
+    return lines
 
 
 def _export(arguments: argparse.Namespace) -> int:

@@ -25,6 +25,7 @@ COLUMNS: tuple[str, ...] = (
     "recordings",
     "rank",
     "note",
+    "kind",
 )
 _INFOS = {info.id: info for info in METRICS}
 _UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
@@ -51,6 +52,8 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
             notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
             if hidden:
                 notes.append("stands still")
+            if row.entry.mark:
+                notes.append(row.entry.mark)
             yield {
                 "table": number,
                 "dataset": table.dataset,
@@ -67,10 +70,12 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
                 "recordings": str(metric.recordings),
                 "rank": str(row.ranks.get(metric.metric, "")),
                 "note": "; ".join(notes),
+                "kind": row.entry.origin,
             }
 
 
 def _macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
+    about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
     for row in macro.rows:
         for metric, mean in row.means.items():
             info = _INFOS[metric]
@@ -85,7 +90,8 @@ def _macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "unit": _UNITS[info.unit],
                 "higher_is_better": _direction(metric),
                 "rank": str(row.ranks.get(metric, "")),
-                "note": "mean over datasets" + ("; synthetic" if macro.synthetic else ""),
+                "note": "; ".join(part for part in (*about, row.mark) if part),
+                "kind": row.origin,
             }
 
 
