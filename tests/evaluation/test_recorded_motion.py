@@ -78,10 +78,18 @@ def test_the_recorded_motion_is_noticed_however_it_is_disguised(disguise):
         lambda m: np.repeat(m[:1], len(m), axis=0),
         lambda m: m[:1] + np.linspace(0, 1, len(m))[:, None, None] * (m[-1:] - m[:1]),
         lambda m: m[:, :1] + (m[:1] - m[:1, :1]),
+        lambda m: np.concatenate([m[:60], np.repeat(m[59:60], 30, axis=0)]),
         lambda m: noisy(m, 0.05),
         lambda m: m * np.array([-1.0, 1.0, 1.0]),
     ],
-    ids=["initial pose", "straight to the last pose", "glides along the path", "5 cm off", "mirrored"],
+    ids=[
+        "initial pose",
+        "straight to the last pose",
+        "glides along the path",
+        "cut short",
+        "5 cm off",
+        "mirrored",
+    ],
 )
 def test_what_conditions_tell_and_what_only_resembles_is_not_taken_for_it(method):
     assert marked(method) == 0
