@@ -54,7 +54,7 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
             PROGRAM: f"program {source}",
             FILE: f"file {source}",
         }
-        apart = f", isolated ({clean(self.isolation)})" if self.isolation else ""
+        apart = f", isolated: {clean(self.isolation)}" if self.isolation else ""
         return words.get(self.kind, "unknown kind") + apart
 
 

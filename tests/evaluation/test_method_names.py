@@ -160,7 +160,7 @@ def test_the_kind_of_a_method_is_recorded_and_told(install, table, tmp_path):
         ({"kind": "offline", "package": "m.npz"}, "file m.npz"),
         (
             {"kind": "program", "package": "python m.py", "isolation": "bubblewrap"},
-            "program python m.py, isolated (bubblewrap)",
+            "program python m.py, isolated: bubblewrap",
         ),
         ({"package": "who"}, "unknown kind"),
         ({"kind": "whatever", "package": "who"}, "unknown kind"),

@@ -370,7 +370,7 @@ def test_every_export_says_whose_a_method_is(tmp_path):
     kinds = {row[1]: row[-1] for row in cells(export(board, "md"), "synthetic-adt title")[2:]}
     assert kinds == {
         "pr": "built in",
-        "glide": "package glider 1, isolated (bubblewrap)",
+        "glide": "package glider 1, isolated: bubblewrap",
         "forged": "unknown kind",
         "ground-truth": "control",
     }
