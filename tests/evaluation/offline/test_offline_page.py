@@ -46,8 +46,7 @@ def test_the_method_goes_from_conditions_to_scores(shown, table, tmp_path, capsy
     assert main(["score", predictions, "--conditions", conditions, *data, "--name", "glide", "--out", out]) == 0
     printed = capsys.readouterr().out
     assert (
-        "Made up (synthetic): glide (file predictions.npz), condition goal-loc; 15 sequences of 3 recordings, split test"
-        in printed
+        "Made up (synthetic): glide (file predictions.npz), condition goal-loc; 15 sequences of 3 recordings" in printed
     )
     assert printed.count("These are scores on synthetic data") == 2
     for dataset in ("synthetic-adt", "synthetic-gimo"):
