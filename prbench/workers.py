@@ -85,11 +85,15 @@ def start_worker(threads: int) -> None:
     # Numerical libraries read these when they load, which in a spawned worker is after this.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(threads)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
 
 
-def _end_with_parent() -> None:
-    """End this worker when its parent was killed and cannot tell it to: it would wait for work for ever."""
+def end_with_parent() -> None:
+    """End this child as soon as its parent was killed and cannot tell it to: it would wait, or work, for ever."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

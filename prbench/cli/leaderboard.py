@@ -86,9 +86,24 @@ def _compare(arguments: argparse.Namespace) -> int:
         rows,
         numbers=(2, 3, 4),
     )
+    for path in (arguments.first, arguments.second):
+        print("\n".join(_described(path, sorted({row.dataset for row in compared.metrics}))))
     for reason in compared.unverified:
         print(f"unverified: {reason}")
     return 0
+
+
+def _described(path: Path, datasets: list[str]) -> list[str]:
+    """Whose method a run is of, and where it handed in recorded motions."""
+    from prbench.runs import DatasetSummary, RunFolder
+
+    run = RunFolder.open(path)
+    lines = [f"{path.name}: {run.record.method.name}, {run.record.method.origin}"]
+    for name in datasets:
+        mark = DatasetSummary.read(run.dataset(name).path).recorded_motion_mark
+        if mark:
+            lines.append(f"{path.name}, {name}: {mark}.")
+    return lines
 
 
 def _checker(arguments: argparse.Namespace) -> RunChecker:

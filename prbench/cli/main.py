@@ -31,6 +31,7 @@ from prbench.cli import (
     validate,
     view,
 )
+from prbench.cli.supervised import calls_foreign_code, supervised
 from prbench.errors import PrbenchError
 
 _COMMANDS = (
@@ -81,6 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 2
     try:
+        if arguments is None and calls_foreign_code(chosen):  # from a shell, whose user sees nothing but the exit code
+            return supervised(main, sys.argv[1:], method=chosen.method)
         return chosen.execute(chosen)
     except PrbenchError as error:
         print(f"prbench: {error}", file=sys.stderr)

@@ -96,7 +96,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         help="for each batch, of a program or with --isolate (default 600); a program that is late is stopped",
     )
     add_workers(parser)
-    parser.set_defaults(workers=None)
+    parser.set_defaults(workers=None, runs_a_method=True)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -106,6 +106,7 @@ def _run(arguments: argparse.Namespace) -> int:
         engine = engine_for(arguments.workers or _TABLE_WORKERS)
         return run_and_print(arguments, tuple(arguments.data or ()) or (_embedded_table(engine),), engine)
     _require_no_minutes(arguments)
+    _tell_claims(arguments.method)
     if arguments.view is not None:
         from prbench.viewing.replay.file_kind import file_kind
 
@@ -119,7 +120,8 @@ def _run(arguments: argparse.Namespace) -> int:
         print_sequence_scores(report.folder)
     else:
         for summary in report.summaries:
-            print_summary(summary, motionless=report.folder.record.method.motionless)
+            method = report.folder.record.method
+            print_summary(summary, origin=method.origin, motionless=method.motionless)
     if first_run:
         _in_company(request, report, engine)
     print(f"run folder: {report.folder.path}")
@@ -135,6 +137,15 @@ def _require_no_minutes(arguments: argparse.Namespace) -> None:
 
     if arguments.minutes is not None:
         raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
+
+
+def _tell_claims(method: str) -> None:
+    """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
+    from prbench.evaluation.installed import list_adapters
+
+    for adapter in list_adapters():
+        if adapter.name == method and adapter.problem:
+            print(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.", file=sys.stderr)
 
 
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
@@ -181,7 +192,11 @@ def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> None:
     reports = [report, *(_generated(companion, engine) for companion in companions(request))]
     if len(reports) > 1:
         still = {shown.folder.record.method.name for shown in reports if shown.folder.record.method.motionless}
-        print_side_by_side([shown.summaries[0] for shown in reports], motionless=frozenset(still))
+        print_side_by_side(
+            [shown.summaries[0] for shown in reports],
+            origins=[shown.folder.record.method.origin for shown in reports],
+            motionless=frozenset(still),
+        )
 
 
 def _view(arguments: argparse.Namespace, run: Path, data: tuple[Path, ...]) -> None:

@@ -74,7 +74,7 @@ def _score(arguments: argparse.Namespace) -> int:
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     for report in reports:
-        print_summary(report.summary, motionless=report.motionless)
+        print_summary(report.summary, origin=report.origin, motionless=report.motionless)
     if arguments.out is not None:
         print(f"scores: {arguments.out}")
         if any(report.summary.condition == UNSTATED for report in reports):

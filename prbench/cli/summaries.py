@@ -18,12 +18,19 @@ _MARKS = {
 }
 
 
-def print_summary(summary: DatasetSummary, *, motionless: bool = False) -> None:
-    """Print the scores of one method on one dataset; of one whose motions stand still, no Foot Skating."""
+def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> None:
+    """Print the scores of one method on one dataset.
+
+    Args:
+        summary: What it scored.
+        origin: Whose method it is, in words.
+        motionless: Its motions stand still, so that Foot Skating says nothing.
+    """
     control = f", {summary.control}" if summary.control else ""
     title = (
-        f"{summary.title}: {summary.method}, condition {summary.condition}{control}; {summary.sequences} sequences of"
-        f" {summary.recordings} recording{'' if summary.recordings == 1 else 's'}, split {summary.split}"
+        f"{summary.title}: {summary.method} ({origin}), condition {summary.condition}{control};"
+        f" {summary.sequences} sequences of {summary.recordings} recording{'' if summary.recordings == 1 else 's'},"
+        f" split {summary.split}"
     )
     rows = [
         (metric.title, "–", "", "stands still")
@@ -34,18 +41,24 @@ def print_summary(summary: DatasetSummary, *, motionless: bool = False) -> None:
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
+    if summary.recorded_motion_mark:
+        print(f"{summary.recorded_motion_mark}.")
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
 
 
-def print_side_by_side(summaries: Sequence[DatasetSummary], *, motionless: frozenset[str]) -> None:
+def print_side_by_side(
+    summaries: Sequence[DatasetSummary], *, origins: Sequence[str], motionless: frozenset[str]
+) -> None:
     """Print the six metrics of several methods on the same sequences, one column a method.
 
     Args:
         summaries: Of one dataset each, the same.
+        origins: Whose methods they are, in words, one a summary.
         motionless: Names of methods that stand still, which get no Foot Skating.
     """
     from prbench.metrics import METRICS
+    from prbench.runs.summary import TWICE_DAGGER
 
     first = summaries[0]
     rows = []
@@ -56,9 +69,15 @@ def print_side_by_side(summaries: Sequence[DatasetSummary], *, motionless: froze
             absent = found is None or (summary.method in motionless and info.id == "foot_skating")
             cells.append("–" if found is None or absent else "\n".join(_cells(found)))
         rows.append((info.title, *cells))
-    header = ("metric", *(f"{summary.method}\n({summary.condition})" for summary in summaries))
+    header = ["metric"]
+    for summary, origin in zip(summaries, origins, strict=True):
+        mark = f" {TWICE_DAGGER}" if summary.recorded_motion_mark else ""
+        header.append(f"{summary.method}{mark}\n({summary.condition})\n{origin}")
     title = f"{first.title}, {first.sequences} sequences of {first.recordings} recordings, split {first.split}"
     print_table(f"{title}: means and 95 % intervals", header, rows, numbers=range(1, len(header)), spaced=True)
+    for summary in summaries:
+        if summary.recorded_motion_mark:
+            print(f"{summary.method} {summary.recorded_motion_mark}.")
 
 
 def _cells(metric: MetricSummary) -> tuple[str, str]:

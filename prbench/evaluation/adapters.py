@@ -13,7 +13,7 @@ from prbench.evaluation.installed import InstalledAdapter, list_adapters, no_suc
 
 
 def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapter:
-    """The installed method of this name.
+    """The installed method of this name: prbench's own, or the one that a single package offers.
 
     Args:
         name: As given by ``--method``.
@@ -23,14 +23,18 @@ def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapt
         AdapterError: if there is none (with the nearest name), two packages offer it, or its metadata are damaged.
     """
     installed = list_adapters()
-    found = [adapter for adapter in installed if adapter.name == name]
+    claims = [adapter for adapter in installed if adapter.name == name]
+    found = [adapter for adapter in claims if not adapter.problem]
     if len(found) > 1:
         offers = ", ".join(f"{adapter.target} of {adapter.package} {adapter.version}" for adapter in found)
         raise AdapterError(f"adapter '{name}' is offered more than once: {offers}. Uninstall all but one.")
-    if found and found[0].problem:
-        raise AdapterError(f"adapter '{name}' (package {found[0].package}): {found[0].problem}. Reinstall the package.")
     if found:
         return found[0]
+    if claims:
+        raise AdapterError(
+            f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}."
+            " Repair the entry point, or reinstall the package."
+        )
     raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
 
 

@@ -19,16 +19,12 @@ from jaxtyping import Float, Int
 
 from prbench.contract import Motions
 from prbench.evaluation.conditions import ConditionSource
+from prbench.evaluation.method_names import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.scripted import ScriptedStart, scripted_motions
 from prbench.representation import decode, encode
 from prbench.sequences.chunk import SequenceChunk
 from prbench.skeleton import N_JOINTS
-
-GROUND_TRUTH = "ground-truth"
-GROUND_TRUTH_RESAMPLED = "ground-truth-resampled"
-SCRIPTED = "scripted"
-SHUFFLED_GOAL = "shuffled-goal"
 
 RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED})
 """Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms."""
@@ -51,8 +47,6 @@ CONTROLS = (
     ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
 )
 
-METHOD_CONTROLS = tuple(control.name for control in CONTROLS if control.use == "--method")
-
 
 def control_motions(
     name: str, selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
@@ -60,7 +54,7 @@ def control_motions(
     """The motions of a control for each planned batch, in order.
 
     Args:
-        name: One of :data:`METHOD_CONTROLS`.
+        name: One of :data:`~prbench.evaluation.method_names.METHOD_CONTROLS`.
         selection: The chosen sequences.
         source: Their conditions; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.evaluation.planning.plan_batches`.

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import Distribution, EntryPoint, distributions
 
 from prbench.contract import ENTRY_POINT_GROUP
 from prbench.errors import AdapterError, did_you_mean
+from prbench.evaluation.method_names import BUILT_IN_METHODS, has_form, name_problem
+from prbench.shown import quoted
 
+_OURS = "prbench"  # the distribution whose methods are built in
 _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
 _PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".m")
@@ -29,26 +32,33 @@ class InstalledAdapter:
     target: str
     """``module:callable``."""
     problem: str = ""
-    """What is wrong with the metadata, so that the method cannot be used; empty if nothing is."""
+    """Why the method cannot be used: its metadata are damaged, or its name is not its own; empty if it can."""
+    built_in: bool = False
+    """It comes with prbench itself."""
 
 
 def list_adapters() -> list[InstalledAdapter]:
-    """All installed methods by name, without importing any of them; those with unusable metadata say why."""
+    """All installed methods by name, without importing any of them; those that cannot be used say why."""
     return sorted(set(_adapters()))
 
 
+def built_in_names() -> frozenset[str]:
+    """Names of prbench's own methods, as far as they are installed."""
+    return frozenset(adapter.name for adapter in list_adapters() if adapter.built_in)
+
+
 def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
-    """Names that more than one package offers; such a name cannot be used until one of them is uninstalled."""
-    names = [adapter.name for adapter in adapters]
+    """Names that more than one package may use; such a name cannot be used until one of them is uninstalled."""
+    names = [adapter.name for adapter in adapters if not adapter.problem]
     return frozenset(name for name in names if names.count(name) > 1)
 
 
 def entry_points_of(group: str) -> Iterator[EntryPoint]:
-    """The readable entry points of a group; unreadable ones are passed over."""
+    """The readable entry points of a group; unreadable ones, and names that belong to prbench, are passed over."""
     for distribution in _distributions():
         for line in _lines(distribution, group):
             name, separator, value = (part.strip() for part in line.partition("="))
-            if separator and name and value:
+            if separator and name and value and (_is_ours(distribution) or name_problem(name) is None):
                 yield EntryPoint(name, value, group)
 
 
@@ -82,16 +92,30 @@ def _adapters() -> Iterator[InstalledAdapter]:
                 _field(distribution, "Version"),
             )
             for line in lines:
-                yield _adapter(line, package or _UNKNOWN, version or _UNKNOWN)
+                adapter = _adapter(line, quoted(package or _UNKNOWN), quoted(version or _UNKNOWN))
+                yield _with_right_to_its_name(adapter, ours=_is_ours(distribution))
+
+
+def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> InstalledAdapter:
+    """The method, marked as built in, or refused where its name belongs to prbench or cannot be shown."""
+    if ours and adapter.name in BUILT_IN_METHODS:
+        return replace(adapter, built_in=True)
+    problem = adapter.problem or name_problem(adapter.name) or ""
+    name = adapter.name if has_form(adapter.name) else quoted(adapter.name)
+    return replace(adapter, name=name, problem=problem)
+
+
+def _is_ours(distribution: Distribution) -> bool:
+    return _normalised(distribution) == _OURS
 
 
 def _adapter(line: str, package: str, version: str) -> InstalledAdapter:
     name, separator, target = (part.strip() for part in line.partition("="))
     if not separator or not name:
-        problem = f"entry_points.txt: expected 'name = module:callable', found '{line[:60]}'"
+        problem = f"entry_points.txt: expected 'name = module:callable', found '{quoted(line, longest=60)}'"
         return InstalledAdapter(name or _UNKNOWN, package, version, target, problem)
     if not _TARGET.fullmatch(target):
-        problem = f"entry point: expected 'module:callable', found '{target[:60]}'"
+        problem = f"entry point: expected 'module:callable', found '{quoted(target, longest=60)}'"
         return InstalledAdapter(name, package, version, target, problem)
     return InstalledAdapter(name, package, version, target)
 
@@ -100,10 +124,14 @@ def _distributions() -> Iterator[Distribution]:
     """Installed packages; of two copies the one that stands first on the path, as an import would find it."""
     seen = set()
     for distribution in distributions():
-        name = re.sub(r"[-_.]+", "-", _folder_name(distribution) or _field(distribution, "Name")).lower()
+        name = _normalised(distribution)
         if name not in seen:
             seen.add(name)
             yield distribution
+
+
+def _normalised(distribution: Distribution) -> str:
+    return re.sub(r"[-_.]+", "-", _folder_name(distribution) or _field(distribution, "Name")).lower()
 
 
 def _folder_name(distribution: Distribution) -> str:

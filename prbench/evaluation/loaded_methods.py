@@ -12,8 +12,8 @@ import psutil
 from prbench.contract import Adapter, Trainable, TrainingRun
 from prbench.errors import AdapterError
 from prbench.evaluation.adapters import load_adapter
-from prbench.evaluation.controls import METHOD_CONTROLS
 from prbench.evaluation.isolation.training_copy import temporary_training_copy
+from prbench.evaluation.method_names import name_problem
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
 from prbench.evaluation.training_split import FIT_SEED, TrainingSplit
@@ -128,11 +128,8 @@ def _require_name(name: str, spec: MethodSpec) -> None:
             f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
             " Correct method.name in the TOML file, or start the right program."
         )
-    if name.casefold() in METHOD_CONTROLS:
-        raise AdapterError(
-            f"program '{spec.name}': expected a name of its own in its hello, found '{name}', which is a control of"
-            " the harness. Let it introduce itself by another name."
-        )
+    if problem := name_problem(name):
+        raise AdapterError(f"program '{spec.name}': {problem}. Let it introduce itself by another name in its hello.")
 
 
 def _resident_bytes(process: psutil.Process) -> int:

@@ -9,10 +9,10 @@ from pathlib import Path
 from prbench.errors import UsageError
 from prbench.evaluation.adapters import InstalledAdapter, find_adapter
 from prbench.evaluation.cache import cache_folder
-from prbench.evaluation.controls import METHOD_CONTROLS
 from prbench.evaluation.isolation import fenced, isolated_environment, worker_program
 from prbench.evaluation.isolation.isolated import Fit
 from prbench.evaluation.loaded_methods import HELD, LoadedMethod
+from prbench.evaluation.method_names import METHOD_CONTROLS
 from prbench.evaluation.programs import MethodProgram, is_program, own_environment, program_of
 from prbench.evaluation.remote.program import Program
 from prbench.evaluation.users_environment import users_environment

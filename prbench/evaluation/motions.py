@@ -16,14 +16,22 @@ import numpy as np
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError, InputFileError, PrbenchError
+from prbench.evaluation.coordinates import coordinate_problem, impossible_frames
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate
+from prbench.limits import FARTHEST_COORDINATE
 from prbench.skeleton import N_JOINTS
 from prbench.workers import is_out_of_memory
 
 
 def generate_checked(
-    adapter: Adapter, batch: ConditionBatch, *, seed: int, method: str, sequence_ids: Sequence[str]
+    adapter: Adapter,
+    batch: ConditionBatch,
+    *,
+    seed: int,
+    method: str,
+    sequence_ids: Sequence[str],
+    farthest: float = FARTHEST_COORDINATE,
 ) -> tuple[Motions, int]:
     """Generate the motions of a batch at the table's rate; one that does not fit in memory is run in halves.
 
@@ -33,6 +41,7 @@ def generate_checked(
         seed: The run's seed, for the record.
         method: Name of the method, for messages.
         sequence_ids: Names of the rows, for messages; the method never sees them.
+        farthest: Metres from the origin beyond which a coordinate is refused; infinity for a network in training.
 
     Returns:
         float32 motions, and how often a batch was halved.
@@ -43,14 +52,14 @@ def generate_checked(
     """
     native_fps = Declared.by(adapter, origin=f"method '{method}'").native_fps
     asked = batch if native_fps is None else at_native_rate(batch, native_fps)
-    motions, halvings = _generate(adapter, asked, seed, method, sequence_ids)
+    motions, halvings = _generate(adapter, asked, seed, method, sequence_ids, farthest)
     if native_fps is not None:
         motions = at_table_rate(motions, batch, native_fps=native_fps)
     return motions, halvings
 
 
 def _generate(
-    adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str]
+    adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
 ) -> tuple[Motions, int]:
     try:
         with _named_warnings(batch, ids):
@@ -71,15 +80,22 @@ def _generate(
                 f" ({batch.n_frames[0]} frames). Use a device with more memory."
             ) from error
     else:
-        return well_formed(motions, batch, method=method, sequence_ids=ids), 0
+        return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
     release_memory()
     middle = len(batch) // 2
-    first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle])
-    second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:])
+    first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle], farthest)
+    second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:], farthest)
     return _joined(first, second), 1 + halved_first + halved_second
 
 
-def well_formed(motions: object, batch: ConditionBatch, *, method: str, sequence_ids: Sequence[str]) -> Motions:
+def well_formed(
+    motions: object,
+    batch: ConditionBatch,
+    *,
+    method: str,
+    sequence_ids: Sequence[str],
+    farthest: float = FARTHEST_COORDINATE,
+) -> Motions:
     """The motions as float32 if they are what the contract asks for.
 
     Args:
@@ -87,6 +103,7 @@ def well_formed(motions: object, batch: ConditionBatch, *, method: str, sequence
         batch: What it was asked for.
         method: Name of the method, for messages.
         sequence_ids: Names of the rows, for messages.
+        farthest: See :func:`generate_checked`.
 
     Raises:
         AdapterError: naming method, sequence and frame, what was expected and what was found.
@@ -124,7 +141,7 @@ def well_formed(motions: object, batch: ConditionBatch, *, method: str, sequence
         )
     with np.errstate(over="ignore"):
         joints = joints[:, :longest].astype(np.float32)
-    _require_finite(joints, batch, method, ids)
+    _require_possible(joints, batch, method, ids, farthest)
     return Motions(joints, batch.n_frames, motions.cost)
 
 
@@ -173,16 +190,16 @@ def told(error: BaseException) -> str:
     return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
 
 
-def _require_finite(joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str]) -> None:
+def _require_possible(
+    joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str], farthest: float
+) -> None:
+    """Refuse coordinates that are not finite or far beyond any room; what the padding holds does not matter."""
     valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
-    bad = ~np.isfinite(joints).all(axis=(2, 3)) & valid
-    if bad.any():
-        row, frame = (int(index) for index in np.argwhere(bad)[0])
-        joint = int(np.flatnonzero(~np.isfinite(joints[row, frame]).all(axis=1))[0])
-        raise AdapterError(
-            f"method '{method}', sequence {ids[row]}, frame {frame}: expected finite positions,"
-            f" found {joints[row, frame, joint].tolist()} at joint {joint}."
-        )
+    rows = np.flatnonzero((impossible_frames(joints, farthest) & valid).any(axis=1))
+    if rows.size:
+        row = int(rows[0])
+        problem = coordinate_problem(joints[row, : batch.n_frames[row]], farthest)
+        raise AdapterError(f"method '{method}', sequence {ids[row]}, {problem}")
 
 
 def _joined(first: Motions, second: Motions) -> Motions:

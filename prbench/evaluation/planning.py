@@ -21,6 +21,8 @@ WINDOW = 1024
 """Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
 enough for memory, large enough that little is padded."""
 
+_FEWEST_FRAMES = 2  # below which there is no motion
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -92,6 +94,12 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
     ids = rows["sequence_id"].to_pylist()
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")
+    n_frames = rows["n_frames"].to_numpy().astype(np.int64)
+    if (n_frames < _FEWEST_FRAMES).any():
+        raise TableError(
+            f"{table.folder}, {ids[int(n_frames.argmin())]}: expected {_FEWEST_FRAMES} frames or more, found"
+            f" {n_frames.min()}. Build the dataset again."
+        )
     rates = set(rows["fps"].to_pylist())
     if len(rates) > 1:
         raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
@@ -99,7 +107,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
         table,
         split,
         tuple(ids),
-        rows["n_frames"].to_numpy().astype(np.int64),
+        n_frames,
         tuple(rows["recording_id"].to_pylist()),
         rates.pop(),
     )

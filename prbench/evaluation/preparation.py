@@ -26,7 +26,16 @@ from prbench.evaluation.request import RunRequest
 from prbench.evaluation.weights import require_weights, used_weights, weights_digest
 from prbench.locks import in_turn
 from prbench.manifests import load_protocol
-from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.runs.record import (
+    BUILT_IN,
+    CONTROL,
+    PACKAGE,
+    PROGRAM,
+    BatchPlanRecord,
+    MethodRecord,
+    RunRecord,
+    TableRecord,
+)
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
@@ -110,7 +119,7 @@ def _spec(request: RunRequest) -> MethodSpec:
 def _control(request: RunRequest) -> MethodRecord:
     own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
     limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
-    return MethodRecord(name=request.method, kind="control", **own, **limits)
+    return MethodRecord(name=request.method, kind=CONTROL, **own, **limits)
 
 
 def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
@@ -120,10 +129,10 @@ def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
     require_condition(method.name, method.adapter, request.condition)
     declared = Declared.by(method.adapter, origin=origin)
     weights, digest = _weights(request, method, origin)
-    package, version = _package(spec, method)
+    kind, package, version = _source(spec, method)
     return MethodRecord(
         name=method.name,
-        kind="adapter" if spec.package is None else "program",
+        kind=kind,
         package=package,
         version=version,
         weights=weights,
@@ -136,12 +145,12 @@ def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
     )
 
 
-def _package(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str]:
-    """Where a method comes from, and its version: of the installed package, or as the program says."""
+def _source(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str, str]:
+    """Kind of a method, where it comes from, and its version: of the installed package, or as the program says."""
     if spec.package is not None and isinstance(method.adapter, RemoteAdapter):
-        return spec.package, method.adapter.version
+        return PROGRAM, spec.package, method.adapter.version
     installed = find_adapter(spec.name)
-    return installed.package, installed.version
+    return (BUILT_IN if installed.built_in else PACKAGE), installed.package, installed.version
 
 
 def _weights(request: RunRequest, method: LoadedMethod, origin: str) -> tuple[str | None, str | None]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import UsageError
-from prbench.evaluation.controls import METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.evaluation.method_names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.evaluation.programs.reference import short_name
 
 DEFAULT_BATCH_SIZE = 64

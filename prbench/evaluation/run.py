@@ -15,6 +15,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
+from prbench.errors import AdapterError, MemoryFullError
 from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
@@ -29,6 +30,7 @@ from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
+from prbench.runs.record import PACKAGE
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences.redistribution import run_notice
@@ -141,9 +143,17 @@ def _generate(
     if not missing:
         return 0
     progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
-    for _ in engine.map(run_batch, _tasks(prepared, dataset, files, frozenset(missing))):
-        done += 1
-        progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
+    try:
+        for _ in engine.map(run_batch, _tasks(prepared, dataset, files, frozenset(missing))):
+            done += 1
+            progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
+    except MemoryFullError as error:  # or a worker that ended without an answer
+        if prepared.record.method.kind != PACKAGE:
+            raise
+        name = prepared.record.method.name
+        raise AdapterError(
+            f"method '{name}': {error} If the method itself ends the process, --isolate shows what it wrote last."
+        ) from error
     return len(missing)
 
 
@@ -235,6 +245,7 @@ def _windows(
         load_protocol().metrics,
         recorded_motion=prepared.request.method in RECORDED_MOTION,
         other_goals=dataset.scored_goals,
+        run_of=prepared.record.method.name,
     )
     samples = range(prepared.request.samples)
     windows = score_selection(dataset.selection, files.predictions, samples=samples, rules=rules, engine=engine)

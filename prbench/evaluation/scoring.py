@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,18 @@ from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.engine import Engine
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
+from prbench.evaluation.coordinates import coordinate_problem, impossible_frames
 from prbench.evaluation.lengths import length_problem
 from prbench.evaluation.native_rate import at_table_rate, native_frames
 from prbench.evaluation.planning import Selection
+from prbench.evaluation.recorded_motion import is_recorded_motion
+from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions
 from prbench.runs.schema import SCORES
+from prbench.runs.summary import RECORDED_MOTION
 from prbench.sequences.chunk import SequenceChunk
 
 _COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
@@ -29,6 +33,10 @@ _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
 """What to do about motions of another length."""
+_NOT_AS_KEPT = (
+    "A run keeps no such motion of a method: the file was changed, or is of an older prbench. Delete it and run the"
+    " method again."
+)
 _AGAINST_ITSELF = frozenset(
     {"goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "reach_wrist"}
 )  # of a recorded motion: they compare it with itself whatever the goal is
@@ -44,6 +52,10 @@ class ScoringRules:
     other_goals: Float[np.ndarray, "n 3"] | None = None
     """Score against these goals, one a chosen sequence, instead of each sequence's own; metrics that compare the
     recorded motion with itself are left out then."""
+    run_of: str | None = None
+    """The method whose run has kept the predictions; None where somebody handed them in as a file."""
+    farthest: float = FARTHEST_COORDINATE
+    """Metres from the origin beyond which a coordinate is refused."""
     allow_length_mismatch: bool = False
     id_seed: int = 0
     """Seed behind the opaque ids, where the predictions have those."""
@@ -117,7 +129,10 @@ def _score_window(window: _Window) -> pa.Table:
         _check(predicted, recorded, chunk.sequence_ids, sample, window)
         if window.rules.native_fps is not None:
             predicted = _at_table_rate(predicted, recorded, window)
-        by_sample.append(_scored(predicted, recorded, targets, window.rules))
+        values = _scored(predicted, recorded, targets, window.rules)
+        if not window.rules.recorded_motion:
+            values = [_with_copies_marked(value, predicted, recorded) for value in values]
+        by_sample.append(values)
     return _long_form(window.dataset, chunk.sequence_ids, window.samples, by_sample)
 
 
@@ -156,30 +171,38 @@ def _scored(
     return list(values.values())
 
 
+def _with_copies_marked(values: MetricValues, predicted: MotionBatch, recorded: MotionBatch) -> MetricValues:
+    """The MPJPE of a method with a remark on each motion that is the recorded one; other metrics as they are."""
+    if values.metric != "mpjpe":
+        return values
+    copies = is_recorded_motion(predicted, recorded)
+    return replace(values, flags={**values.flags, RECORDED_MOTION: copies}) if copies.any() else values
+
+
 def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample: int, window: _Window) -> None:
     """Name the sequence where a motion cannot be scored."""
 
     def place(row: int) -> str:
-        return f"{window.predictions.where(window.names[row], sample)}, {ids[row]}"
+        where, method = window.predictions.where(window.names[row], sample), window.rules.run_of
+        return f"{where}, {ids[row]}" if method is None else f"method '{method}', sequence {ids[row]} in {where}"
 
+    remedy = SAME_LENGTH if window.rules.run_of is None else _NOT_AS_KEPT
     expected, fps, native_fps = recorded.n_frames, _fps(window), window.rules.native_fps
     if native_fps is not None:
         expected, fps = native_frames(expected, fps=fps, native_fps=native_fps), native_fps
     if not window.rules.allow_length_mismatch:
         wrong = length_problem(place, expected, predicted.n_frames, fps=fps)
         if wrong is not None:
-            raise PredictionsError(f"{wrong} {SAME_LENGTH}")
+            raise PredictionsError(f"{wrong} {remedy}")
     short = np.flatnonzero(predicted.n_frames < 2)
     if short.size:
         raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
-    finite = np.isfinite(predicted.values).all(axis=(1, 2))
-    if not finite.all():
-        frame = int(np.flatnonzero(~finite)[0])
-        row = int(predicted.sequence_of_row[frame])
-        raise PredictionsError(
-            f"{place(row)}, frame {frame - predicted.offsets[row]}: expected finite joint positions,"
-            " found NaN or infinity."
-        )
+    impossible = np.flatnonzero(impossible_frames(predicted.values, window.rules.farthest))
+    if impossible.size:
+        row = int(predicted.sequence_of_row[impossible[0]])
+        motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]]
+        kept = "" if window.rules.run_of is None else f" {_NOT_AS_KEPT}"
+        raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, window.rules.farthest)}{kept}")
 
 
 def _at_table_rate(predicted: MotionBatch, recorded: MotionBatch, window: _Window) -> MotionBatch:

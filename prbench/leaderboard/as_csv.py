@@ -26,6 +26,7 @@ COLUMNS: tuple[str, ...] = (
     "rank",
     "verified",
     "note",
+    "kind",
 )
 _INFOS = {info.id: info for info in METRICS}
 _UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
@@ -52,6 +53,8 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
             notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
             if hidden:
                 notes.append("stands still")
+            if row.entry.mark:
+                notes.append(row.entry.mark)
             yield {
                 "table": number,
                 "dataset": table.dataset,
@@ -69,10 +72,12 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
                 "rank": str(row.ranks.get(metric.metric, "")),
                 "verified": "unverified" if row.entry.unverified else "verified",
                 "note": "; ".join(notes),
+                "kind": row.entry.origin,
             }
 
 
 def _macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
+    about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
     for row in macro.rows:
         for metric, mean in row.means.items():
             info = _INFOS[metric]
@@ -88,7 +93,8 @@ def _macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "higher_is_better": _direction(metric),
                 "rank": str(row.ranks.get(metric, "")),
                 "verified": "unverified" if row.unverified else "verified",
-                "note": "mean over datasets" + ("; synthetic" if macro.synthetic else ""),
+                "note": "; ".join(part for part in (*about, row.mark) if part),
+                "kind": row.origin,
             }
 
 

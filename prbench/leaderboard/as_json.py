@@ -47,6 +47,9 @@ def _row(row: TableRow) -> dict[str, object]:
         "run": entry.run,
         "method": entry.method,
         "kind": entry.record.method.kind,
+        "package": entry.record.method.package,
+        "isolation": entry.record.method.isolation,
+        "mark": entry.mark,
         "version": entry.record.method.version,
         "weights_digest": entry.record.method.weights_digest,
         "condition": entry.record.condition,
@@ -71,6 +74,8 @@ def _macro(macro: MacroTable) -> dict[str, object]:
         "rows": [
             {
                 "method": row.method,
+                "kind": row.origin,
+                "mark": row.mark,
                 "condition": row.condition,
                 "variant": row.variant,
                 "means": row.means,

@@ -15,6 +15,8 @@ from prbench.leaderboard.tables import (
     hides,
 )
 from prbench.metrics import MetricInfo
+from prbench.runs.record import CONTROL
+from prbench.runs.summary import TWICE_DAGGER
 
 _DASH = "–"
 _FEW = "†"
@@ -38,13 +40,14 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     if shared_name:
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS)]
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Kind"]
     rows = [
         [
-            "control" if row.entry.record.method.kind == "control" else row.entry.record.condition,
-            row.entry.method,
+            "control" if row.entry.record.method.kind == CONTROL else row.entry.record.condition,
+            _marked(row.entry.method, row.entry.mark),
             _variant(row.variant, unverified=bool(row.entry.unverified)),
             *(_cell(row, info) for info in MAIN_METRICS),
+            row.entry.origin,
         ]
         for row in table.rows
     ]
@@ -53,6 +56,10 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
 
 def _variant(text: str, *, unverified: bool) -> str:
     return "; ".join(part for part in (text, "unverified" if unverified else "") if part)
+
+
+def _marked(method: str, mark: str) -> str:
+    return f"{method} {TWICE_DAGGER}" if mark else method
 
 
 def _cell(row: TableRow, info: MetricInfo) -> str:
@@ -81,6 +88,8 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     elif any(row.ranks for row in table.rows):
         yield "Bold: the best of two or more methods under one condition; controls are not ranked."
     for row in table.rows:
+        if row.entry.mark:
+            yield f"{_plain(row.entry.method)} {row.entry.mark}."
         if row.entry.summary.unsupported:
             yield (
                 f"{_plain(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
@@ -98,14 +107,15 @@ def _legend(table: DatasetTable) -> Iterable[str]:
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
     title = f"## Mean over datasets: {', '.join(_plain(name) for name in macro.datasets)}{word}"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing"]
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing", "Kind"]
     rows = [
         [
             "control" if row.is_control else row.condition,
-            row.method,
+            _marked(row.method, row.mark),
             _variant(row.variant, unverified=row.unverified),
             *(_macro_cell(row, info) for info in MAIN_METRICS),
             _missing(row),
+            row.origin,
         ]
         for row in macro.rows
     ]

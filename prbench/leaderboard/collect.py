@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import RunError
+from prbench.evaluation.method_names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.evaluation.verification import CheckedSummary, RunChecker
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
-from prbench.runs.record import RunRecord, TableRecord
+from prbench.runs.record import MethodRecord, RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
 
 
@@ -32,9 +33,21 @@ class LeaderboardRow:
         return self.record.method.name
 
     @property
+    def origin(self) -> str:
+        """Whose method it is, in words; a record that claims for prbench what prbench does not have is not believed."""
+        method = self.record.method
+        ours = {run_record.BUILT_IN: BUILT_IN_METHODS, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
+        return "unknown kind" if ours is not None and method.name not in ours else method.origin
+
+    @property
     def is_control(self) -> bool:
         """Made by the harness, or with another sequence's goals: shown, never ranked."""
-        return self.record.method.kind == "control" or self.record.control is not None
+        return self.record.method.kind == run_record.CONTROL or self.record.control is not None
+
+    @property
+    def mark(self) -> str:
+        """What a reader must know of the motions; empty if there is nothing."""
+        return self.summary.recorded_motion_mark
 
     @property
     def variant(self) -> str:
@@ -90,6 +103,9 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
     left_out: list[str] = []
     for folder in sorted(folders):
         run = RunFolder.open(folder)
+        if problem := _false_name(run.record.method):
+            left_out.append(f"{folder.name}: {problem}; run or score it again under another name")
+            continue
         unfinished = [table.dataset for table in run.record.tables if not run.dataset(table.dataset).finished]
         if unfinished:
             left_out.append(f"{folder.name}: not finished on {', '.join(unfinished)}; run it again, it resumes")
@@ -98,6 +114,12 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             checked = (check or RunChecker().check)(run, table)
             rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified))
     return CollectedRuns(tuple(rows), tuple(left_out))
+
+
+def _false_name(method: MethodRecord) -> str | None:
+    """What is wrong with the name of a foreign method; runs of prbench 0.5 could bear any."""
+    foreign = (run_record.PACKAGE, run_record.PROGRAM, run_record.FILE)
+    return name_problem(method.name) if method.kind in foreign else None
 
 
 def _runs_below(path: Path) -> list[Path]:

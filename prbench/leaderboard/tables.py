@@ -1,9 +1,9 @@
 """Rows that compare, in one table; rows that do not, in tables of their own with the reason.
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
-within their condition, on the main metrics, where at least 50 sequences were scored; controls and methods that left
-sequences out are shown without rank. The macro mean weighs every dataset alike and exists only for methods that have
-all of them.
+within their condition, on the main metrics, where at least 50 sequences were scored; controls, methods that left
+sequences out and motions that are the recorded ones are shown without rank. The macro mean weighs every dataset alike
+and exists only for methods that have all of them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
 from prbench.metrics import METRICS, MetricInfo
+from prbench.runs.record import CONTROL
 
 FEWEST_RANKED = 50
 """Sequences below which no method is ranked."""
@@ -60,6 +61,10 @@ class MacroRow:
     """Means of one method over the datasets; empty if it lacks one."""
 
     method: str
+    origin: str
+    """Whose method it is, in words."""
+    mark: str
+    """See :attr:`LeaderboardRow.mark`; of the first dataset that has one."""
     is_control: bool
     condition: str
     variant: str
@@ -144,7 +149,12 @@ def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
 
 
 def _is_ranked(entry: LeaderboardRow) -> bool:
-    return not entry.is_control and not entry.summary.unsupported and entry.scored >= FEWEST_RANKED
+    return (
+        not entry.is_control
+        and not entry.summary.hands_in_recordings
+        and not entry.summary.unsupported
+        and entry.scored >= FEWEST_RANKED
+    )
 
 
 def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
@@ -157,7 +167,7 @@ def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
 
 def _place(entry: LeaderboardRow) -> tuple:
     condition = _CONDITIONS.index(entry.record.condition) if entry.record.condition in _CONDITIONS else len(_CONDITIONS)
-    return (entry.record.method.kind == "control", condition, entry.method, entry.variant, entry.record.seed, entry.run)
+    return (entry.record.method.kind == CONTROL, condition, entry.method, entry.variant, entry.record.seed, entry.run)
 
 
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
@@ -170,9 +180,9 @@ def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
     seeded = [_joined(entry.variant, f"seed {entry.record.seed}") for entry in entries]
     named = [_joined(entry.variant, f"run {entry.run}") for entry in entries]
 
-    def shown(entry: LeaderboardRow, text: str) -> tuple[str, str, str]:
-        condition = "control" if entry.record.method.kind == "control" else entry.record.condition
-        return entry.method, condition, text
+    def shown(entry: LeaderboardRow, text: str) -> tuple[str, str, str, str]:
+        condition = "control" if entry.record.method.kind == CONTROL else entry.record.condition
+        return entry.method, entry.origin, condition, text
 
     def first_unlike(i: int) -> str:
         for texts in (plain, conditioned, seeded):
@@ -199,13 +209,14 @@ def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
 
 
 def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
-    found: dict[tuple[str, str, str], dict[str, LeaderboardRow]] = defaultdict(dict)
+    found: dict[tuple[str, str, str, str], dict[str, LeaderboardRow]] = defaultdict(dict)
     for table in tables:
         for row in table.rows:
-            found[row.entry.record.condition, row.entry.method, row.variant][table.dataset] = row.entry
+            entry = row.entry
+            found[entry.record.condition, entry.method, row.variant, entry.origin][table.dataset] = entry
     names = [table.dataset for table in tables]
     means = {key: _macro_means(entries, names) for key, entries in found.items()}
-    ranks: dict[tuple[str, str, str], dict[str, int]] = {key: {} for key in found}
+    ranks: dict[tuple[str, str, str, str], dict[str, int]] = {key: {} for key in found}
     for condition in _CONDITIONS:
         keys = [key for key in found if key[0] == condition and all(_is_ranked(entry) for entry in found[key].values())]
         for info in MAIN_METRICS:
@@ -213,11 +224,15 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
             for i, rank in _ranks(values, info).items():
                 ranks[keys[i]][info.id] = rank
     for key in sorted(found, key=lambda key: min(_place(entry) for entry in found[key].values())):
-        condition, method, variant = key
+        condition, method, variant, origin = key
+        entries = found[key].values()
         missing = tuple(name for name in names if name not in found[key])
-        is_control = any(entry.record.method.kind == "control" for entry in found[key].values())
-        unverified = any(entry.unverified for entry in found[key].values())
-        yield MacroRow(method, is_control, condition, variant, means[key], ranks[key], missing, unverified)
+        is_control = any(entry.record.method.kind == CONTROL for entry in entries)
+        mark = next((entry.mark for entry in entries if entry.mark), "")
+        unverified = any(entry.unverified for entry in entries)
+        yield MacroRow(
+            method, origin, mark, is_control, condition, variant, means[key], ranks[key], missing, unverified
+        )
 
 
 def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, float]:

@@ -7,19 +7,30 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import RunError
+from prbench.shown import clean
 from prbench.storage import write_json
 
 FILE_NAME = "run.json"
+
+BUILT_IN = "built-in"
+CONTROL = "control"
+PACKAGE = "package"
+PROGRAM = "program"
+FILE = "file"
+UNKNOWN = "unknown"
+"""Kinds of methods: prbench's own, the harness's controls, a foreign package, a program (``cmd:`` or a TOML file),
+motions that came as a file; and what an old record does not say."""
 
 
 class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Which method, in which version."""
 
     name: str
-    kind: str
-    """``adapter``, ``program`` (``cmd:`` or a TOML file) or ``control``."""
+    kind: str = UNKNOWN
+    """One of the kinds above. Names are checked by it: only prbench's own methods and controls bear their names."""
     package: str
-    """What an adapter was installed from; of a program its command, without the folders of the machine."""
+    """What a method was installed from; of a program its command, without the folders of the machine; of motions the
+    name of their file."""
     version: str
     weights: str | None
     """Last part of the path of the weights in use, given or bundled, for people."""
@@ -31,6 +42,20 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
     isolation: str | None = None
     """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
+
+    @property
+    def origin(self) -> str:
+        """Whose method it is, from where, and how it was kept apart, in words for tables."""
+        source = clean(self.package)
+        words = {
+            BUILT_IN: "built in",
+            CONTROL: "control",
+            PACKAGE: f"package {source} {clean(self.version)}",
+            PROGRAM: f"program {source}",
+            FILE: f"file {source}",
+        }
+        apart = f", isolated: {clean(self.isolation)}" if self.isolation else ""
+        return words.get(self.kind, "unknown kind") + apart
 
 
 class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -95,7 +120,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = folder / FILE_NAME
         try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
+            return _with_todays_kind(msgspec.json.decode(path.read_bytes(), type=cls))
         except FileNotFoundError as error:
             raise RunError(f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.") from error
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
@@ -119,6 +144,18 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
                     f" found {_shown(found.get(key))}. The folder belongs to another run; choose another folder for"
                     " --out, or delete this one."
                 )
+
+
+def _with_todays_kind(record: RunRecord) -> RunRecord:
+    """A record of prbench 0.5 or older, which told neither own methods from foreign ones nor called a file a file."""
+    method = record.method
+    if method.kind == "adapter":
+        kind = BUILT_IN if method.package == "prbench" else PACKAGE
+    elif method.kind == "offline":
+        kind = FILE
+    else:
+        return record
+    return msgspec.structs.replace(record, method=msgspec.structs.replace(method, kind=kind))
 
 
 def _flat(value: object, prefix: str = "") -> dict[str, object]:

@@ -11,6 +11,12 @@ from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.storage import write_json
 
 FILE_NAME = "summary.json"
+RECORDED_MOTION = "recorded_motion"
+"""Flag of a motion that is the recorded one, beside its MPJPE."""
+RECORDED_SHARE = 0.01
+"""Share of such motions above which a method is not ranked."""
+TWICE_DAGGER = "††"
+"""Mark of a method that handed in recorded motions."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,6 +61,28 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
+
+    @property
+    def recorded_motions(self) -> int:
+        """Number of motions that are the recorded ones, handed in as the method's own."""
+        return max((metric.flags.get(RECORDED_MOTION, 0) for metric in self.metrics), default=0)
+
+    @property
+    def hands_in_recordings(self) -> bool:
+        """Whether there are too many of them for an accident, so that the scores are those of no method."""
+        return self.recorded_motions > RECORDED_SHARE * self._motions
+
+    @property
+    def recorded_motion_mark(self) -> str:
+        """What a table says of them; empty if there are none."""
+        if not self.recorded_motions:
+            return ""
+        rank = "; never ranked" if self.hands_in_recordings else ""
+        return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
+
+    @property
+    def _motions(self) -> int:
+        return (self.sequences - self.unsupported) * self.samples
 
     def write(self, folder: Path) -> None:
         """Write ``summary.json``."""

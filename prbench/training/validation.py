@@ -135,7 +135,7 @@ class Validation:
         with tempfile.TemporaryDirectory(prefix="prbench-validation-") as folder:
             for number, rows in enumerate(plan_batches(selection.n_frames, self.batch_size)):
                 self._generate(adapter, selection, rows, Path(folder) / f"part-{number:05d}.parquet")
-            rules = ScoringRules(protocol.metrics)
+            rules = ScoringRules(protocol.metrics, farthest=math.inf)
             tables = list(score_selection(selection, Path(folder), samples=(0,), rules=rules, engine=InProcess()))
         metrics = np.concatenate([np.array(table["metric"].to_pylist()) for table in tables])
         values = np.concatenate([table["value"].to_numpy() for table in tables])
@@ -148,7 +148,12 @@ class Validation:
         source = ConditionSource.read(selection)
         batch = source.batch(rows, self.condition, seed=self.seed, salt=salt, sample=0)
         motions, _ = generate_checked(
-            adapter, batch, seed=self.seed, method="the network in training", sequence_ids=ids
+            adapter,
+            batch,
+            seed=self.seed,
+            method="the network in training",
+            sequence_ids=ids,
+            farthest=math.inf,  # what a network that has learnt little throws far shall end no training
         )
         write_part(
             path,

@@ -79,7 +79,7 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
     """
     if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:
         return
-    there = {SCRIPTED, GROUND_TRUTH, *(adapter.name for adapter in list_adapters())}
+    there = {SCRIPTED, GROUND_TRUTH, *(adapter.name for adapter in list_adapters() if adapter.built_in)}
     for method, condition in _COMPANIONS:
         if method not in there:
             continue

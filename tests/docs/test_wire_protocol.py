@@ -15,8 +15,9 @@ import pytest
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
+from prbench.evaluation.method_names import NAME_FORM
 from prbench.evaluation.motions import generate_checked
-from prbench.evaluation.remote import answers, introduction, messages, process
+from prbench.evaluation.remote import answers, messages, process
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.remote.program import Program
 from prbench.skeleton import PARENTS, Joint
@@ -56,7 +57,7 @@ def test_limits_and_times_are_those_of_the_code():
     assert limits["time to answer a batch"][0] == f"{defaults.batch_timeout:g} s"
     assert limits["time to exit after the end of stdin"][0] == f"{process.EXIT_SECONDS:g} s"
     assert f"SIGTERM, {process.TERM_SECONDS:g} s later SIGKILL" in limits["time to exit after the end of stdin"][1]
-    assert f"1 to {introduction._NAME_LIMIT} printable characters" in section("2. `hello`, program to harness")
+    assert f"| of the method, for tables and run folders; {NAME_FORM};" in section("2. `hello`, program to harness")
     assert f"up to {answers._SHOWN_TEXT:,} characters" in section("2. `hello`, program to harness")
     assert limits["payload of an answer"][0] == "2 × `rows` × (largest `n_frames`) × 66 × 8 bytes + 1 MiB"
 

@@ -127,6 +127,7 @@ def test_the_printed_table_holds_the_six_metrics_in_percent_and_metres(tmp_path)
         "Location Error ↓ (%)",
         "MPJPE ↓ (m)",
         "Foot Skating ↓",
+        "Kind",
     ]
     assert row[3] == "35.42 [31.88, 38.96]"
     assert row[5] == "0.02 [0.02, 0.03]"
@@ -241,7 +242,7 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     assert rows["three"].ranks == {}
     printed = {row[1]: row for row in cells(export(board, "md"), "Mean over")[2:]}
     assert printed["one"][3] == "40.00 (1)"
-    assert printed["three"][3:] == [""] * 6 + ["gimo"]
+    assert printed["three"][3:-1] == [""] * 6 + ["gimo"]
 
 
 def test_no_macro_mean_over_tables_that_do_not_compare(tmp_path):
@@ -292,7 +293,7 @@ def test_json_holds_everything_with_rates_from_0_to_1(tmp_path):
 def test_text_from_a_run_cannot_break_the_table(tmp_path):
     write_run(tmp_path / "a", "one|two", options={"note": "a|b\nc"})
     rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
-    assert {len(row) for row in rows} == {9}
+    assert {len(row) for row in rows} == {10}
     assert rows[2][1] == r"one\|two"
 
 
@@ -329,3 +330,75 @@ def test_a_folder_without_runs_and_an_unknown_format_are_errors(tmp_path):
     write_run(tmp_path / "a")
     with pytest.raises(UsageError, match=r"unknown format 'html'; known ones are: md, csv, json"):
         export(leaderboard(tmp_path), "html")
+
+
+def with_copies(copies: int) -> tuple[MetricSummary, ...]:
+    return tuple(
+        msgspec.structs.replace(one, flags={"recorded_motion": copies} if one.metric == "mpjpe" else {})
+        for one in metrics(prime_success=0.9)
+    )
+
+
+def test_recorded_motion_that_was_handed_in_is_marked_and_never_ranked(tmp_path):
+    write_run(tmp_path / "a", "one", prime_success=0.4)
+    write_run(tmp_path / "b", "two", prime_success=0.3)
+    write_run(tmp_path / "c", "copy", summary={"metrics": with_copies(80)})
+    board = leaderboard(tmp_path)
+    rows = {row.entry.method: row for row in only(board.tables).rows}
+    assert rows["copy"].ranks == {}
+    assert rows["one"].ranks["prime_success"] == 1
+    text = export(board, "md")
+    assert "| copy †† |" in text
+    assert "- copy †† equals the recorded motion in 80 of 80 motions; never ranked." in text
+    assert "**90.00**" not in text
+    notes = {row["method"]: row["note"] for row in csv.DictReader(io.StringIO(export(board, "csv")))}
+    assert "†† equals the recorded motion in 80 of 80 motions" in notes["copy"]
+    assert "††" not in notes["one"]
+    marks = {row["method"]: row["mark"] for row in only(json.loads(export(board, "json"))["tables"])["rows"]}
+    assert marks["copy"].startswith("††")
+    assert marks["one"] == ""
+
+
+def test_a_single_motion_that_equals_the_recorded_one_is_shown_and_may_be_an_accident(tmp_path):
+    write_run(tmp_path / "a", "one", sequences=200)
+    write_run(tmp_path / "b", "two", sequences=200, summary={"metrics": with_copies(1)})
+    rows = {row.entry.method: row for row in only(leaderboard(tmp_path).tables).rows}
+    assert rows["two"].entry.mark == "†† equals the recorded motion in 1 of 200 motions"
+    assert rows["two"].ranks["prime_success"] == 1
+
+
+def test_every_export_says_whose_a_method_is(tmp_path):
+    write_run(tmp_path / "a", "pr")
+    foreign = msgspec.structs.replace(METHOD, name="glide", kind="package", package="glider", isolation="bubblewrap")
+    write_run(tmp_path / "b", record={"method": foreign})
+    write_run(tmp_path / "c", "forged", kind="built-in")
+    write_run(tmp_path / "d", "ground-truth", kind="control")
+    board = leaderboard(tmp_path)
+    kinds = {row[1]: row[-1] for row in cells(export(board, "md"), "synthetic-adt title")[2:]}
+    assert kinds == {
+        "pr": "built in",
+        "glide": "package glider 1, isolated: bubblewrap",
+        "forged": "unknown kind",
+        "ground-truth": "control",
+    }
+    assert {row["method"]: row["kind"] for row in csv.DictReader(io.StringIO(export(board, "csv")))} == kinds
+    rows = only(json.loads(export(board, "json"))["tables"])["rows"]
+    assert {row["method"]: (row["kind"], row["isolation"]) for row in rows}["glide"] == ("package", "bubblewrap")
+
+
+@pytest.mark.parametrize("kind", ["package", "program", "file"])
+def test_a_foreign_method_under_a_name_of_prbenchs_is_left_out_with_the_reason(tmp_path, kind):
+    write_run(tmp_path / "a", "static")
+    write_run(tmp_path / "b", "ground-truth", kind=kind)
+    board = leaderboard(tmp_path)
+    assert [row.entry.method for row in only(board.tables).rows] == ["static"]
+    assert only(board.notes).startswith("Left out: b: 'ground-truth' is a control of prbench")
+
+
+def test_methods_of_one_name_and_two_kinds_are_two_rows_of_the_mean(tmp_path):
+    for folder, kind in (("a", "package"), ("b", "program")):
+        method = msgspec.structs.replace(METHOD, name="glide", kind=kind, package="x")
+        write_run(tmp_path / folder, datasets=("adt", "gimo"), record={"method": method})
+    rows = only(leaderboard(tmp_path).macro).rows
+    assert sorted(row.origin for row in rows) == ["package x 1", "program x"]
+    assert all(row.missing == () for row in rows)

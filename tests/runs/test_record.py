@@ -29,7 +29,7 @@ TABLE = TableRecord(
 )
 METHOD = MethodRecord(
     name="static",
-    kind="adapter",
+    kind="built-in",
     package="prbench",
     version="1",
     weights=None,

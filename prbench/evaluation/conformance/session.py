@@ -19,7 +19,7 @@ from prbench.evaluation.conformance.examine import worst_of
 from prbench.evaluation.conformance.finding import Finding, Outcome, Report, failed, skipped
 from prbench.evaluation.conformance.request import CheckRequest
 from prbench.evaluation.conformance.subject import working_folder
-from prbench.evaluation.controls import METHOD_CONTROLS
+from prbench.evaluation.method_names import METHOD_CONTROLS
 from prbench.evaluation.methods import MethodSpec, method_spec
 
 Announce = Callable[[str, int, int], None]

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from prbench.errors import InputFileError, did_you_mean
+from prbench.evaluation.method_names import name_problem
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0)]
 _Text = Annotated[str, msgspec.Meta(min_length=1)]
@@ -103,7 +104,15 @@ def read_description(path: Path) -> MethodDescription:
             path, where, expected="what docs/environments.md describes", found=reason[:1].lower() + reason[1:]
         ) from error
     _require_consistent(path, description.environment)
+    _require_own_name(path, description.method.name)
     return description
+
+
+def _require_own_name(path: Path, name: str | None) -> None:
+    if name is not None and (problem := name_problem(name)):
+        raise InputFileError(
+            path, "method.name", expected="a name of the method's own", found=name, remedy=f"{problem}."
+        )
 
 
 def _require_known(path: Path, content: dict[str, object]) -> None:

@@ -10,9 +10,10 @@ from typing import Any
 from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.evaluation.declared import Declared
+from prbench.evaluation.method_names import NAME_FORM, has_form
 from prbench.evaluation.remote.messages import WIRE_VERSION
 
-_NAME_LIMIT = 100
+_TEXT_LIMIT = 100
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Introduction:
                 f"{origin}: expected 'motionless' in its hello to be true or false, found {_shown(motionless)}."
             )
         return cls(
-            _text(header, "name", origin),
+            _name(header, origin),
             _text(header, "version", origin),
             Declared.checked(
                 _array(header, "conditions", origin),
@@ -89,12 +90,19 @@ def _require_version(found: object, origin: str) -> None:
     )
 
 
+def _name(header: Mapping[str, Any], origin: str) -> str:
+    value = header.get("name")
+    if isinstance(value, str) and has_form(value):
+        return value
+    raise AdapterError(f"{origin}: expected 'name' in its hello to be a text of {NAME_FORM}; found {_shown(value)}.")
+
+
 def _text(header: Mapping[str, Any], key: str, origin: str) -> str:
     value = header.get(key)
-    if isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= _NAME_LIMIT:
+    if isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= _TEXT_LIMIT:
         return value
     raise AdapterError(
-        f"{origin}: expected '{key}' in its hello to be a text of 1 to {_NAME_LIMIT} printable characters,"
+        f"{origin}: expected '{key}' in its hello to be a text of 1 to {_TEXT_LIMIT} printable characters,"
         f" found {_shown(value)}."
     )
 

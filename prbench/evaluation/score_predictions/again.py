@@ -37,8 +37,10 @@ def score_run(
     _require_plain(request)
     scored = tuple(_scored(run, table, request, work) for table in tables)
     folders = (None,) * len(scored) if request.out is None else write_plain(request.out, scored)
-    motionless = run.record.method.motionless
-    return tuple(ScoreReport(one.scores, one.summary, at, motionless) for one, at in zip(scored, folders))
+    method = run.record.method
+    return tuple(
+        ScoreReport(one.scores, one.summary, at, method.origin, method.motionless) for one, at in zip(scored, folders)
+    )
 
 
 def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
@@ -101,7 +103,7 @@ def _selections(request: ScoreRequest, record: RunRecord, table: SequenceTable) 
 
 
 def _rules(request: ScoreRequest, record: RunRecord, selection: Selection) -> ScoringRules:
-    recorded_motion = record.method.name in RECORDED_MOTION
+    recorded_motion = record.method.kind == run_record.CONTROL and record.method.name in RECORDED_MOTION
     other_goals = None
     if recorded_motion and record.control == SHUFFLED_GOAL:
         order = derangement(selection, seed=record.seed)
@@ -110,5 +112,6 @@ def _rules(request: ScoreRequest, record: RunRecord, selection: Selection) -> Sc
         load_protocol().metrics,
         recorded_motion=recorded_motion,
         other_goals=other_goals,
+        run_of=record.method.name,
         allow_length_mismatch=request.allow_length_mismatch,
     )

@@ -12,13 +12,13 @@ from prbench.manifests import load_protocol
 from prbench.runs import record as run_record
 from prbench.runs.cost import total_cost
 from prbench.runs.folder import RunFolder
-from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.runs.scores import write_scores
 from prbench.storage import file_digest, remove_half_written, text_digest
 
-OFFLINE = "offline"
-"""Kind of a method whose motions came as a file."""
+_ELSEWHERE = "offline"
+"""Device of a method whose motions came as a file."""
 UNSTATED = "unstated"
 """Condition of motions of which nobody said what they were made from; never ranked."""
 
@@ -33,7 +33,7 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
         protocol_digest=protocol.digest,
         method=MethodRecord(
             name=name,
-            kind=OFFLINE,
+            kind=FILE,
             package=path.name,
             version=predictions_digest(path)[:12],
             weights=None,
@@ -49,7 +49,7 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
         limit=stated.limit,
         seed=stated.seed,
         samples=scored[0].summary.samples,
-        device=OFFLINE,
+        device=_ELSEWHERE,
         threads=0,
         packages={},
         tables=tuple(_table_record(one) for one in scored),
@@ -100,7 +100,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
 
 
 def _require_no_run(folder: Path) -> None:
-    if (folder / run_record.FILE_NAME).is_file() and RunRecord.read(folder).method.kind != OFFLINE:
+    if (folder / run_record.FILE_NAME).is_file() and RunRecord.read(folder).method.kind != FILE:
         raise StorageError(f"{folder}: is a run folder with scores of its own. Choose another folder for --out.")
 
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from prbench.contract import Condition
 from prbench.errors import UsageError
-from prbench.evaluation.controls import SHUFFLED_GOAL
+from prbench.evaluation.method_names import SHUFFLED_GOAL, name_problem
 from prbench.runs.summary import DatasetSummary
 
 
@@ -58,8 +58,8 @@ class ScoreRequest:
             raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {self.native_fps:g}.")
         if self.control not in (None, SHUFFLED_GOAL):
             raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
-        if self.name is not None and not self.name.strip():
-            raise UsageError("--name: expected the name of the method, found an empty text.")
+        if self.name is not None and (problem := name_problem(self.name)):
+            raise UsageError(f"--name: {problem}.")
 
 
 @dataclass(frozen=True)
@@ -70,5 +70,7 @@ class ScoreReport:
     summary: DatasetSummary
     folder: Path | None
     """Where they were written."""
+    origin: str
+    """Whose motions they are, in words: ``MethodRecord.origin``."""
     motionless: bool = False
     """The run declares that its motions stand still, so that Foot Skating says nothing."""

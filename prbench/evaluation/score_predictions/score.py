@@ -10,7 +10,6 @@ from prbench.errors import RunError
 from prbench.evaluation.offline.export import open_tables
 from prbench.evaluation.progress import ProgressCallback, silent
 from prbench.evaluation.score_predictions.again import score_run
-from prbench.evaluation.score_predictions.board import OFFLINE
 from prbench.evaluation.score_predictions.request import ScoreReport, ScoreRequest
 from prbench.evaluation.score_predictions.scored import Work
 from prbench.evaluation.score_predictions.submission import score_submission
@@ -61,7 +60,7 @@ def _run_of(path: Path) -> RunFolder | None:
         run = RunFolder.open(base)
         parts = [run.dataset(table.dataset) for table in run.record.tables]
         if path == base or any(path in (part.path, part.predictions) for part in parts):
-            if run.record.method.kind == OFFLINE:
+            if run.record.method.kind == run_record.FILE:
                 raise RunError(
                     f"{base}: holds the scores of {run.record.method.package}, not its motions. Score that file again."
                 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from prbench.errors import UsageError
+from prbench.evaluation.method_names import name_problem
 from prbench.evaluation.offline.read import read_conditions_file
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
@@ -17,6 +18,7 @@ from prbench.evaluation.scoring import ScoringRules
 from prbench.manifests import load_protocol
 from prbench.runs.predictions import Numbering, Predictions
 from prbench.sequences import SequenceTable
+from prbench.shown import clean
 
 
 def score_submission(tables: list[SequenceTable], request: ScoreRequest, work: Work) -> tuple[ScoreReport, ...]:
@@ -26,6 +28,7 @@ def score_submission(tables: list[SequenceTable], request: ScoreRequest, work: W
         UsageError: if the request contradicts its conditions file.
         PredictionsError: see :func:`prbench.evaluation.score_predictions.score_predictions`.
     """
+    name = request.name or _name_of(request.predictions)
     stated, numbering = _stated(tables, request)
     chosen = [select(table, split=stated.split, limit=stated.limit) for table in tables]
     selections = [_supported(each, stated) for each in chosen]
@@ -37,7 +40,6 @@ def score_submission(tables: list[SequenceTable], request: ScoreRequest, work: W
         id_seed=stated.seed,
         native_fps=stated.native_fps,
     )
-    name = request.name or _name_of(request.predictions)
     condition = stated.condition.value if stated.condition else UNSTATED
     about = About(method=name, condition=condition, control=stated.control)
     scored = tuple(
@@ -47,7 +49,8 @@ def score_submission(tables: list[SequenceTable], request: ScoreRequest, work: W
     folders: tuple[Path | None, ...] = (None,) * len(scored)
     if request.out is not None:
         folders = write_submission(request.out, offline_record(request.predictions, name, stated, scored), scored)
-    return tuple(ScoreReport(one.scores, one.summary, at) for one, at in zip(scored, folders))
+    origin = f"file {clean(request.predictions.name)}"
+    return tuple(ScoreReport(one.scores, one.summary, at, origin) for one, at in zip(scored, folders))
 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:
@@ -91,6 +94,13 @@ def _require_fit(
 
 
 def _name_of(path: Path) -> str:
-    """Of the file; a folder ``motions`` is named by the one that it stands in."""
+    """Of the file; a folder ``motions`` is named by the one that it stands in.
+
+    Raises:
+        UsageError: if the method cannot be called that.
+    """
     path = path.resolve()
-    return path.parent.name if path.is_dir() and path.name == "motions" else path.stem
+    name = path.parent.name if path.is_dir() and path.name == "motions" else path.stem
+    if problem := name_problem(name):
+        raise UsageError(f"{clean(path)}: {problem}. Say what the method is called with --name.")
+    return name

@@ -8,14 +8,14 @@ import sys
 from dataclasses import dataclass
 
 from prbench.errors import UsageError
-from prbench.evaluation.controls import CONTROLS
 from prbench.evaluation.installed import list_adapters
+from prbench.evaluation.method_names import BUILT_IN_METHODS, name_problem
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40
 _OURS = frozenset({"adapters", "benchmarks", "data-manifests"})  # prbench_NAME is a package of prbench itself
 _MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a program, or imported by it
-_WORDS = frozenset({"cmd", "prbench", "all", "test", "tests"})
+_WORDS = frozenset({"cmd", "test", "tests"})
 _WINDOWS = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
 _IN_TEMPLATES = frozenset(
     {"Adapter", "Condition", "ConditionBatch", "Joint", "Mapping", "Motions", "Path", "SequenceTable", "TrainingRun"}
@@ -81,14 +81,11 @@ def _refuse_reserved(name: str) -> None:
     Raises:
         UsageError: naming who has it.
     """
-    if name in {control.name for control in CONTROLS}:
-        raise UsageError(
-            f"{name!r} is a control of prbench, which would be run in place of your method. Choose another."
-        )
     if name in _OURS | _WORDS | _WINDOWS:
         raise UsageError(f"{name!r} is a reserved name. Choose another.")
-    if any(adapter.name == name and adapter.package == "prbench" for adapter in list_adapters()):
-        raise UsageError(f"{name!r} is a method of prbench itself. Choose another name, such as 'my-{name}'.")
+    if problem := name_problem(name):
+        hint = f", such as 'my-{name}'" if name in BUILT_IN_METHODS else ""
+        raise UsageError(f"{problem}. Choose another{hint}.")
 
 
 def taken_by(names: MethodNames) -> str | None:

@@ -32,7 +32,7 @@ def test_a_method_that_draws_gives_the_same_bytes_in_process_and_isolated(fence,
     assert len(results(tmp_path / "apart")) == 6
     assert results(tmp_path / "apart") == results(tmp_path / "here")
     record = RunRecord.read(tmp_path / "apart").method
-    assert (record.name, record.kind, record.package, record.version) == ("made", "adapter", "prbench_made", "1.2")
+    assert (record.name, record.kind, record.package, record.version) == ("made", "package", "prbench_made", "1.2")
     assert record.isolation == fence
 
 
@@ -151,7 +151,7 @@ def test_the_command_line_says_what_is_withheld_and_shows_the_methods_own_name(n
     assert main([*words, "--limit", "2", "--timeout", "60"]) == 0
     shown = capsys.readouterr()
     assert "THE FILE SYSTEM IS NOT WITHHELD" in shown.err
-    assert "static, condition none" in shown.out
+    assert "static (built in, isolated: process), condition none" in shown.out
 
 
 def test_settings_that_the_method_refuses_are_told(no_bubblewrap, table, tmp_path):

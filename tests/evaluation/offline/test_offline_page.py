@@ -45,7 +45,9 @@ def test_the_method_goes_from_conditions_to_scores(shown, table, tmp_path, capsy
     subprocess.run([sys.executable, "generate.py"], cwd=tmp_path, env=environment, check=True)
     assert main(["score", predictions, "--conditions", conditions, *data, "--name", "glide", "--out", out]) == 0
     printed = capsys.readouterr().out
-    assert "Made up (synthetic): glide, condition goal-loc; 15 sequences of 3 recordings, split test" in printed
+    assert (
+        "Made up (synthetic): glide (file predictions.npz), condition goal-loc; 15 sequences of 3 recordings" in printed
+    )
     assert printed.count("These are scores on synthetic data") == 2
     for dataset in ("synthetic-adt", "synthetic-gimo"):
         summary = DatasetSummary.read(tmp_path / "scores" / dataset)
@@ -70,7 +72,7 @@ def test_the_page_lists_the_arrays_that_there_are(table, tmp_path):
         (["export-conditions", "--condition", "none", "--out", "{tmp}/c.csv"], 2, "ends in .parquet or .npz"),
         (["score", "{tmp}/gone.npz"], 6, "gone.npz: expected an .npz file, found no file"),
         (["score", "{tmp}/gone.npz", "--conditions", "{tmp}/none.npz"], 3, "none.npz: expected an .npz file"),
-        (["score", "{tmp}", "--name", " "], 2, "--name: expected the name of the method"),
+        (["score", "{tmp}", "--name", " "], 2, "--name: expected a name of 1 to 100 characters"),
     ],
 )
 def test_a_mistake_gives_one_line_and_its_exit_code(table, tmp_path, capsys, arguments, code, message):

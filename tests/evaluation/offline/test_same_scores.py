@@ -285,10 +285,10 @@ def test_offline_scores_stand_in_a_leaderboard_beside_runs(tables, tmp_path):
     collected = collect_runs([tmp_path / "runs"])
     rows = collected.rows
     assert [(row.method, row.record.method.kind, row.record.condition) for row in rows] == [
-        ("drift", "adapter", "goal-pose"),
-        ("drift", "adapter", "goal-pose"),
-        ("drifted", "offline", "goal-pose"),
-        ("drifted", "offline", "goal-pose"),
+        ("drift", "package", "goal-pose"),
+        ("drift", "package", "goal-pose"),
+        ("drifted", "file", "goal-pose"),
+        ("drifted", "file", "goal-pose"),
     ]
     for inside, outside in itertools.product(rows[:2], rows[2:]):
         if inside.summary.dataset == outside.summary.dataset:

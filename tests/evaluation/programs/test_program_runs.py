@@ -108,10 +108,21 @@ def test_a_program_gets_settings_and_an_environment_without_the_harness(own, tab
     assert (record.weights, record.weights_digest) == ("w.npz", file_digest(tmp_path / "w.npz"))
 
 
-@pytest.mark.parametrize("name", ["ground-truth", "Scripted"])
-def test_a_program_must_not_call_itself_like_a_control(own, table, tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "owner"),
+    [
+        ("ground-truth", "control of prbench"),
+        ("Scripted", "control of prbench"),
+        ("pr", "method of prbench itself"),
+        ("Ground_Truth", "control of prbench"),
+    ],
+)
+def test_a_program_must_not_call_itself_like_what_belongs_to_prbench(own, table, tmp_path, name, owner):
     own.write(hello=f'introduction.update(name="{name}")')
-    with pytest.raises(AdapterError, match=f"found '{name}', which is a control of the harness"):
+    with pytest.raises(
+        AdapterError,
+        match=f"'{name}' is a {owner}; only prbench itself may use this name. Let it introduce itself by another",
+    ):
         run_method(request(table, tmp_path / "out", own.method))
     assert not (tmp_path / "out").exists()
 

@@ -33,7 +33,10 @@ def test_every_other_name_follows_from_the_methods():
         ("x" * 41, "expected at most 40 characters, found 41"),
         ("ground-truth", "is a control of prbench"),
         ("shuffled-goal", "is a control of prbench"),
-        ("static", "is a method of prbench itself. Choose another name, such as 'my-static'."),
+        (
+            "static",
+            "only prbench itself may use this name. Choose another, such as 'my-static'.",
+        ),
         ("adapters", "is a reserved name"),
         ("data-manifests", "is a reserved name"),
         ("cmd", "is a reserved name"),

@@ -1,0 +1,62 @@
+"""Coordinates that no motion in metres holds: refused with frame and joint, and with the unit that they look like."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.evaluation.doctor.patient import Patient
+from prbench.evaluation.doctor.types import NOTHING_KNOWN
+from prbench.evaluation.doctor.unit import examine_unit
+from prbench.limits import FARTHEST_COORDINATE
+from prbench.skeleton import Joint
+
+
+def impossible_frames(
+    joints: Float[np.ndarray, "*frames 22 3"], farthest: float = FARTHEST_COORDINATE
+) -> Bool[np.ndarray, "*frames"]:
+    """Return True for each frame with a coordinate that is not finite, or farther out than any motion goes.
+
+    Args:
+        joints: In metres.
+        farthest: Metres from the origin; infinity to look for what is not finite alone.
+    """
+    return np.logical_not(_possible(joints, farthest).all(axis=(-2, -1)))
+
+
+def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float = FARTHEST_COORDINATE) -> str | None:
+    """Say where a motion holds an impossible coordinate, and what its numbers look like.
+
+    Args:
+        motion: All frames of one motion, as it was handed in.
+        farthest: See :func:`impossible_frames`.
+
+    Returns:
+        ``frame …`` and the rest of a message, or None if all coordinates are possible.
+    """
+    frames = np.flatnonzero(impossible_frames(motion, farthest))
+    if not frames.size:
+        return None
+    frame = int(frames[0])
+    joint = int(np.flatnonzero(~_possible(motion[frame], farthest).all(axis=1))[0])
+    found = ", ".join(f"{value:.6g}" for value in motion[frame, joint])
+    if not np.isfinite(motion[frame, joint]).all():
+        expected = "finite positions"
+    else:
+        expected = f"coordinates within {farthest:g} m of the origin"
+    name = Joint(joint).name.lower().replace("_", " ")
+    return f"frame {frame}: expected {expected}, found [{found}] at joint {joint} ({name}).{_unit(motion)}"
+
+
+def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
+    """Whether each number is finite and within the distance."""
+    return np.isfinite(values) & (np.abs(values) <= farthest)
+
+
+def _unit(motion: np.ndarray) -> str:
+    """What the doctor says about the size of the body; nothing where it is that of people or no number at all."""
+    if not np.isfinite(motion).all():
+        return ""
+    patient = Patient((motion.astype(np.float64),), (NOTHING_KNOWN,), fps=1.0)
+    said = examine_unit(patient).diagnoses
+    return "".join(f" {one.evidence[0].upper()}{one.evidence[1:]}: {one.cause}. {one.remedy}" for one in said)

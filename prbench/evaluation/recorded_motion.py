@@ -1,0 +1,110 @@
+"""Notice motions that are the recorded ones, handed in as a method's own.
+
+A path of poses is compared with the recorded path as a curve in the space of all joints, so that neither another frame
+rate nor a shift in time hides it; and after the first frames, or all frames, were laid over one another, so that an
+offset, a turn or a scale does not. What a method may know of a sequence (its first pose, its last one) makes the
+straight way between the two at most. A motion is called recorded only where it follows the recording several times
+closer than that straight way does; a body that stands still, or recordings in which hardly anything happens, never are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.metrics import MotionBatch
+from prbench.skeleton import Joint
+
+_FARTHEST = 0.02
+"""Metres, over joints and frames: a copy with noise of 1 cm in every coordinate is 1.7 cm off."""
+_SHARE = 0.2
+"""A copy is off by less than this share of what the straight way from first to last pose is off by."""
+_LEAST_TOLERANCE = 1e-3
+"""Metres; where the recording departs less from that straight way, nothing can be told."""
+_REACH = 0.08
+"""Metres by which the extreme distances between hands, feet, head and pelvis of a copy may differ at most."""
+_PAIRS = (
+    (Joint.PELVIS, Joint.LEFT_WRIST),
+    (Joint.PELVIS, Joint.RIGHT_WRIST),
+    (Joint.LEFT_WRIST, Joint.RIGHT_WRIST),
+    (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
+    (Joint.HEAD, Joint.LEFT_ANKLE),
+)
+
+
+def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np.ndarray, " sequences"]:
+    """Return True for each motion that is its sequence's recorded one, changed by little more than noise.
+
+    Args:
+        predicted: Motions of a method, metres; lengths may differ from the recorded ones.
+        recorded: The recorded motions of the same sequences.
+    """
+    found = np.zeros(recorded.n_sequences, dtype=bool)
+    for row in np.flatnonzero(_same_reach(predicted, recorded)):
+        motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]].astype(np.float64)
+        original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1]].astype(np.float64)
+        found[row] = _is_copy(motion, original)
+    return found
+
+
+def _same_reach(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np.ndarray, " sequences"]:
+    """Whether a copy is possible at all: a quick look that spares nearly all motions of methods the close one."""
+    off = np.abs(_extremes(predicted) - _extremes(recorded)).max(axis=0)
+    return np.less(off, _REACH)
+
+
+def _extremes(motions: MotionBatch) -> Float[np.ndarray, "pairs_and_ends sequences"]:
+    """Smallest and largest distance of each pair of joints in each motion: the same wherever and whenever it moves."""
+    apart = [np.linalg.norm(motions.values[:, one] - motions.values[:, other], axis=1) for one, other in _PAIRS]
+    ends = [end.reduceat(distances, motions.first) for distances in apart for end in (np.minimum, np.maximum)]
+    return np.stack(ends)
+
+
+def _is_copy(motion: np.ndarray, original: np.ndarray) -> bool:
+    """Compare two motions, (frames, 22, 3) float64."""
+    tolerance = min(_FARTHEST, _SHARE * _distance(original, original[[0, -1]]))
+    if tolerance < _LEAST_TOLERANCE:
+        return False
+    return any(
+        max(_distance(laid, original), _distance(original, laid)) <= tolerance for laid in _laid_over(motion, original)
+    )
+
+
+def _laid_over(motion: np.ndarray, original: np.ndarray) -> Iterator[np.ndarray]:
+    """The motion as it is, moved so that the first frames agree, and so that all frames do as well as they can."""
+    yield motion
+    yield _moved(motion, motion[:1], original[:1], scaled=False)
+    if len(motion) == len(original):
+        yield _moved(motion, motion, original, scaled=True)
+
+
+def _moved(motion: np.ndarray, points: np.ndarray, targets: np.ndarray, *, scaled: bool) -> np.ndarray:
+    """The motion under the rotation, translation and scale that bring points nearest to their targets (Umeyama)."""
+    source = points.reshape(-1, 3)
+    target = targets.reshape(-1, 3)
+    source_middle = source.mean(axis=0)
+    target_middle = target.mean(axis=0)
+    left, singular, right = np.linalg.svd((target - target_middle).T @ (source - source_middle))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = (left * signs) @ right
+    scale = 1.0
+    if scaled:
+        scale = float((singular * signs).sum() / max(((source - source_middle) ** 2).sum(), 1e-12))
+    return scale * (motion - source_middle) @ rotation.T + target_middle
+
+
+def _distance(poses: np.ndarray, path: np.ndarray) -> float:
+    """Mean distance of poses from the path through the poses of another motion, as metres a joint (RMS over joints)."""
+    points = poses.reshape(len(poses), -1)
+    corners = path.reshape(len(path), -1)
+    starts = corners[:-1]
+    steps = np.diff(corners, axis=0)
+    lengths = np.maximum((steps**2).sum(axis=1), 1e-12)
+    along = points @ steps.T - (starts * steps).sum(axis=1)
+    share = np.clip(along / lengths, 0.0, 1.0)  # where on each step of the path a pose is nearest
+    squared = (points**2).sum(axis=1)[:, None] - 2 * points @ starts.T + (starts**2).sum(axis=1)
+    squared = squared - 2 * share * along + share**2 * lengths
+    nearest = np.maximum(squared.min(axis=1), 0.0)
+    return float(np.sqrt(nearest / poses.shape[1]).mean())

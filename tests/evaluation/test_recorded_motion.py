@@ -1,0 +1,116 @@
+"""Recorded motion handed in as a method's own is noticed however it was disguised, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.evaluation.planning import select
+from prbench.evaluation.recorded_motion import is_recorded_motion
+from prbench.evaluation.run import run_method
+from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
+from prbench.metrics import MotionBatch
+from prbench.randomness import named_generator
+from prbench.runs import DatasetSummary, read_scores
+from tests.evaluation.test_run import request
+from tests.evaluation.test_score_predictions import write
+from tests.fakes import STANDING, fake_sequence
+
+
+def reaching(seed: int, n_frames: int = 90) -> np.ndarray:
+    """A standing body that walks along a bend, swings its limbs and reaches."""
+    phase = np.linspace(0, 1, n_frames)[:, None]
+    motion = np.repeat(STANDING[None], n_frames, axis=0)
+    motion += np.concatenate([0.6 * np.sin(2 * phase + seed), 0.02 * np.sin(40 * phase), 1.5 * phase], axis=1)[:, None]
+    swing = 0.15 * np.sin(2 * np.pi * (4 * phase + 0.1 * seed))
+    motion[:, [4, 7, 10, 21], 2] += swing
+    motion[:, [5, 8, 11, 20], 2] -= swing
+    return motion
+
+
+MOTIONS = [reaching(seed) for seed in range(4)]
+RECORDED = MotionBatch.from_motions([motion.astype(np.float32) for motion in MOTIONS])
+
+
+def marked(change) -> int:
+    changed = MotionBatch.from_motions([change(motion).astype(np.float32) for motion in MOTIONS])
+    return int(is_recorded_motion(changed, RECORDED).sum())
+
+
+def at_times(motion: np.ndarray, times: np.ndarray) -> np.ndarray:
+    left = np.minimum(times.astype(int), len(motion) - 2)
+    share = (times - left)[:, None, None]
+    return motion[left] * (1 - share) + motion[left + 1] * share
+
+
+def noisy(motion: np.ndarray, metres: float) -> np.ndarray:
+    return motion + named_generator("noise").normal(size=motion.shape) * metres
+
+
+def turned(motion: np.ndarray) -> np.ndarray:
+    cosine, sine = np.cos(0.7), np.sin(0.7)
+    return motion @ np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+
+
+@pytest.mark.parametrize(
+    "disguise",
+    [
+        lambda m: m,
+        lambda m: noisy(m, 0.003),
+        lambda m: m + np.array([0.3, 0.0, -0.1]),
+        turned,
+        lambda m: 1.02 * m,
+        lambda m: at_times(at_times(m, np.linspace(0, 89, 45)), np.linspace(0, 44, 90)),
+        lambda m: at_times(m, np.linspace(0, 89, 60)),
+        lambda m: at_times(m, 89 * np.linspace(0, 1, 90) ** 1.3),
+        lambda m: np.concatenate([m[:1], m[:1], m[:-2]]),
+        lambda m: noisy(np.concatenate([m[:1], m[:-1]]), 0.003) + 0.05,
+    ],
+    ids=["same", "noise", "offset", "turn", "scale", "half rate", "other length", "time warp", "delay", "all together"],
+)
+def test_the_recorded_motion_is_noticed_however_it_is_disguised(disguise):
+    assert marked(disguise) == len(MOTIONS)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        lambda m: np.repeat(m[:1], len(m), axis=0),
+        lambda m: m[:1] + np.linspace(0, 1, len(m))[:, None, None] * (m[-1:] - m[:1]),
+        lambda m: m[:, :1] + (m[:1] - m[:1, :1]),
+        lambda m: np.concatenate([m[:60], np.repeat(m[59:60], 30, axis=0)]),
+        lambda m: noisy(m, 0.05),
+        lambda m: m * np.array([-1.0, 1.0, 1.0]),
+    ],
+    ids=[
+        "initial pose",
+        "straight to the last pose",
+        "glides along the path",
+        "cut short",
+        "5 cm off",
+        "mirrored",
+    ],
+)
+def test_what_conditions_tell_and_what_only_resembles_is_not_taken_for_it(method):
+    assert marked(method) == 0
+
+
+def test_where_hardly_anything_happens_nothing_is_claimed():
+    still = MotionBatch.from_motions([noisy(np.repeat(STANDING[None], 60, axis=0), 1e-5).astype(np.float32)])
+    assert not is_recorded_motion(still, still).any()
+
+
+def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_path):
+    ids = select(table, split="test", limit=None).sequence_ids
+    motions = {name: fake_sequence(int(name.split("/obj")[1].split("/")[0])).joints for name in ids}
+    file = write(tmp_path / "mine.parquet", motions)
+    (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), out=tmp_path / "scores"))
+    assert report.summary.recorded_motions == 15
+    kept = DatasetSummary.read(tmp_path / "scores")
+    assert kept.recorded_motion_mark == "†† equals the recorded motion in 15 of 15 motions; never ranked"
+    rows = read_scores(tmp_path / "scores/scores.parquet").to_pylist()
+    flagged = {(row["metric"], row["flag"]) for row in rows if "recorded_motion" in (row["flag"] or "")}
+    assert flagged == {("mpjpe", "recorded_motion")}
+    for control in ("ground-truth", "ground-truth-resampled", "scripted", "static"):
+        run = run_method(request(table, tmp_path / control, control))
+        assert run.summaries[0].recorded_motion_mark == ""
