@@ -15,6 +15,7 @@ from pathlib import Path
 
 import platformdirs
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, StorageError
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
@@ -174,6 +175,7 @@ def write_json(path: Path, value: object) -> None:
     write_text(path, json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n")
 
 
+@foreign_input()
 def read_json(path: Path) -> object:
     """Read a JSON file.
 

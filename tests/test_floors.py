@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 FLOORS = {
+    "prbench.boundary": 0,
     "prbench.errors": 0,
     "prbench.limits": 0,
     "prbench.shown": 0,
@@ -34,6 +35,7 @@ FLOORS = {
 NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
+    ("prbench.boundary", "prbench.errors"),
     ("prbench.errors", "prbench.shown"),
 }
 """The only arrows between rooms of one floor."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, PrbenchError
 from prbench.readers import READER_MODULES, Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in
@@ -43,6 +44,7 @@ class Discovery:
     broken: tuple[BrokenDataset, ...]
 
 
+@foreign_input()
 def discover(root: Path) -> Discovery:
     """Ask every reader about a folder, and those that find nothing about each of its sub-folders.
 

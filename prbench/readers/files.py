@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.readers.last_line import require_whole_last_line
 from prbench.readers.zipped import RememberingTail, Source, opened, read_all, shown
@@ -25,6 +26,7 @@ _QUATERNION_TOLERANCE = 1e-3
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 
 
+@foreign_input()
 def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     """Read the named columns of a CSV file; further columns and their order do not matter.
 
@@ -156,6 +158,7 @@ def require_poses(
         )
 
 
+@foreign_input()
 def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_null: bool = False) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
 
@@ -193,6 +196,7 @@ def missing_file(path: Source) -> InputFileError:
     )
 
 
+@foreign_input()
 def read_header(path: Source) -> list[str]:
     """Column names of a CSV file.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.inferences import Inference
@@ -54,6 +55,7 @@ class ImportResult:
         return not self.failed and not any(report.left_out for report in self.reports)
 
 
+@foreign_input()
 def import_release(
     root: Path,
     out: Path,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.storage import write_json
 
@@ -60,6 +61,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
         write_json(path, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, path: Path) -> RunCost:
         """Read ``cost.json``.
 
@@ -72,6 +74,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
             raise RunError(f"{path}: not a valid measurement: {error}. Run the same command again.") from error
 
 
+@foreign_input()
 def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
     """Read the measurements of single batches.
 
@@ -111,6 +114,7 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
     )
 
 
+@foreign_input()
 def read_run_cost(path: Path) -> RunCost:
     """Read ``cost.json``.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError, StorageError
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
@@ -131,6 +132,7 @@ class RunFolder:
         return cls(path, wanted)
 
     @classmethod
+    @foreign_input()
     def open(cls, path: Path) -> RunFolder:
         """Open a run for reading.
 

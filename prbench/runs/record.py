@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.storage import write_json
 
@@ -87,6 +88,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, folder: Path) -> RunRecord:
         """Read ``run.json``.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.runs.schema import RUN_SCHEMA_VERSION, SCORES
 from prbench.storage import atomic_path
@@ -29,6 +30,7 @@ def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
             writer.write_table(table.cast(schema))
 
 
+@foreign_input()
 def read_scores(path: Path) -> pa.Table:
     """Read the long form.
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.storage import write_json
@@ -61,6 +62,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, folder: Path) -> DatasetSummary:
         """Read ``summary.json``.
 

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import TableError
 
 Info = TypeVar("Info", bound=msgspec.Struct)
@@ -44,6 +45,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     citation: str
 
 
+@foreign_input()
 def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
 

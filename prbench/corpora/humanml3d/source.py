@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from prbench.boundary import foreign_input
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.motion import read_joints
 from prbench.corpora.humanml3d.texts import read_texts
@@ -56,6 +57,7 @@ class HumanML3DSource:
         size = sum(path.stat().st_size for path in self.files.used)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
+    @foreign_input()
     def input_digest(self) -> str:
         """Names and contents of the files."""
         return text_digest(
@@ -67,6 +69,7 @@ class HumanML3DSource:
         root = self.root.expanduser().resolve()
         return message.replace(f"{root}{os.sep}", "").replace(f"{root.parent}{os.sep}", "")
 
+    @foreign_input()
     def read(self) -> ReadRecording:
         """Read joints and captions, and cut the clips that the captions describe.
 
@@ -107,6 +110,7 @@ class HumanML3DCorpus:
         limits = self._limits(options)
         return {"fps": f"{limits.fps:g}", "max_frames": str(limits.longest)}
 
+    @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[HumanML3DSource, ...]:
         """All motions of which joints, features or texts were found."""
         if root is None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.formats import egoallo as ego
 from prbench.storage import bytes_digest
@@ -28,6 +29,7 @@ _CONVERT = (
 _KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
 
 
+@foreign_input()
 def read_smplh_rest(path: Path) -> ego.SmplhRest:
     """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.formats import egoallo as ego
 
@@ -34,6 +35,7 @@ class JointsOnly:
     joints: Float[np.ndarray, "t 22 3"]
 
 
+@foreign_input()
 def read_output(path: Path) -> ego.EgoAlloOutput | JointsOnly:
     """Read one output file.
 
@@ -47,6 +49,7 @@ def read_output(path: Path) -> ego.EgoAlloOutput | JointsOnly:
         raise InputFileError(path, "", expected="an output of EgoAllo", found="no such file", remedy=_AGAIN) from error
 
 
+@foreign_input()
 def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | JointsOnly:
     """:func:`read_output` of bytes that are at hand; ``path`` is for the messages."""
     arrays = _load(path, content)
