@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 FLOORS = {
     "prbench.boundary": 0,
+    "prbench.bounded": 0,
     "prbench.errors": 0,
     "prbench.limits": 0,
     "prbench.shown": 0,
@@ -20,7 +21,18 @@ FLOORS = {
     "prbench.formats": 1,
     **{
         f"prbench.{room}": 1
-        for room in ("skeleton", "rays", "timelines", "manifests", "published", "engine", "storage", "randomness")
+        for room in (
+            "skeleton",
+            "rays",
+            "timelines",
+            "manifests",
+            "published",
+            "engine",
+            "storage",
+            "randomness",
+            "numpy_files",
+            "parquet_files",
+        )
     },
     **{f"prbench.{room}": 2 for room in ("metrics", "sequences", "representation", "text", "recording")},
     **{f"prbench.{room}": 3 for room in ("readers", "synthetic", "contract", "runs")},
@@ -36,6 +48,8 @@ NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
     ("prbench.boundary", "prbench.errors"),
+    ("prbench.bounded", "prbench.errors"),
+    ("prbench.bounded", "prbench.limits"),
     ("prbench.errors", "prbench.shown"),
 }
 """The only arrows between rooms of one floor."""

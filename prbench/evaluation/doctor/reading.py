@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from prbench.errors import InputFileError
-from prbench.runs.numpy_files import Archive, ArrayHeader, map_array, read_header
+from prbench.numpy_files import Archive, ArrayHeader, map_array, read_header
 from prbench.skeleton import N_JOINTS
 
 _LARGEST = 8 * 1024**3  # bytes of one array

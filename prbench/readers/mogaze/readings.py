@@ -12,11 +12,11 @@ from prbench.errors import InputFileError
 from prbench.formats import mogaze, mogaze_body
 from prbench.manifests import Manifest
 from prbench.readers.found import RecordingFiles
-from prbench.readers.mogaze.arrays import attribute, dataset, group, numbers, opened, words
+from prbench.readers.mogaze.arrays import attribute, dataset, group, numbers, opened, stored_values, words
 from prbench.readers.mogaze.layouts import SCENE
 from prbench.readers.mogaze.scene import SceneBody, read_mesh, read_scene
 
-_BODY_KEY = re.compile(r"(?:.*\s)?(\d+)")
+_BODY_KEY = re.compile(r"(?:.*\s)?(\d{1,9})")
 _PARTICIPANT = re.compile(r"(p\d+)_\d+")
 
 
@@ -175,7 +175,7 @@ def _read_gaze(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, 
 
 def _read_segments(path: Path) -> tuple[mogaze.Segment, ...]:
     with opened(path) as file:
-        rows = dataset(path, file, mogaze.SEGMENT_DATASET)[...]
+        rows = stored_values(path, dataset(path, file, mogaze.SEGMENT_DATASET))
     names = rows.dtype.names or ()
     if len(names) < 3:
         raise InputFileError(

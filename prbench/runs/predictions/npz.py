@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError, PredictionsError
-from prbench.runs.numpy_files import Archive, ArrayHeader
+from prbench.numpy_files import Archive, ArrayHeader
 from prbench.runs.predictions.rows import IndexedRows, as_float32, leading_axes
 from prbench.skeleton import N_JOINTS
 
