@@ -10,13 +10,23 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
+from prbench.limits import LONGEST_MESSAGE
 from prbench.shown import clean, quoted
 
 
 class PrbenchError(Exception):
-    """A problem that the user can repair."""
+    """A problem that the user can repair.
+
+    Args:
+        message: What was expected and found, and what to do; cut where a file made it longer than anybody reads.
+    """
 
     exit_code = 1
+
+    def __init__(self, message: str = "") -> None:
+        if len(message) > LONGEST_MESSAGE:
+            message = f"{message[:LONGEST_MESSAGE]} … ({len(message) - LONGEST_MESSAGE} more characters)"
+        super().__init__(message)
 
 
 class InputFileError(PrbenchError):

@@ -24,7 +24,7 @@ import numpy as np
 
 from prbench.bounded import require_size, require_unpackable
 from prbench.errors import InputFileError, StorageError
-from prbench.limits import LARGEST_ARRAYS, LONGEST_AXIS
+from prbench.limits import HIGHEST_COMPRESSION, LARGEST_ARRAYS, LARGEST_UNPACKED, LONGEST_AXIS
 
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
@@ -308,7 +308,16 @@ class Archive:
             InputFileError: if the archive is damaged.
             StorageError: if there is no space for them.
         """
-        with self._opened() as archive, archive.open(self.members[name]) as stream, open(target, "wb") as file:
+        member = self.members[name]
+        if member.file_size > max(LARGEST_UNPACKED, HIGHEST_COMPRESSION * member.compress_size):
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"at most {HIGHEST_COMPRESSION} times the {member.compress_size:,} packed bytes",
+                found=f"{member.file_size:,} declared",
+                remedy="Save it without padding: the frames of all motions one after another.",
+            )
+        with self._opened() as archive, archive.open(member) as stream, open(target, "wb") as file:
             self._header(name, stream)
             while part := stream.read(_PIECE):
                 try:

@@ -16,7 +16,9 @@ from pathlib import Path
 import platformdirs
 
 from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.errors import InputFileError, StorageError
+from prbench.limits import LARGEST_JSON
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
 
@@ -183,7 +185,7 @@ def read_json(path: Path) -> object:
         InputFileError: if the file is missing, or is not JSON (naming line and column).
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(read_text(path, largest=LARGEST_JSON))
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a JSON file", found="no file") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:

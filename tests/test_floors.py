@@ -50,6 +50,7 @@ NEIGHBOURS = {
     ("prbench.boundary", "prbench.errors"),
     ("prbench.bounded", "prbench.errors"),
     ("prbench.bounded", "prbench.limits"),
+    ("prbench.errors", "prbench.limits"),
     ("prbench.errors", "prbench.shown"),
 }
 """The only arrows between rooms of one floor."""

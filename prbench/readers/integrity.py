@@ -14,7 +14,7 @@ import h5py
 import msgspec
 
 from prbench.boundary import foreign_input
-from prbench.bounded import require_size
+from prbench.bounded import read_whole, require_size
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_UNPACKED, LONGEST_LINE
 from prbench.numpy_files import map_array, read_header
@@ -102,7 +102,7 @@ def _damaged_glb(path: Path) -> str:
 
 def _damaged_bvh(path: Path) -> str:
     """The motion part says how many frames follow."""
-    hierarchy, _, motion = path.read_bytes().partition(b"MOTION")
+    hierarchy, _, motion = read_whole(path).partition(b"MOTION")
     lines = motion.splitlines()[1:]
     promised = next((line.split()[-1] for line in lines if line.startswith(b"Frames:")), b"")
     frames = sum(1 for line in lines if line[:1] in b"-0123456789 " and line.strip())

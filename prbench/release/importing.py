@@ -95,6 +95,7 @@ def import_release(
     return ImportResult(tuple(reports), tuple(failed))
 
 
+@foreign_input()
 def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Progress) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     exported = read_export_record(folder)

@@ -8,7 +8,9 @@ from pathlib import Path
 import msgspec
 
 from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import RunError
+from prbench.limits import LARGEST_JSON
 from prbench.storage import write_json
 
 
@@ -69,7 +71,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
             RunError: if it is missing or damaged.
         """
         try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
+            return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
         except (FileNotFoundError, msgspec.ValidationError, msgspec.DecodeError) as error:
             raise RunError(f"{path}: not a valid measurement: {error}. Run the same command again.") from error
 
@@ -84,7 +86,7 @@ def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
     costs = []
     for path in paths:
         try:
-            costs.append(msgspec.json.decode(path.read_bytes(), type=BatchCost))
+            costs.append(msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=BatchCost))
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
             raise RunError(f"{path}: not a valid measurement: {error}. Delete the file and run again.") from error
     return costs
@@ -122,7 +124,7 @@ def read_run_cost(path: Path) -> RunCost:
         RunError: if it is missing or damaged.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=RunCost)
+        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=RunCost)
     except FileNotFoundError as error:
         raise RunError(
             f"{path}: expected the cost of a run, found no file. Run the method again: it resumes."

@@ -11,7 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from prbench.boundary import foreign_input
-from prbench.errors import RunError, StorageError
+from prbench.errors import InputFileError, RunError, StorageError
+from prbench.parquet_files import read_parquet
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
 from prbench.sequences.redistribution import NOTICE_FILE
@@ -64,8 +65,8 @@ class DatasetFolder:
     def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
         """Whether a batch is there, whole, with exactly these sequences; the checksum of every page is verified."""
         try:
-            rows = pq.read_table(self.part(batch), page_checksum_verification=True)
-        except (FileNotFoundError, pa.ArrowInvalid, OSError):
+            rows = read_parquet(self.part(batch), verify=True)
+        except (FileNotFoundError, pa.ArrowInvalid, OSError, InputFileError):
             return False
         if not {"sequence_id", "sample"} <= set(rows.column_names):
             return False

@@ -7,7 +7,9 @@ from pathlib import Path
 import msgspec
 
 from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import RunError
+from prbench.limits import LARGEST_JSON
 from prbench.storage import write_json
 
 FILE_NAME = "run.json"
@@ -97,7 +99,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = folder / FILE_NAME
         try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
+            return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
         except FileNotFoundError as error:
             raise RunError(f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.") from error
         except (msgspec.ValidationError, msgspec.DecodeError) as error:

@@ -9,7 +9,10 @@ from pathlib import Path
 import safetensors.torch
 from safetensors import SafetensorError
 
+from prbench.boundary import foreign_input
+from prbench.bounded import require_size
 from prbench.errors import InputFileError, TrainingError
+from prbench.limits import LARGEST_UNPACKED
 from prbench.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.training.state import Tally, TrainingState
 
@@ -42,6 +45,7 @@ class Checkpoints:
         for step in self.steps()[:-KEPT]:
             remove_folder(self._path(step))
 
+    @foreign_input()
     def restore(self, state: TrainingState) -> bool:
         """Put the newest checkpoint into ``state``; false if there is none.
 
@@ -56,6 +60,7 @@ class Checkpoints:
             return False
         folder = self._path(steps[-1])
         try:
+            require_size(folder / _TENSORS, largest=LARGEST_UNPACKED)
             tensors = safetensors.torch.load_file(folder / _TENSORS)
         except (SafetensorError, OSError) as error:
             raise InputFileError(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.motion import read_joints
 from prbench.corpora.humanml3d.texts import read_texts
@@ -188,7 +189,7 @@ def _splits(root: Path) -> dict[str, Split]:
     split: Split
     for split in ("train", "validation", "test"):
         path = root / layout.SPLIT_FILES[split]
-        names = path.read_text(encoding="utf-8-sig").split() if path.is_file() else []
+        names = read_text(path).split() if path.is_file() else []
         for name in names:
             if splits.get(name, split) != split:
                 raise InputFileError(path, name, expected="motions of one split", found=f"also in {splits[name]}")
