@@ -41,8 +41,11 @@ MOST_MOTIONS = 2**21
 MOST_ROWS = 2**23
 """Rows of one Parquet file."""
 
-MOST_VALUES = 2**28
-"""Values of one column in one row group of a Parquet file: they are unpacked together."""
+MOST_VALUES = 2**27
+"""Values of one column in one row group of a Parquet file, which are unpacked together, whatever stands behind them."""
+
+MOST_VALUES_PER_BYTE = 25
+"""Values beyond :data:`MOST_VALUES` that one stored byte may stand for; coordinates reach about 1."""
 
 LARGEST_HEADER = 100 * 2**20
 """Bytes of the metadata at the end of a Parquet file, or at the beginning of a file of weights."""

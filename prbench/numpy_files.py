@@ -132,22 +132,26 @@ def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -
         require_size(path, largest=largest)
         with open(path, "rb") as file:
             header = read_header(file, path, "", remedy=remedy)
-            _require_bytes(path, "", header, largest=largest, present=path.stat().st_size)
+            _require_bytes(path, header, largest=largest, present=path.stat().st_size)
             return header.shaped(_values(file, header))
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
 
 
-def _require_bytes(path: Path, where: str, header: ArrayHeader, *, largest: int, present: int) -> None:
+def _require_bytes(path: Path, header: ArrayHeader, *, largest: int, present: int) -> None:
     """Refuse an array that is larger than it may be, or than what stands in the file."""
-    expected = f"at most {largest:,} bytes" if header.nbytes > largest else f"{header.nbytes:,} bytes"
-    if header.nbytes > min(largest, present - header.offset):
+    form = f"(shape {header.shape} of {header.dtype})"
+    if header.nbytes > largest:
+        raise InputFileError(
+            path, "", expected=f"at most {largest:,} bytes", found=f"{header.nbytes:,} declared {form}"
+        )
+    if header.nbytes > present - header.offset:
         raise InputFileError(
             path,
-            where,
-            expected=expected,
-            found=f"{min(header.nbytes, max(present - header.offset, 0)):,} (shape {header.shape} of {header.dtype})",
-            remedy="The file may be cut off; write it again.",
+            "",
+            expected=f"{header.nbytes:,} bytes {form}",
+            found=f"{max(present - header.offset, 0):,}",
+            remedy="The file is cut off; write it again.",
         )
 
 

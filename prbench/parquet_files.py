@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from prbench.bounded import require_size
-from prbench.limits import LARGEST_HEADER, LARGEST_UNPACKED, MOST_ROWS, MOST_VALUES
+from prbench.limits import LARGEST_HEADER, LARGEST_UNPACKED, MOST_ROWS, MOST_VALUES, MOST_VALUES_PER_BYTE
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
@@ -51,9 +51,10 @@ def _excess(metadata: pq.FileMetaData) -> str:
         group = metadata.row_group(number)
         for place in range(group.num_columns):
             column = group.column(place)
-            if column.num_values > MOST_VALUES or column.total_uncompressed_size > LARGEST_UNPACKED:
+            plausible = max(MOST_VALUES, MOST_VALUES_PER_BYTE * column.total_compressed_size)
+            if column.num_values > plausible:
                 return (
-                    f"{column.num_values:,} values in {column.total_uncompressed_size:,} bytes of"
-                    f" '{column.path_in_schema}' declared in row group {number}, expected at most {MOST_VALUES:,}"
+                    f"{column.num_values:,} values of '{column.path_in_schema}' declared in row group {number},"
+                    f" expected at most {plausible:,} in {column.total_compressed_size:,} bytes"
                 )
     return ""
