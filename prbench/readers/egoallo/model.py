@@ -60,8 +60,12 @@ def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
     """Read once a process; size and time of change make a changed file another one."""
     path = state[0]
     arrays = _load(path)
+    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
+        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
+            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
+            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
     regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
-    points = regressor.shape[1] if regressor.ndim == 2 else -1
+    points = regressor.shape[1]
     for key, array, shape in (
         (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
         (ego.TEMPLATE, template, (points, 3)),

@@ -134,10 +134,24 @@ def attribute(path: Path, entry: h5py.Dataset, name: str) -> np.ndarray:
             remedy="Copy or download the file again.",
         )
     stored = entry.attrs.get_id(name)
+    if stored.shape is None:
+        raise InputFileError(path, f"attribute '{name}'", expected="values", found="none", remedy=_COPY_AGAIN)
     if math.prod(stored.shape or ()) * stored.dtype.itemsize > HARMLESS_SIZE:
         found = f"shape {stored.shape}"
         raise InputFileError(path, f"attribute '{name}'", expected=f"at most {HARMLESS_SIZE:,} bytes", found=found)
     return np.atleast_1d(np.asarray(entry.attrs[name]))
+
+
+def number_attribute(path: Path, entry: h5py.Dataset, name: str) -> Float[np.ndarray, "..."]:
+    """One attribute as numbers.
+
+    Raises:
+        InputFileError: see :func:`attribute`, or if it holds anything else.
+    """
+    found = attribute(path, entry, name)
+    if found.dtype.kind not in "fiu":
+        raise InputFileError(path, f"attribute '{name}'", expected="numbers", found=str(found.dtype))
+    return found.astype(np.float64)
 
 
 def words(values: np.ndarray | Sequence[object]) -> list[str]:

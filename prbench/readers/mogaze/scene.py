@@ -16,7 +16,7 @@ from prbench.errors import InputFileError
 from prbench.formats import mogaze
 from prbench.limits import HARMLESS_SIZE
 
-_MOST_DIGITS = 9  # of the id of a body
+_MOST_DIGITS = 19  # of the id of a body
 
 
 @dataclass(frozen=True)
