@@ -226,8 +226,9 @@ def inside(root: Path, relative: str) -> Path:
     Raises:
         InputFileError: if ``relative`` is absolute or climbs out of ``root``.
     """
-    target = (root / relative).resolve()
-    if not target.is_relative_to(root.resolve()):
+    # Not Path.resolve, which raises for a link that leads to itself: whoever reads the path reports that.
+    target = Path(os.path.realpath(root / relative))
+    if not target.is_relative_to(os.path.realpath(root)):
         raise InputFileError(root, relative, expected="a path inside this folder", found="a path that leads out of it")
     return target
 

@@ -115,9 +115,12 @@ class _Hierarchy:
     def _number(self) -> float:
         word = self._next()
         try:
-            return float(word)
+            number = float(word)
         except ValueError as error:
             raise self._broken("a number", f"'{word}'") from error
+        if not math.isfinite(number):
+            raise self._broken("a finite number", f"'{word}'")
+        return number
 
     def _next(self) -> str:
         if self.place >= len(self.words):
@@ -148,4 +151,8 @@ def _motion(path: Path, text: str, width: int) -> tuple[float, Float[np.ndarray,
             found=f"{values.size} numbers, {frame_time} s apart",
             remedy="The file is cut; copy it again.",
         )
-    return frame_time, values.reshape(count, width)
+    rows = values.reshape(count, width)
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if bad.size:
+        raise InputFileError(path, f"MOTION, frame {bad[0]}", expected="finite numbers", found="NaN or infinity")
+    return frame_time, rows
