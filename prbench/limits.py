@@ -52,3 +52,6 @@ LARGEST_HEADER = 100 * 2**20
 
 LONGEST_MESSAGE = 4000
 """Characters of one message, on the terminal and in a table."""
+
+LARGEST_PICKLE = 2**20
+"""Bytes of one pickled pose, and of all storages that it unpacks; GIMO's have a few thousand."""

@@ -32,6 +32,8 @@ FLOORS = {
             "randomness",
             "numpy_files",
             "parquet_files",
+            "locks",
+            "workers",
         )
     },
     **{f"prbench.{room}": 2 for room in ("metrics", "sequences", "representation", "text", "recording")},
@@ -51,7 +53,9 @@ NEIGHBOURS = {
     ("prbench.bounded", "prbench.errors"),
     ("prbench.bounded", "prbench.limits"),
     ("prbench.errors", "prbench.limits"),
+    ("prbench.engine", "prbench.workers"),
     ("prbench.errors", "prbench.shown"),
+    ("prbench.locks", "prbench.storage"),
 }
 """The only arrows between rooms of one floor."""
 

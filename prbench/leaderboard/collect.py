@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
@@ -61,6 +62,7 @@ class CollectedRuns:
     left_out: tuple[str, ...]
 
 
+@foreign_input()
 def collect_runs(paths: Iterable[Path]) -> CollectedRuns:
     """Read run folders, or all run folders below a folder.
 

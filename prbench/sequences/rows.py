@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from prbench import parquet_files
+from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
 
@@ -65,15 +66,16 @@ def stream_chunks(
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
-    try:
-        yield
-    except FileNotFoundError as error:
-        raise TableError(f"{path}: expected a Parquet file, found none.") from error
-    except (pa.ArrowException, OSError) as error:
-        if isinstance(error, MemoryError):
-            raise
-        first = str(error).splitlines()[0] if str(error) else "damaged"
-        raise TableError(f"{path}: not a readable Parquet file ({first}). Build the dataset again.") from error
+    with foreign_input(path):
+        try:
+            yield
+        except FileNotFoundError as error:
+            raise TableError(f"{path}: expected a Parquet file, found none.") from error
+        except (pa.ArrowException, OSError) as error:
+            if isinstance(error, MemoryError):
+                raise
+            first = str(error).splitlines()[0] if str(error) else "damaged"
+            raise TableError(f"{path}: not a readable Parquet file ({first}). Build the dataset again.") from error
 
 
 def open_parquet(path: Path) -> pq.ParquetFile:

@@ -121,6 +121,7 @@ def list_configurations(package: str, task: str) -> tuple[str, ...]:
     )
 
 
+@foreign_input()
 def load_configuration(
     name: str, *, package: str, task: str, stage: str, overrides: Sequence[tuple[str, str]] = ()
 ) -> TrainingConfiguration:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.numpy_files import Archive, ArrayHeader, map_array, read_header
 from prbench.parquet_files import read_parquet
@@ -40,6 +41,7 @@ class MotionsRead:
     """All motions there are; ``motions`` holds fewer if a limit was given."""
 
 
+@foreign_input()
 def read_motions(path: Path, *, limit: int | None = None) -> MotionsRead:
     """Read motions without asking that they be right.
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.boundary import foreign_input
 from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.numpy_files import load_array
@@ -40,6 +41,7 @@ class WordVectors:
     """Of everything that decides a number; evaluators are tied to it."""
 
     @classmethod
+    @foreign_input()
     def read(cls, folder: Path) -> WordVectors:
         """Read the files of a folder.
 

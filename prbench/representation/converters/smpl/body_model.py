@@ -69,6 +69,7 @@ class RestJoints:
         return cls(joints.astype(np.float64), np.zeros((N_JOINTS, 3, 0)))
 
 
+@foreign_input()
 def read_rest_joints(path: Path) -> RestJoints:
     """The rest joints of a body model in ``.npz`` form.
 
