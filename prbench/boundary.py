@@ -31,7 +31,8 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
         place: Named if no path can be found; a file or folder.
 
     Raises:
-        InputFileError: for a file that cannot be opened or read (a folder, a looping link, no permission).
+        InputFileError: for a file that cannot be opened or read (a folder, a looping link, no permission), nests too
+            deep, or is no text.
         UnforeseenInput: for everything else, naming the kind of the original error, which is its cause.
     """
     try:
@@ -45,6 +46,10 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
             expected="values nested at most some hundred levels deep",
             found="more",
             remedy=_COPY_AGAIN,
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(
+            _file_of(error) or place, "", expected="text in UTF-8", found=f"other bytes ({error})", remedy=_COPY_AGAIN
         ) from error
     except Exception as error:
         file = _file_of(error) or place

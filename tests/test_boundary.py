@@ -50,6 +50,13 @@ def test_json_nested_too_deep_is_refused(tmp_path):
     assert type(caught.value) is InputFileError
 
 
+def test_bytes_that_are_no_text_are_refused_and_not_unforeseen():
+    said = "input: expected text in UTF-8, found other bytes"
+    with pytest.raises(InputFileError, match=said) as caught, foreign_input():
+        b"\xff".decode()
+    assert type(caught.value) is InputFileError
+
+
 @pytest.mark.parametrize("error", [TableError("a message"), MemoryError()], ids=["a user's error", "no memory"])
 def test_errors_that_are_told_already_and_a_lack_of_memory_pass(error):
     with pytest.raises(type(error)) as caught, foreign_input():

@@ -125,6 +125,16 @@ def test_a_subtour_that_leads_out_does_not_hide_the_other_recordings(folder):
         reader_for("adt").read(found[0])
 
 
+def test_a_link_that_leads_nowhere_costs_one_recording(folder):
+    other = Path(shutil.copytree(folder, folder.parent / "other"))
+    _looping_link(next(other.glob("Skeleton_*.json")))
+    found = reader_for("adt").find(folder.parent)
+    assert [recording.recording_id for recording in found] == ["other", "still_life"]
+    with pytest.raises(InputFileError, match=r"Skeleton_.*\.json: expected a file that can be read"):
+        reader_for("adt").read(found[0])
+    reader_for("adt").read(found[1])
+
+
 def test_a_root_that_is_a_looping_link_is_one_message(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     for name in ("adt", "gimo", "hd-epic", "hot3d", "mogaze"):
@@ -213,7 +223,7 @@ def test_rows_of_mogaze_that_are_declared_and_not_stored_are_refused(tmp_path):
     with h5py.File(human, "r") as file:
         (name,) = (key for key in file if isinstance(file[key], h5py.Dataset))
         columns = file[name].shape[1]
-    for rows in (40_000_000, 2**38):
+    for rows in (150_000, 40_000_000, 2**38):
         empty_rows(human, name, rows, columns)
         (refusal,) = _refusals("mogaze", tmp_path)
         assert f"expected at most 67,108,864 bytes of values, for 0 that are stored, found shape ({rows}" in str(
