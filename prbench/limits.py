@@ -26,6 +26,9 @@ HARMLESS_SIZE = 64 * 2**20
 HIGHEST_COMPRESSION = 100
 """Bytes beyond :data:`HARMLESS_SIZE` that one stored byte may unpack to; tables of numbers reach about 30."""
 
+LARGEST_ARCHIVE = 2**36
+"""Bytes of an archive or Parquet file, of which only parts are read at once."""
+
 LARGEST_TABLE = 2**30
 """Bytes that the wanted columns of one text table may take in memory."""
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from prbench.bounded import require_size, require_unpackable
 from prbench.errors import InputFileError, StorageError
-from prbench.limits import HIGHEST_COMPRESSION, LARGEST_ARRAYS, LARGEST_UNPACKED, LONGEST_AXIS
+from prbench.limits import HIGHEST_COMPRESSION, LARGEST_ARCHIVE, LARGEST_ARRAYS, LARGEST_UNPACKED, LONGEST_AXIS
 
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
@@ -353,6 +353,8 @@ class Archive:
     def _opened(self) -> Iterator[zipfile.ZipFile]:
         """The archive; what is wrong with its bytes becomes an error that names it."""
         try:
+            if self.content is None:
+                require_size(self.path, largest=LARGEST_ARCHIVE)
             with zipfile.ZipFile(self.path if self.content is None else io.BytesIO(self.content)) as archive:
                 yield archive
         except FileNotFoundError as error:

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from prbench.bounded import require_size
-from prbench.limits import LARGEST_HEADER, LARGEST_UNPACKED, MOST_ROWS, MOST_VALUES, MOST_VALUES_PER_BYTE
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_HEADER, MOST_ROWS, MOST_VALUES, MOST_VALUES_PER_BYTE
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
@@ -26,7 +26,7 @@ def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
         pa.ArrowInvalid: if it is no Parquet file, or declares too much.
         OSError: if it is missing or cannot be read.
     """
-    require_size(path, largest=LARGEST_UNPACKED * 16)
+    require_size(path, largest=LARGEST_ARCHIVE)
     file = pq.ParquetFile(path, page_checksum_verification=verify, thrift_string_size_limit=LARGEST_HEADER)
     excess = _excess(file.metadata)
     if excess:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from prbench.errors import InputFileError, PredictionsError
 from prbench.limits import LARGEST_ARRAYS
 from prbench.numpy_files import Archive, load_array
+from prbench.readers.zipped import archive_members
 from prbench.runs.predictions import Predictions
 from tests.bombs import encrypted, npy_header, npz, zipped
 
@@ -88,3 +90,12 @@ def test_empty_predictions_cannot_stand_for_many(tmp_path, shape, said):
 def test_predictions_that_declare_more_than_a_sequence_holds_are_refused(tmp_path):
     with pytest.raises(PredictionsError, match="expected at most 33,554,432 bytes of one sequence"):
         Predictions.open(npz(tmp_path / "p.npz", "gimo_a", 40))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_a_pipe_in_place_of_an_archive_is_refused_instead_of_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.npz")
+    with pytest.raises(InputFileError, match=r"a\.npz: expected a file, found a pipe"):
+        Archive(tmp_path / "a.npz").load(["a"])
+    with pytest.raises(InputFileError, match=r"a\.npz: expected a file, found a pipe"):
+        archive_members(tmp_path / "a.npz")

@@ -13,7 +13,7 @@ from typing import cast
 
 from prbench.bounded import read_whole, require_size, require_unpackable
 from prbench.errors import InputFileError
-from prbench.limits import LARGEST_FILE, LARGEST_UNPACKED
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_UNPACKED
 from prbench.readers.found import InputFile
 
 _PIECE = 2**20
@@ -60,6 +60,7 @@ def archive_members(archive: Path) -> dict[str, int]:
     Raises:
         InputFileError: if it is no zip archive, or its table of contents is damaged.
     """
+    require_size(archive, largest=LARGEST_ARCHIVE)
     try:
         with zipfile.ZipFile(archive) as opened:
             return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
@@ -92,6 +93,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
 
 
 def _opened_member(source: ZippedFile, stack: ExitStack) -> io.BufferedIOBase:
+    require_size(source.archive, largest=LARGEST_ARCHIVE)
     try:
         archive = stack.enter_context(zipfile.ZipFile(source.archive))
         member = archive.getinfo(source.member)
