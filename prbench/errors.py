@@ -10,13 +10,23 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
+from prbench.limits import LONGEST_MESSAGE
 from prbench.shown import clean, quoted
 
 
 class PrbenchError(Exception):
-    """A problem that the user can repair."""
+    """A problem that the user can repair.
+
+    Args:
+        message: What was expected and found, and what to do; cut where a file made it longer than anybody reads.
+    """
 
     exit_code = 1
+
+    def __init__(self, message: str = "") -> None:
+        if len(message) > LONGEST_MESSAGE:
+            message = f"{message[:LONGEST_MESSAGE]} … ({len(message) - LONGEST_MESSAGE} more characters)"
+        super().__init__(message)
 
 
 class InputFileError(PrbenchError):
@@ -39,11 +49,20 @@ class InputFileError(PrbenchError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Keep the keyword-only parts when the error crosses a process border."""
-        return _rebuild_input_file_error, (self.path, self.where, self.expected, self.found, self.remedy)
+        return _rebuild_input_file_error, (type(self), self.path, self.where, self.expected, self.found, self.remedy)
 
 
-def _rebuild_input_file_error(path: Path, where: str, expected: str, found: str, remedy: str) -> InputFileError:
-    return InputFileError(path, where, expected=expected, found=found, remedy=remedy)
+def _rebuild_input_file_error(
+    kind: type[InputFileError], path: Path, where: str, expected: str, found: str, remedy: str
+) -> InputFileError:
+    return kind(path, where, expected=expected, found=found, remedy=remedy)
+
+
+class UnforeseenInput(InputFileError):
+    """A file made prbench stumble in a way that no check foresaw (see :mod:`prbench.boundary`).
+
+    For a user it is one more damaged file. For prbench it is a missing check: a test that damages files fails on it.
+    """
 
 
 class RecordingUnusable(PrbenchError):

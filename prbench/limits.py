@@ -11,11 +11,50 @@ LARGEST_UNPACKED = 4 * 2**30
 LONGEST_LINE = 2**20
 """Bytes of one line of a text file."""
 
-LARGEST_JSON = 2**30
+LARGEST_JSON = 2**29
 """Bytes of a JSON file that is read whole."""
 
 FARTHEST_COORDINATE = 100.0
 """Metres from the origin beyond which a coordinate of a generated motion is refused."""
+
+LARGEST_FILE = 2 * 2**30
+"""Bytes of a file that is read whole; the longest recordings' largest files hold half of it."""
+
+HARMLESS_SIZE = 64 * 2**20
+"""Bytes that may be declared whatever stands behind them."""
+
+HIGHEST_COMPRESSION = 100
+"""Bytes beyond :data:`HARMLESS_SIZE` that one stored byte may unpack to; tables of numbers reach about 30."""
+
+LARGEST_ARCHIVE = 2**36
+"""Bytes of an archive or Parquet file, of which only parts are read at once."""
+
+LARGEST_TABLE = 2**30
+"""Bytes that the wanted columns of one text table may take in memory."""
+
+LARGEST_ARRAYS = 2 * 2**30
+"""Bytes of all arrays that are read together from one archive or file."""
+
+LONGEST_AXIS = 2**40
+"""Entries along one axis of an array, whatever stands there."""
+
+MOST_MOTIONS = 2**21
+"""Motions in one set of predictions, or rows of conditions."""
+
+MOST_ROWS = 2**23
+"""Rows of one Parquet file."""
+
+MOST_VALUES = 2**27
+"""Values of one column in one row group of a Parquet file, which are unpacked together, whatever stands behind them."""
+
+MOST_VALUES_PER_BYTE = 25
+"""Values beyond :data:`MOST_VALUES` that one stored byte may stand for; coordinates reach about 1."""
+
+LARGEST_HEADER = 100 * 2**20
+"""Bytes of the metadata at the end of a Parquet file, or at the beginning of a file of weights."""
+
+LONGEST_MESSAGE = 4000
+"""Characters of one message, on the terminal and in a table."""
 
 LARGEST_PICKLE = 2**20
 """Bytes of one pickled pose, and of all storages that it unpacks; GIMO's have a few thousand."""

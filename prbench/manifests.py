@@ -10,6 +10,7 @@ from typing import Literal, TypeVar
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, UsageError
 
 Redistribution = Literal["none", "non-commercial", "yes"]
@@ -230,6 +231,7 @@ def dataset_names() -> tuple[str, ...]:
 Loaded = TypeVar("Loaded", bound=msgspec.Struct)
 
 
+@foreign_input()
 def read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
     """A TOML file of a data package as a data class.
 

@@ -15,7 +15,10 @@ from pathlib import Path
 
 import platformdirs
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.errors import InputFileError, StorageError
+from prbench.limits import LARGEST_JSON
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
 
@@ -181,6 +184,7 @@ def write_json(path: Path, value: object) -> None:
     write_text(path, json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n")
 
 
+@foreign_input()
 def read_json(path: Path) -> object:
     """Read a JSON file.
 
@@ -188,7 +192,7 @@ def read_json(path: Path) -> object:
         InputFileError: if the file is missing, or is not JSON (naming line and column).
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(read_text(path, largest=LARGEST_JSON))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputFileError(path, "", expected="a JSON file", found="no file") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -229,8 +233,9 @@ def inside(root: Path, relative: str) -> Path:
     Raises:
         InputFileError: if ``relative`` is absolute or climbs out of ``root``.
     """
-    target = (root / relative).resolve()
-    if not target.is_relative_to(root.resolve()):
+    # Not Path.resolve, which raises for a link that leads to itself: whoever reads the path reports that.
+    target = Path(os.path.realpath(root / relative))
+    if not target.is_relative_to(os.path.realpath(root)):
         raise InputFileError(root, relative, expected="a path inside this folder", found="a path that leads out of it")
     return target
 

@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 FLOORS = {
+    "prbench.boundary": 0,
+    "prbench.bounded": 0,
     "prbench.errors": 0,
     "prbench.limits": 0,
     "prbench.shown": 0,
@@ -27,9 +29,11 @@ FLOORS = {
             "published",
             "engine",
             "storage",
+            "randomness",
+            "numpy_files",
+            "parquet_files",
             "locks",
             "workers",
-            "randomness",
         )
     },
     **{f"prbench.{room}": 2 for room in ("metrics", "sequences", "representation", "text", "recording")},
@@ -45,6 +49,10 @@ FLOORS = {
 NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
+    ("prbench.boundary", "prbench.errors"),
+    ("prbench.bounded", "prbench.errors"),
+    ("prbench.bounded", "prbench.limits"),
+    ("prbench.errors", "prbench.limits"),
     ("prbench.engine", "prbench.workers"),
     ("prbench.errors", "prbench.shown"),
     ("prbench.locks", "prbench.storage"),

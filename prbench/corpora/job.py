@@ -10,9 +10,10 @@ from typing import Literal
 import msgspec
 
 from prbench.corpora.sources import CorpusRecording, ReadRecording, RecordingGroup
-from prbench.errors import PrbenchError
+from prbench.errors import InputFileError, PrbenchError
 from prbench.sequences import parts
 from prbench.sequences.corpus import CorpusRecord, annotation_batch, clip_batch, corpus_recording_batch
+from prbench.shown import quoted
 from prbench.storage import text_digest
 from prbench.workers import is_out_of_memory
 
@@ -69,7 +70,7 @@ class CorpusJob:
         """Where the part lies, and the digest of its input."""
         try:
             digest = group.input_digest()
-        except OSError as error:
+        except (OSError, InputFileError) as error:
             digest = text_digest("unreadable", type(error).__name__)
         return parts.part_folder(self.work, group.name, digest, self._settings_of(group)), digest
 
@@ -122,8 +123,8 @@ class CorpusJob:
         if self.stop_on_error:
             if known:
                 raise error
-            raise PrbenchError(f"{name}: unexpected {type(error).__name__}: {error}") from error
-        message = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+            raise PrbenchError(f"{name}: unexpected {type(error).__name__}: {quoted(error)}") from error
+        message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
         return _left_out(recording, "failed", recording.without_places(message))
 
 

@@ -12,9 +12,10 @@ from prbench.curation.options import CurationOptions
 from prbench.curation.parts import PartReceipt, part_folder, read_receipt, write_part
 from prbench.curation.sources import RecordingSource
 from prbench.curation.split import split_of
-from prbench.errors import PrbenchError
+from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences.sequence import RecordingRecord
+from prbench.shown import quoted
 from prbench.storage import text_digest
 from prbench.workers import is_out_of_memory
 
@@ -33,7 +34,7 @@ class CurationJob:
         """Make the part of one recording."""
         try:
             digest = "" if source.skip_reason is not None else source.input_digest()
-        except OSError as error:
+        except (OSError, InputFileError) as error:
             return self._write(source, self._failed(source, error), "unreadable")
         folder = self._folder(source, digest)
         receipt = read_receipt(folder)
@@ -62,8 +63,8 @@ class CurationJob:
         if self.stop_on_error:
             if known:
                 raise error
-            raise PrbenchError(f"{source.recording_id}: unexpected {type(error).__name__}: {error}") from error
-        message = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+            raise PrbenchError(f"{source.recording_id}: unexpected {type(error).__name__}: {quoted(error)}") from error
+        message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
         return self._left_out(source, "failed", source.without_places(message))
 
     def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:

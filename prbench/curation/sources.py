@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from prbench.boundary import foreign_input
 from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
@@ -90,6 +91,7 @@ class NativeSource:
         """Bytes of all input files."""
         return sum(file.size for file in self.found.files)
 
+    @foreign_input()
     def input_digest(self) -> str:
         """See :class:`RecordingSource`: roles, names and contents of the files, a split of their own, and options."""
         files = sorted(self.found.files, key=lambda file: file.role)
@@ -114,6 +116,7 @@ class NativeSource:
         return message
 
 
+@foreign_input()
 def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[NativeSource, ...]:
     """The recordings of a dataset's folder that the options choose, sorted by id.
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.evaluation.method_names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.evaluation.verification import CheckedSummary, RunChecker
@@ -81,6 +82,7 @@ Check = Callable[[RunFolder, TableRecord], CheckedSummary]
 """Reads the summary of one dataset of a run, and says whether it could be verified."""
 
 
+@foreign_input()
 def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> CollectedRuns:
     """Read run folders, or all run folders below a folder.
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.formats.bvh import POSITION_CHANNELS, ROTATION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.files import missing_file
@@ -23,7 +25,7 @@ def read_bvh(path: Path) -> BvhMotion:
             motion do not fill the frames that it announces.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except UnicodeDecodeError as error:
@@ -76,7 +78,7 @@ class _Hierarchy:
                 x, y, z = (self._number() for _ in range(3))
                 self._change(stack, offset=(x, y, z))
             elif word == "CHANNELS":
-                count = int(self._number())
+                count = self._count()
                 self._change(stack, channels=tuple(self._channel() for _ in range(count)))
             else:
                 raise self._broken("JOINT, OFFSET, CHANNELS or a brace", f"'{word}'")
@@ -104,12 +106,21 @@ class _Hierarchy:
             raise self._broken("a channel such as Xposition or Zrotation", f"'{word}'")
         return _CHANNELS[word.lower()]
 
+    def _count(self) -> int:
+        number = self._number()
+        if not (0 <= number <= len(_CHANNELS) and number.is_integer()):
+            raise self._broken(f"at most {len(_CHANNELS)} channels", f"{number}")
+        return int(number)
+
     def _number(self) -> float:
         word = self._next()
         try:
-            return float(word)
+            number = float(word)
         except ValueError as error:
             raise self._broken("a number", f"'{word}'") from error
+        if not math.isfinite(number):
+            raise self._broken("a finite number", f"'{word}'")
+        return number
 
     def _next(self) -> str:
         if self.place >= len(self.words):
@@ -132,7 +143,7 @@ def _motion(path: Path, text: str, width: int) -> tuple[float, Float[np.ndarray,
         values = np.array([float(word) for word in numbers.split()])
     except (ValueError, IndexError) as error:
         raise InputFileError(path, "MOTION", expected="frames of numbers", found=str(error)) from error
-    if frame_time <= 0 or count * width != values.size or count == 0:
+    if not 0 < frame_time < math.inf or count * width != values.size or count == 0:
         raise InputFileError(
             path,
             "MOTION",
@@ -140,4 +151,8 @@ def _motion(path: Path, text: str, width: int) -> tuple[float, Float[np.ndarray,
             found=f"{values.size} numbers, {frame_time} s apart",
             remedy="The file is cut; copy it again.",
         )
-    return frame_time, values.reshape(count, width)
+    rows = values.reshape(count, width)
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if bad.size:
+        raise InputFileError(path, f"MOTION, frame {bad[0]}", expected="finite numbers", found="NaN or infinity")
+    return frame_time, rows

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, PrbenchError
 from prbench.readers import READER_MODULES, Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in
@@ -43,6 +44,7 @@ class Discovery:
     broken: tuple[BrokenDataset, ...]
 
 
+@foreign_input()
 def discover(root: Path) -> Discovery:
     """Ask every reader about a folder, and those that find nothing about each of its sub-folders.
 
@@ -60,7 +62,8 @@ def discover(root: Path) -> Discovery:
                 continue
             answer = _ask(reader_for(dataset), folder)
             if isinstance(answer, BrokenDataset):
-                broken.append(answer)
+                if all(answer.message != other.message for other in broken):  # a damaged mark, told to every reader
+                    broken.append(answer)
             elif answer is not None:
                 found.append(answer)
     if not found and not broken:
@@ -76,12 +79,12 @@ def discover(root: Path) -> Discovery:
 
 def _ask(reader: Reader, folder: Path) -> FoundDataset | BrokenDataset | None:
     """What one reader says about one folder; None if it is none of its."""
-    tree = read_synthetic_tree(folder)
-    if tree is not None and tree.preset != reader.dataset:
-        return None
-    if tree is None and any((below / SYNTHETIC_FILE).is_file() for below in _subfolders(folder)):
-        return None  # a folder of synthetic trees is none itself; each carries its own mark and splits
     try:
+        tree = read_synthetic_tree(folder)
+        if tree is not None and tree.preset != reader.dataset:
+            return None
+        if tree is None and any((below / SYNTHETIC_FILE).is_file() for below in _subfolders(folder)):
+            return None  # a folder of synthetic trees is none itself; each carries its own mark and splits
         recordings = reader.find(folder)
     except InputFileError as error:
         # A reader that found nothing names the folder, or the file in it that would mark the dataset; one that

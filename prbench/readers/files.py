@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import msgspec
 import numpy as np
@@ -13,18 +13,27 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
+from prbench.boundary import foreign_input
+from prbench.bounded import require_size, too_long_line
 from prbench.errors import InputFileError
+from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
 from prbench.readers.last_line import require_whole_last_line
 from prbench.readers.zipped import RememberingTail, Source, opened, read_all, shown
 
+Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
+"""A time in a JSON file; NumPy has no larger integers."""
 Column = type[int] | type[float] | type[str]
 Decoded = TypeVar("Decoded")
 
 _ARROW_TYPES = {int: pa.int64(), float: pa.float64(), str: pa.string()}
 _QUATERNION_TOLERANCE = 1e-3
+_WATCHED_SIZE = 2**28
+"""Bytes of a plain text file from which on it is read in pieces, which is slower; of a shorter one no more can come
+than a few times as much."""
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 
 
+@foreign_input()
 def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     """Read the named columns of a CSV file; further columns and their order do not matter.
 
@@ -156,6 +165,7 @@ def require_poses(
         )
 
 
+@foreign_input()
 def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_null: bool = False) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
 
@@ -168,7 +178,7 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
     """
     try:
-        content = read_all(path).removeprefix(b"\xef\xbb\xbf")
+        content = read_all(path, largest=LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
         if nan_is_null and b"NaN" in content:
             content = re.sub(rb"(?<=[\[,:\s])-?NaN\b", b"null", content)
         return decoder.decode(content)
@@ -193,15 +203,19 @@ def missing_file(path: Source) -> InputFileError:
     )
 
 
+@foreign_input()
 def read_header(path: Source) -> list[str]:
     """Column names of a CSV file.
 
     Raises:
-        InputFileError: if the file is missing or is no text.
+        InputFileError: if the file is missing, is no text, or its first line is too long.
     """
     try:
         with opened(path) as file:
-            return header_names(file.readline())
+            line = file.readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE:
+            raise too_long_line(shown(path), "header")
+        return header_names(line)
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except UnicodeDecodeError as error:
@@ -224,10 +238,29 @@ def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool)
     read = pyarrow.csv.ReadOptions(use_threads=use_threads)
     convert = pyarrow.csv.ConvertOptions(column_types=types, include_columns=list(types))
     if isinstance(path, Path):
-        return pyarrow.csv.read_csv(path, read_options=read, convert_options=convert), None
+        require_size(path, largest=LARGEST_FILE)
+        if path.stat().st_size < _WATCHED_SIZE:
+            return pyarrow.csv.read_csv(path, read_options=read, convert_options=convert), None
     with opened(path) as file:
         stream = RememberingTail(file)
-        return pyarrow.csv.read_csv(stream, read_options=read, convert_options=convert), stream.tail
+        batches = pyarrow.csv.open_csv(stream, read_options=read, convert_options=convert)
+        return _watched(path, batches), stream.tail
+
+
+def _watched(path: Source, batches: pyarrow.csv.CSVStreamingReader) -> pa.Table:
+    """The table of a long file, refused as soon as it is larger than any table: cells may be longer than their text."""
+    kept, size = [], 0
+    for batch in batches:
+        kept.append(batch)
+        size += batch.nbytes
+        if size > LARGEST_TABLE:
+            raise InputFileError(
+                shown(path),
+                "",
+                expected=f"columns of at most {LARGEST_TABLE:,} bytes",
+                found=f"more in the first {sum(map(len, kept)):,} rows",
+            )
+    return pa.Table.from_batches(kept, batches.schema)
 
 
 def _parse_naming_row(path: Source, types: Mapping[str, pa.DataType]) -> tuple[pa.Table, bytes | None]:

@@ -105,8 +105,11 @@ class RecordingFiles:
 
 
 def input_file(role: str, path: Path) -> InputFile:
-    """An existing file with its size."""
-    return InputFile(role, path, path.stat().st_size)
+    """An existing file with its size; 0 for what turns out to be none, which reading it reports."""
+    try:
+        return InputFile(role, path, path.stat().st_size)
+    except OSError:  # a link that leads nowhere, found by its name
+        return InputFile(role, path, 0)
 
 
 def names_in(folder: Path) -> str:

@@ -12,8 +12,12 @@ from pathlib import Path
 
 import h5py
 import msgspec
-import numpy as np
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole, require_size
+from prbench.errors import InputFileError
+from prbench.limits import LARGEST_UNPACKED, LONGEST_LINE
+from prbench.numpy_files import map_array, read_header
 from prbench.readers.found import InputFile
 
 _TAIL = 65536  # bytes; longer than any line of the formats that are read
@@ -22,14 +26,20 @@ _TAIL = 65536  # bytes; longer than any line of the formats that are read
 def damage(file: InputFile) -> str:
     """What is wrong with an input file, in a few words; empty if nothing seems to be."""
     try:
-        if file.path.stat().st_size == 0:
-            return "empty"
-        if file.member or zipfile.is_zipfile(file.path) or file.path.suffix in (".zip", ".npz"):
-            return _damaged_archive(file)
-        check = _CHECKS.get(file.path.suffix.lower())
-        return "" if check is None else check(file.path)
-    except OSError as error:
-        return f"cannot be read ({error.strerror or error})"
+        with foreign_input(file.path):
+            return _damage(file)
+    except InputFileError as error:
+        return f"cannot be read ({error.found})"
+
+
+def _damage(file: InputFile) -> str:
+    require_size(file.path, largest=LARGEST_UNPACKED)
+    if file.path.stat().st_size == 0:
+        return "empty"
+    if file.member or zipfile.is_zipfile(file.path) or file.path.suffix in (".zip", ".npz"):
+        return _damaged_archive(file)
+    check = _CHECKS.get(file.path.suffix.lower())
+    return "" if check is None else check(file.path)
 
 
 def _damaged_archive(file: InputFile) -> str:
@@ -44,7 +54,7 @@ def _damaged_archive(file: InputFile) -> str:
 
 def _damaged_csv(path: Path) -> str:
     with open(path, "rb") as lines:
-        columns = lines.readline().count(b",")
+        columns = lines.readline(LONGEST_LINE).count(b",")
     last = _last_line(path)
     if last.endswith((b"\n", b"\r")) or last.count(b",") == columns:
         return ""
@@ -74,9 +84,10 @@ def _damaged_hdf5(path: Path) -> str:
 
 def _damaged_npy(path: Path) -> str:
     try:
-        np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        return f"cut off or no array ({error})"
+        with open(path, "rb") as file:
+            map_array(path, read_header(file, path, ""))
+    except InputFileError as error:
+        return f"cut off or no array ({error.found})"
     return ""
 
 
@@ -91,7 +102,7 @@ def _damaged_glb(path: Path) -> str:
 
 def _damaged_bvh(path: Path) -> str:
     """The motion part says how many frames follow."""
-    hierarchy, _, motion = path.read_bytes().partition(b"MOTION")
+    hierarchy, _, motion = read_whole(path).partition(b"MOTION")
     lines = motion.splitlines()[1:]
     promised = next((line.split()[-1] for line in lines if line.startswith(b"Frames:")), b"")
     frames = sum(1 for line in lines if line[:1] in b"-0123456789 " and line.strip())

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+from prbench.bounded import read_whole, require_size, require_unpackable
 from prbench.errors import InputFileError
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_UNPACKED
 from prbench.readers.found import InputFile
 
+_PIECE = 2**20
 _COPY_AGAIN = "The archive may be truncated; copy or download it again."
 
 
@@ -57,6 +60,7 @@ def archive_members(archive: Path) -> dict[str, int]:
     Raises:
         InputFileError: if it is no zip archive, or its table of contents is damaged.
     """
+    require_size(archive, largest=LARGEST_ARCHIVE)
     try:
         with zipfile.ZipFile(archive) as opened:
             return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
@@ -71,11 +75,12 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
     """The bytes of a source as a stream; a damaged archive becomes an error that says what to do.
 
     Raises:
-        InputFileError: if there is no such file or member, or the archive is damaged or encrypted. Damage shows where
-            it is reached: the checksum of a member is compared at its end.
+        InputFileError: if there is no such file or member, it is too large, or the archive is damaged or encrypted.
+            Damage shows where it is reached: the checksum of a member is compared at its end.
         FileNotFoundError: if a plain file is missing.
     """
     if isinstance(source, Path):
+        require_size(source, largest=LARGEST_UNPACKED)
         with open(source, "rb") as file:
             yield file
         return
@@ -88,9 +93,12 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
 
 
 def _opened_member(source: ZippedFile, stack: ExitStack) -> io.BufferedIOBase:
+    require_size(source.archive, largest=LARGEST_ARCHIVE)
     try:
         archive = stack.enter_context(zipfile.ZipFile(source.archive))
-        return cast(io.BufferedIOBase, stack.enter_context(archive.open(source.member)))
+        member = archive.getinfo(source.member)
+        require_unpackable(source.shown, member)
+        return cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
     except KeyError as error:
         raise InputFileError(source.archive, "", expected=f"the file {source.member} in it", found="none") from error
     except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
@@ -103,10 +111,26 @@ def _damaged(source: ZippedFile, error: Exception) -> InputFileError:
     )
 
 
-def read_all(source: Source) -> bytes:
-    """All bytes of a small source (see :func:`opened` for what it raises)."""
+def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
+    """All bytes of a source (see :func:`opened` for what it raises).
+
+    Args:
+        source: A plain file, or one in an archive.
+        largest: Bytes beyond which it is refused.
+
+    Raises:
+        InputFileError: see :func:`opened`, or if the source is larger.
+    """
+    if isinstance(source, Path):
+        return read_whole(source, largest=largest)
+    content = bytearray()
     with opened(source) as file:
-        return file.read()
+        # By pieces: one call for everything would unpack all that is there, however little the archive declares.
+        while piece := file.read(_PIECE):
+            content += piece
+            if len(content) > largest:
+                raise InputFileError(source.shown, "", expected=f"at most {largest:,} bytes", found="more")
+    return bytes(content)
 
 
 class RememberingTail(io.RawIOBase):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.runs.numpy_files import ArrayHeader, read_header
+from prbench.numpy_files import ArrayHeader, read_header
 
 _ACCEPTED = (np.dtype(np.float32), np.dtype(np.float64))
 _REMEDY = "Copy or download the file again."

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.release.arrays import parse_array
+from prbench.numpy_files import Archive
 
 _ARRAYS = (
     "previous_joints",
@@ -100,14 +100,10 @@ def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
     Raises:
         InputFileError: if it is damaged, compressed, or holds objects.
     """
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            if any(info.compress_type != zipfile.ZIP_STORED for info in members.values()):
-                raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
-            return {name: parse_array(path, archive.read(members[name])) for name in _ARRAYS if name in members}
-    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError) as error:
-        raise InputFileError(path, "", expected="arrays as .npz", found=str(error)) from error
+    archive = Archive(path, content)
+    if not all(map(archive.stored_as_is, archive.members)):
+        raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
+    return archive.load(_ARRAYS)
 
 
 def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
@@ -126,6 +122,6 @@ def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
     return (
         needed <= set(arrays)
         and len(heads) != 1
-        and all(values.shape == shapes[name] for name, values in arrays.items())
+        and all(values.shape == shapes[name] and values.dtype.kind in "fb" for name, values in arrays.items())
         and all(np.isfinite(values).all() for values in arrays.values())
     )

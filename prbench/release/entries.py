@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.limits import LARGEST_JSON
 from prbench.release.fields import letters, names_a_field
 from prbench.release.layout import index_of
 from prbench.release.values import SUBSETS
@@ -68,7 +70,7 @@ def read_entries(path: Path) -> Entries:
 
 def _load(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_without_repeats)
+        return json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=_without_repeats)
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a JSON file", found="no file") from error
     except RecursionError as error:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.locks import sole_writer
 from prbench.manifests import Manifest, load_manifest, load_protocol
@@ -55,6 +56,7 @@ class ImportResult:
         return not self.failed and not any(report.left_out for report in self.reports)
 
 
+@foreign_input()
 def import_release(
     root: Path,
     out: Path,
@@ -94,6 +96,7 @@ def import_release(
     return ImportResult(tuple(reports), tuple(failed))
 
 
+@foreign_input()
 def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Progress) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     exported = read_export_record(folder)

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.release.candidates import Found, find_candidates
 from prbench.release.entries import Entries, read_entries
@@ -59,6 +60,7 @@ class Interpreted:
         return tuple(name for name in self.entries.field_names if name not in taken)
 
 
+@foreign_input()
 def interpret(dataset: str, folder: Path, options: ImportOptions) -> Interpreted:
     """Everything that can be known before the arrays are read.
 

@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.readers.found import names_in
 from prbench.release.known import dataset_of
@@ -47,6 +48,7 @@ def index_of(key: str) -> int | None:
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
 
 
+@foreign_input()
 def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Path]]:
     """Dataset folders of a release, by name.
 

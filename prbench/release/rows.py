@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.manifests import TextTemplates
 from prbench.release.arrays import parse_array
@@ -125,8 +126,8 @@ def make_row(reading: Reading, measured: Measured) -> tuple[Sequence, EventRecor
 
 def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motion:
     candidate, metres = measured.candidate, reading.conclusions.metres
-    joints = parse_array(candidate.motion, candidate.motion.read_bytes()).astype(np.float64) * metres
-    gaze = None if candidate.gaze is None else parse_array(candidate.gaze, candidate.gaze.read_bytes())
+    joints = parse_array(candidate.motion, read_whole(candidate.motion)).astype(np.float64) * metres
+    gaze = None if candidate.gaze is None else parse_array(candidate.gaze, read_whole(candidate.gaze))
     directions, valid = clean_gaze(gaze, len(joints))
     previous = None
     if reading.first_frame_is_previous:
@@ -225,7 +226,7 @@ def _plain_sequence(reading: Reading, candidate: Candidate, motion: _Motion) -> 
 def _with_block(plain: Sequence, block: Block, candidate: Candidate) -> Sequence:
     """The row as it was before our exporter wrote it."""
     assert candidate.further is not None
-    arrays = unpack_arrays(candidate.further, candidate.further.read_bytes())
+    arrays = unpack_arrays(candidate.further, read_whole(candidate.further))
     if not fits(arrays, plain.n_frames):
         raise InputFileError(
             candidate.further, "", expected="the arrays of this sequence", found="others", remedy="Export it again."

@@ -12,7 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.limits import HARMLESS_SIZE
 from prbench.metrics.ray_track import ray_distance
 from prbench.release.arrays import parse_array
 from prbench.release.block import fits, unpack_arrays
@@ -77,12 +80,13 @@ def _read(candidate: Candidate, found: Found) -> _Arrays | None:
     """The arrays of a sequence whose motion is finite; anything else is reported."""
     key = candidate.entry.key
     try:
-        content = candidate.motion.read_bytes()
-        joints = parse_array(candidate.motion, content).astype(np.float64)
-        gaze_content = b"" if candidate.gaze is None else candidate.gaze.read_bytes()
-        gaze = None if candidate.gaze is None else parse_array(candidate.gaze, gaze_content)
-        further = b"" if candidate.further is None else candidate.further.read_bytes()
-    except (InputFileError, OSError) as error:
+        with foreign_input(candidate.motion):
+            content = read_whole(candidate.motion, largest=HARMLESS_SIZE)
+            joints = parse_array(candidate.motion, content).astype(np.float64)
+            gaze_content = b"" if candidate.gaze is None else read_whole(candidate.gaze, largest=HARMLESS_SIZE)
+            gaze = None if candidate.gaze is None else parse_array(candidate.gaze, gaze_content)
+            further = b"" if candidate.further is None else read_whole(candidate.further, largest=HARMLESS_SIZE)
+    except InputFileError as error:
         found.report(key, f"cannot be read: {error}")
         return None
     if candidate.further is not None and not _is_usable(candidate.further, further, len(joints)):
@@ -125,7 +129,8 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
 def _is_usable(path: Path, content: bytes, n_frames: int) -> bool:
     """Whether our exporter's further arrays are whole and belong to this motion."""
     try:
-        return fits(unpack_arrays(path, content), n_frames)
+        with foreign_input(path):
+            return fits(unpack_arrays(path, content), n_frames)
     except InputFileError:
         return False
 

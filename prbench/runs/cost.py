@@ -7,7 +7,10 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import RunError
+from prbench.limits import LARGEST_JSON
 from prbench.storage import write_json
 
 
@@ -60,6 +63,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
         write_json(path, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, path: Path) -> RunCost:
         """Read ``cost.json``.
 
@@ -67,11 +71,12 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
             RunError: if it is missing or damaged.
         """
         try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
+            return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
         except (FileNotFoundError, msgspec.ValidationError, msgspec.DecodeError) as error:
             raise RunError(f"{path}: not a valid measurement: {error}. Run the same command again.") from error
 
 
+@foreign_input()
 def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
     """Read the measurements of single batches.
 
@@ -81,7 +86,7 @@ def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
     costs = []
     for path in paths:
         try:
-            costs.append(msgspec.json.decode(path.read_bytes(), type=BatchCost))
+            costs.append(msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=BatchCost))
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
             raise RunError(f"{path}: not a valid measurement: {error}. Delete the file and run again.") from error
     return costs
@@ -111,6 +116,7 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
     )
 
 
+@foreign_input()
 def read_run_cost(path: Path) -> RunCost:
     """Read ``cost.json``.
 
@@ -118,7 +124,7 @@ def read_run_cost(path: Path) -> RunCost:
         RunError: if it is missing or damaged.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=RunCost)
+        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=RunCost)
     except FileNotFoundError as error:
         raise RunError(
             f"{path}: expected the cost of a run, found no file. Run the method again: it resumes."

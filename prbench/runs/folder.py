@@ -10,7 +10,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from prbench.errors import RunError, StorageError
+from prbench.boundary import foreign_input
+from prbench.errors import InputFileError, RunError, StorageError
+from prbench.parquet_files import read_parquet
 from prbench.runs import record, summary
 from prbench.runs.record import RunRecord
 from prbench.sequences.redistribution import NOTICE_FILE
@@ -63,8 +65,8 @@ class DatasetFolder:
     def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
         """Whether a batch is there, whole, with exactly these sequences; the checksum of every page is verified."""
         try:
-            rows = pq.read_table(self.part(batch), page_checksum_verification=True)
-        except (FileNotFoundError, pa.ArrowInvalid, OSError):
+            rows = read_parquet(self.part(batch), verify=True)
+        except (FileNotFoundError, pa.ArrowInvalid, OSError, InputFileError):
             return False
         if not {"sequence_id", "sample"} <= set(rows.column_names):
             return False
@@ -130,6 +132,7 @@ class RunFolder:
         return cls(path, wanted)
 
     @classmethod
+    @foreign_input()
     def open(cls, path: Path) -> RunFolder:
         """Open a run for reading.
 

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import RunError
+from prbench.limits import LARGEST_JSON
 from prbench.shown import clean
 from prbench.storage import write_json
 
@@ -112,6 +115,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, folder: Path) -> RunRecord:
         """Read ``run.json``.
 
@@ -120,7 +124,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = folder / FILE_NAME
         try:
-            return _with_todays_kind(msgspec.json.decode(path.read_bytes(), type=cls))
+            return _with_todays_kind(msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls))
         except FileNotFoundError as error:
             raise RunError(f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.") from error
         except (msgspec.ValidationError, msgspec.DecodeError) as error:

@@ -8,7 +8,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError
+from prbench.parquet_files import read_parquet
 from prbench.runs.schema import RUN_SCHEMA_VERSION, SCORES
 from prbench.storage import atomic_path
 
@@ -29,6 +31,7 @@ def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
             writer.write_table(table.cast(schema))
 
 
+@foreign_input()
 def read_scores(path: Path) -> pa.Table:
     """Read the long form.
 
@@ -36,7 +39,7 @@ def read_scores(path: Path) -> pa.Table:
         RunError: if the file is missing, damaged, or has other columns.
     """
     try:
-        table = pq.read_table(path)
+        table = read_parquet(path)
     except FileNotFoundError as error:
         raise RunError(
             f"{path}: expected the scores of a run, found no file. Run the method again: it resumes."

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import RunError
+from prbench.limits import LARGEST_JSON
 from prbench.runs.schema import RUN_SCHEMA_VERSION
 from prbench.storage import write_json
 
@@ -89,6 +92,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, folder: Path) -> DatasetSummary:
         """Read ``summary.json``.
 
@@ -97,7 +101,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = folder / FILE_NAME
         try:
-            summary = msgspec.json.decode(path.read_bytes(), type=cls)
+            summary = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
         except FileNotFoundError as error:
             raise RunError(
                 f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes."

@@ -12,6 +12,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
@@ -31,6 +32,7 @@ class CorpusTable:
     info: CorpusInfo
 
     @classmethod
+    @foreign_input()
     def open(cls, folder: Path) -> CorpusTable:
         """Open a corpus folder and check version, columns, that it holds clips, and that no file was edited.
 
@@ -78,6 +80,7 @@ class CorpusTable:
         wanted = list(CLIPS.names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
         return stream_chunks(table_parts(self.folder, "clips"), wanted, split=split, ids=ids, rows=rows)
 
+    @foreign_input()
     def scalars(self, *, split: str | None = None) -> pa.Table:
         """All columns of the clips that hold one short value a row, and their captions."""
         names = [field.name for field in CLIPS if not is_bulky(field.type) or field.name == "captions"]
@@ -119,6 +122,7 @@ class CorpusTable:
             )
         return digest.hexdigest()
 
+    @foreign_input()
     def _read(self, name: str) -> pa.Table:
         tables = []
         for path in table_parts(self.folder, name):

@@ -7,7 +7,10 @@ from typing import TypeVar
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import TableError
+from prbench.limits import LARGEST_JSON
 
 Info = TypeVar("Info", bound=msgspec.Struct)
 
@@ -46,6 +49,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     citation: str
 
 
+@foreign_input()
 def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
 
@@ -54,7 +58,7 @@ def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     """
     folder = path.parent
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
+        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
     except (FileNotFoundError, NotADirectoryError) as error:
         found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise TableError(

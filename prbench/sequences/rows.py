@@ -11,6 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from prbench import parquet_files
+from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
 
@@ -64,13 +66,16 @@ def stream_chunks(
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
-    try:
-        yield
-    except FileNotFoundError as error:
-        raise TableError(f"{path}: expected a Parquet file, found none.") from error
-    except (pa.ArrowInvalid, OSError) as error:
-        first = str(error).splitlines()[0] if str(error) else "damaged"
-        raise TableError(f"{path}: not a readable Parquet file ({first}). Build the dataset again.") from error
+    with foreign_input(path):
+        try:
+            yield
+        except FileNotFoundError as error:
+            raise TableError(f"{path}: expected a Parquet file, found none.") from error
+        except (pa.ArrowException, OSError) as error:
+            if isinstance(error, MemoryError):
+                raise
+            first = str(error).splitlines()[0] if str(error) else "damaged"
+            raise TableError(f"{path}: not a readable Parquet file ({first}). Build the dataset again.") from error
 
 
 def open_parquet(path: Path) -> pq.ParquetFile:
@@ -80,7 +85,7 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         TableError: if it is missing or damaged.
     """
     with naming(path):
-        return pq.ParquetFile(path)
+        return parquet_files.open_parquet(path)
 
 
 def read_parquet(path: Path, columns: list[str]) -> pa.Table:
@@ -90,7 +95,7 @@ def read_parquet(path: Path, columns: list[str]) -> pa.Table:
         TableError: if it is missing or damaged.
     """
     with naming(path):
-        return pq.read_table(path, columns=columns)
+        return parquet_files.read_parquet(path, columns)
 
 
 def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatch:

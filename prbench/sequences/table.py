@@ -12,6 +12,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
@@ -31,6 +32,7 @@ class SequenceTable:
     info: DatasetInfo
 
     @classmethod
+    @foreign_input()
     def open(cls, folder: Path) -> SequenceTable:
         """Open a dataset folder and check versions, columns, that it holds sequences, and that no file was edited.
 
@@ -89,6 +91,7 @@ class SequenceTable:
         wanted = list(SEQUENCES.names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
         return stream_chunks(self.part_paths("sequences"), wanted, split=split, ids=ids, rows=rows)
 
+    @foreign_input()
     def scalars(self, *, split: str | None = None) -> pa.Table:
         """All columns that hold one short value a row (no per-frame values, no poses)."""
         names = [field.name for field in SEQUENCES if not is_bulky(field.type)]
@@ -135,6 +138,7 @@ class SequenceTable:
             )
         return digest.hexdigest()
 
+    @foreign_input()
     def _read(self, name: str, schema: pa.Schema) -> pa.Table:
         tables = []
         for path in self.part_paths(name):

@@ -10,7 +10,10 @@ from typing import Any
 import safetensors.torch
 from safetensors import SafetensorError
 
+from prbench.boundary import foreign_input
+from prbench.bounded import require_size
 from prbench.errors import InputFileError, TrainingError
+from prbench.limits import LARGEST_UNPACKED
 from prbench.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.training.state import Tally, TrainingState
 
@@ -44,6 +47,7 @@ class Checkpoints:
         for step in self.steps()[:-KEPT]:
             remove_folder(self._path(step))
 
+    @foreign_input()
     def restore(self, state: TrainingState) -> bool:
         """Put the newest checkpoint into ``state``; false if there is none.
 
@@ -58,6 +62,7 @@ class Checkpoints:
             return False
         folder = self._path(steps[-1])
         try:
+            require_size(folder / _TENSORS, largest=LARGEST_UNPACKED)
             tensors = safetensors.torch.load_file(folder / _TENSORS)
         except (SafetensorError, OSError) as error:
             raise InputFileError(

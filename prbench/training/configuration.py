@@ -14,7 +14,10 @@ from typing import Any, Literal
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.limits import HARMLESS_SIZE
 
 DEFAULT_STAGES = ("pretrain", "finetune")
 
@@ -118,6 +121,7 @@ def list_configurations(package: str, task: str) -> tuple[str, ...]:
     )
 
 
+@foreign_input()
 def load_configuration(
     name: str, *, package: str, task: str, stage: str, overrides: Sequence[tuple[str, str]] = ()
 ) -> TrainingConfiguration:
@@ -186,7 +190,7 @@ def as_toml(configuration: TrainingConfiguration) -> str:
 def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
     if name.endswith(".toml"):
         try:
-            return Path(name), Path(name).read_bytes()
+            return Path(name), read_whole(Path(name), largest=HARMLESS_SIZE)
         except OSError as error:
             raise InputFileError(Path(name), "", expected="a TOML file", found=error.strerror or "none") from error
     known = list_configurations(package, task)
@@ -201,6 +205,7 @@ def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
     return Path(file), resources.files(package).joinpath(file).read_bytes()
 
 
+@foreign_input()
 def _parsed(source: Path, content: bytes) -> dict[str, Any]:
     try:
         return tomllib.loads(content.decode())

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
 from prbench.sequences.corpus_info import CORPUS_FILE
@@ -28,6 +29,7 @@ class Row:
     motion: Motion
 
 
+@foreign_input()
 def open_table(table: Table | Path | str) -> Table:
     """A table as it is, or the one that a folder holds, whichever kind it is.
 

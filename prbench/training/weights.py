@@ -20,14 +20,16 @@ import safetensors.torch
 import torch
 from safetensors import SafetensorError
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.limits import LARGEST_HEADER
 from prbench.storage import atomic_path, bytes_digest, write_json
 
 FORMAT = "prbench-weights"
 FORMAT_VERSION = "1"
 _REPRESENTATION = "humanml3d-263"
 _HALF_LIMIT = torch.finfo(torch.float16).max
-_LARGEST_HEADER = 100_000_000
 
 Configuration = TypeVar("Configuration")
 
@@ -206,6 +208,7 @@ def representation_entry(mode: str) -> str:
     return f"{_REPRESENTATION}/{mode}"
 
 
+@foreign_input()
 def read_weights(path: Path, *, kind: str | None = None) -> Weights:
     """Read a weights file.
 
@@ -233,11 +236,9 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
 
 def _content(path: Path) -> bytes:
     try:
-        content = path.read_bytes()
+        content = read_whole(path)
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a weights file (.safetensors)", found="no such file") from error
-    except IsADirectoryError as error:
-        raise InputFileError(path, "", expected="a weights file (.safetensors)", found="a folder") from error
     if content[:4] == b"PK\x03\x04" or (
         content[:1] == b"\x80" and content[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
     ):
@@ -257,12 +258,12 @@ def _metadata(path: Path, content: bytes) -> dict[str, str]:
     if len(content) < 8:
         raise _damaged(path, f"{len(content)} bytes")
     (length,) = struct.unpack("<Q", content[:8])
-    if length > min(_LARGEST_HEADER, len(content) - 8):
+    if length > min(LARGEST_HEADER, len(content) - 8):
         raise _damaged(path, "no header, or a truncated one")
     try:
         header = json.loads(content[8 : 8 + length])
         metadata = header.get("__metadata__", {})
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:
         raise _damaged(path, "a header that is not JSON") from error
     return metadata if isinstance(metadata, dict) else {}
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
@@ -61,6 +62,7 @@ class Inspection:
         return not self.broken and states <= {"complete", "left out"}
 
 
+@foreign_input()
 def inspect_folder(
     root: Path, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
 ) -> Inspection:

@@ -11,8 +11,8 @@ from prbench.errors import PredictionsError, RunError, StorageError
 from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.run import run_method
 from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
+from prbench.numpy_files import Archive
 from prbench.runs import DatasetSummary, read_scores
-from prbench.runs.numpy_files import Archive
 from tests.evaluation.conftest import adapter_source
 from tests.evaluation.test_run import request
 from tests.fakes import fake_dataset

@@ -44,7 +44,7 @@ DAMAGES = {
     "a long quaternion": ({"body_quats": NOT_UNIT}, "body_quats[0, 3, 4]: expected a quaternion of length 1"),
     "repeated time": ({"timestamps_ns": BACKWARDS}, "timestamps_ns, frame 5"),
     "times as floats": ({"timestamps_ns": GOOD.time_ns / 1.0}, "integers (T,)"),
-    "objects": ({"betas": np.array([None], dtype=object)}, "plain arrays"),
+    "objects": ({"betas": np.array([None], dtype=object)}, "numbers or text, found Python objects"),
 }
 
 
@@ -70,7 +70,7 @@ def test_another_kind_of_file_is_refused(path):
     np.save(buffer, np.zeros(3))
     for content in (b"", b"<html>not found</html>", buffer.getvalue()):
         path.write_bytes(content)
-        with pytest.raises(InputFileError, match="npz archive"):
+        with pytest.raises(InputFileError, match=r"a readable \.npz file"):
             read_output(path)
 
 

@@ -144,10 +144,10 @@ def test_weights_of_something_else_are_refused(network, tmp_path, content) -> No
 
 def test_a_model_without_an_array_is_refused(tmp_path) -> None:
     np.savez(tmp_path / "a.npz", v_template=np.zeros((3, 3)), f=np.zeros((1, 3)))
-    with pytest.raises(InputFileError, match="expected the array 'J_regressor'"):
+    with pytest.raises(InputFileError, match="expected an array 'J_regressor'"):
         read_smplx_model(tmp_path / "a.npz")
     (tmp_path / "b.pkl").write_bytes(pickle.dumps({"v_template": 1}))
-    with pytest.raises(InputFileError, match="expected an npz file of plain arrays"):
+    with pytest.raises(InputFileError, match=r"expected a readable \.npz file"):
         read_smplx_model(tmp_path / "b.pkl")
 
 

@@ -14,6 +14,7 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps import (
+    UNREADABLE,
     ZippedFile,
     find_mps_files,
     read_first_calibration,
@@ -169,8 +170,9 @@ def test_a_damaged_archive_is_refused(root) -> None:
     archive.write_bytes(content[: len(content) // 2])
     with pytest.raises(InputFileError, match="a whole zip archive"):
         find_mps_files(archive)
+    assert [file.role for file in find_mps_files(archive.parent)] == [f"{UNREADABLE}{archive.name}"]
     with pytest.raises(InputFileError, match="a whole zip archive"):
-        find_mps_files(archive.parent)
+        read_mps(found(archive.parent))
 
 
 def test_gaze_of_the_three_schemas_reads_from_archives_too(samples, tmp_path) -> None:

@@ -12,8 +12,8 @@ import zipfile
 import numpy as np
 import pytest
 
+from prbench import numpy_files
 from prbench.errors import InputFileError, PredictionsError, StorageError
-from prbench.runs import numpy_files
 from prbench.runs.predictions import Numbering, Predictions, npz
 
 LENGTHS = np.array([3, 5, 2])

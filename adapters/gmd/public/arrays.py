@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.numpy_files import load_array
 from prbench.representation.features import N_FEATURES
 from prbench.storage import file_digest
 from prbench_adapters.gmd.features import ROOT_XZ, FeatureSpace
@@ -55,16 +56,9 @@ def is_released(role: str, path: Path) -> bool:
 
 
 def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    try:
-        array = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="a file of NumPy (.npy)", found="no such file") from error
-    except (ValueError, OSError, EOFError) as error:
-        found = "another format, or objects that would have to be unpickled"
-        raise InputFileError(path, "", expected="a file of NumPy (.npy)", found=found) from error
-    if not isinstance(array, np.ndarray) or array.shape != shape:
-        found = f"shape {array.shape}" if isinstance(array, np.ndarray) else "several arrays"
-        raise InputFileError(path, "", expected=f"an array of shape {shape}", found=found)
+    array = load_array(path)
+    if array.shape != shape:
+        raise InputFileError(path, "", expected=f"an array of shape {shape}", found=f"shape {array.shape}")
     if array.dtype.kind != "f" or not np.isfinite(array).all():
         raise InputFileError(path, "", expected="finite numbers", found=f"{array.dtype} with NaN or infinity")
     return array.astype(np.float32)

@@ -16,6 +16,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, UsageError
 from prbench_adapters.gmd.public.names import is_learnt
 
@@ -111,6 +112,7 @@ def _mapping(path: Path, value: object) -> Mapping[str, object]:
     return value
 
 
+@foreign_input()
 def _content(path: Path) -> object:
     if not path.is_file():
         raise InputFileError(path, "", expected="a checkpoint (.pt)", found="no such file")

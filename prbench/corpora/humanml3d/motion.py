@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.numpy_files import load_array
 from prbench.skeleton import N_JOINTS, Joint
 
 _SHORTEST_TRUNK, _LONGEST_TRUNK = 0.05, 20.0  # metres; longer ones are in millimetres
@@ -22,15 +23,11 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
     Raises:
         InputFileError: if it is no plain array of (frames, 22, 3), holds NaN, or is in another unit.
     """
-    try:
-        joints = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise InputFileError(
-            path, "", expected="a plain .npy array", found=str(error)[:160], remedy="Make the file again."
-        ) from error
-    if not isinstance(joints, np.ndarray) or joints.ndim != 3 or joints.shape[1:] != (N_JOINTS, 3) or len(joints) < 2:
-        shape = joints.shape if isinstance(joints, np.ndarray) else "several arrays"
-        raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=str(shape))
+    joints = load_array(path, remedy="Make the file again.")
+    fits = joints.ndim == 3 and joints.shape[1:] == (N_JOINTS, 3) and joints.dtype.kind in "fiu"
+    if not fits or len(joints) < 2:
+        found = f"{joints.shape} of {joints.dtype}"
+        raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
     joints = joints.astype(np.float64)
     bad = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
     if bad.size:

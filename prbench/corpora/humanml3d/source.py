@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.motion import read_joints
 from prbench.corpora.humanml3d.texts import read_texts
@@ -56,6 +58,7 @@ class HumanML3DSource:
         size = sum(path.stat().st_size for path in self.files.used)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
+    @foreign_input()
     def input_digest(self) -> str:
         """Names and contents of the files."""
         return text_digest(
@@ -67,6 +70,7 @@ class HumanML3DSource:
         root = self.root.expanduser().resolve()
         return message.replace(f"{root}{os.sep}", "").replace(f"{root.parent}{os.sep}", "")
 
+    @foreign_input()
     def read(self) -> ReadRecording:
         """Read joints and captions, and cut the clips that the captions describe.
 
@@ -107,6 +111,7 @@ class HumanML3DCorpus:
         limits = self._limits(options)
         return {"fps": f"{limits.fps:g}", "max_frames": str(limits.longest)}
 
+    @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[HumanML3DSource, ...]:
         """All motions of which joints, features or texts were found."""
         if root is None:
@@ -184,7 +189,7 @@ def _splits(root: Path) -> dict[str, Split]:
     split: Split
     for split in ("train", "validation", "test"):
         path = root / layout.SPLIT_FILES[split]
-        names = path.read_text(encoding="utf-8-sig").split() if path.is_file() else []
+        names = read_text(path).split() if path.is_file() else []
         for name in names:
             if splits.get(name, split) != split:
                 raise InputFileError(path, name, expected="motions of one split", found=f"also in {splits[name]}")

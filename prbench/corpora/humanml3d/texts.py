@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.formats.humanml3d import TEXT_SEPARATOR
+from prbench.limits import HARMLESS_SIZE
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ def read_texts(path: Path) -> tuple[TextLine, ...]:
         InputFileError: if the file is missing, a line lacks a part, or a time is no number.
     """
     try:
-        content = path.read_text(encoding="utf-8-sig")
+        content = read_text(path, largest=HARMLESS_SIZE)
     except FileNotFoundError as error:
         raise InputFileError(
             path, "", expected="this file", found="no such file", remedy="Unpack texts.zip."

@@ -70,7 +70,7 @@ def _interesting_files(root: Path) -> list[Path]:
         videos = Path(folder).name.startswith("recording_")
         inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
         paths += [Path(folder) / name for name in sorted(names) if name in _ROLES]
-    return paths
+    return [path for path in paths if path.is_file()]  # a link may lead nowhere
 
 
 def _sequence_of(path: Path, root: Path) -> str:

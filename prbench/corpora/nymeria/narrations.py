@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+from prbench.bounded import require_size
 from prbench.errors import InputFileError
 from prbench.formats import nymeria
 from prbench.formats.nymeria import Narration
@@ -26,6 +27,7 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
             times are milliseconds.
     """
     try:
+        require_size(path)
         with open(path, encoding="utf-8-sig", newline="") as file:
             rows = list(csv.reader(file))
     except (UnicodeDecodeError, csv.Error) as error:

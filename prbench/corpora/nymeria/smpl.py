@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
 from prbench.errors import InputFileError
 from prbench.formats.nymeria import SUIT_RATE
+from prbench.numpy_files import Archive
 from prbench.representation.converters import SmplParameters, read_rest_joints, smpl_joints
 from prbench.skeleton import PARENTS
 
@@ -62,14 +62,6 @@ def smpl_motion(pieces: tuple[MotionPiece, ...], pose_source: str, head_tilt_deg
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in _FIT_KEYS if key not in archive.files]
-            if missing:
-                found = ", ".join(sorted(archive.files))
-                raise InputFileError(path, "", expected=f"an array '{missing[0]}'", found=found)
-            return {key: archive[key] for key in _FIT_KEYS}
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="this file", found="no such file") from error
-    except (ValueError, OSError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputFileError(path, "", expected="an .npz archive of plain arrays", found=str(error)[:160]) from error
+    archive = Archive(path)
+    archive.require(_FIT_KEYS)
+    return archive.load(_FIT_KEYS)

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from prbench.boundary import foreign_input
 from prbench.corpora.nymeria.body import BodyMotion, suit_motion
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_by_starts, offset_from_file
@@ -83,6 +84,7 @@ class NymeriaSource:
         size = sum(file.size for file in self.found.files)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
+    @foreign_input()
     def input_digest(self) -> str:
         """Roles, names and contents of the files."""
         files = self.found.files
@@ -97,6 +99,7 @@ class NymeriaSource:
             message = message.replace(f"{folder}{os.sep}", "")
         return message
 
+    @foreign_input()
     def read(self) -> ReadRecording:
         """Read motion and texts, bring them onto one clock, and cut clips.
 
@@ -218,6 +221,7 @@ class NymeriaCorpus:
             **{f"reader.{name}": text for name, text in described_options(chosen).items()},
         }
 
+    @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[NymeriaSource, ...]:
         """All sequences below a folder."""
         if root is None:

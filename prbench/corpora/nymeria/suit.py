@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from jaxtyping import Bool, Float
 from prbench.errors import InputFileError
 from prbench.formats import nymeria
 from prbench.formats.nymeria import N_SEGMENTS, SUIT_RATE, Suit
+from prbench.numpy_files import Archive
 
 _DOWNLOAD = "The file may be truncated or another version; download it again."
 _NEEDED = ("timestamps_us", "segment_tXYZ", "segment_qWXYZ")
@@ -118,25 +117,12 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in _NEEDED if key not in archive.files]
-            if missing:
-                raise InputFileError(
-                    path,
-                    "",
-                    expected=f"an array '{missing[0]}'",
-                    found=", ".join(sorted(archive.files)) or "an empty archive",
-                    remedy="This is another file, or another version of the format.",
-                )
-            present = [key for key in (*_NEEDED, *_OPTIONAL) if key in archive.files]
-            return {key: _small(archive[key]) if key in _LARGE else archive[key] for key in present}
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="this file", found="no such file", remedy=_DOWNLOAD) from error
-    except (ValueError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputFileError(
-            path, "", expected="an .npz archive of plain arrays", found=str(error)[:160], remedy=_DOWNLOAD
-        ) from error
+    archive = Archive(path, remedy=_DOWNLOAD)
+    archive.require(_NEEDED)
+    arrays: dict[str, np.ndarray] = {}
+    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
+        arrays |= {name: _small(array) if name in _LARGE else array for name, array in archive.load([key]).items()}
+    return arrays
 
 
 def _small(values: np.ndarray) -> np.ndarray:

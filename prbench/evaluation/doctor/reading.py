@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.runs.numpy_files import Archive, ArrayHeader, map_array, read_header
+from prbench.numpy_files import Archive, ArrayHeader, map_array, read_header
+from prbench.parquet_files import read_parquet
 from prbench.skeleton import N_JOINTS
 
 _LARGEST = 8 * 1024**3  # bytes of one array
@@ -40,6 +41,7 @@ class MotionsRead:
     """All motions there are; ``motions`` holds fewer if a limit was given."""
 
 
+@foreign_input()
 def read_motions(path: Path, *, limit: int | None = None) -> MotionsRead:
     """Read motions without asking that they be right.
 
@@ -173,7 +175,7 @@ def _rows(joints: np.ndarray, lengths: np.ndarray | None, n_ids: int | None) -> 
 
 def _parquet(path: Path) -> Iterator[NamedMotion]:
     try:
-        table = pq.read_table(path)
+        table = read_parquet(path)
     except (pa.ArrowInvalid, OSError) as error:
         raise InputFileError(path, "", expected="a readable Parquet file", found=str(error).splitlines()[0]) from error
     if "joints" not in table.column_names:

@@ -10,7 +10,7 @@ import numpy as np
 from prbench.errors import InputFileError
 from prbench.evaluation.offline.conditions_file import ConditionsFile, given_columns
 from prbench.evaluation.offline.information import METADATA_KEY, ConditionsInfo
-from prbench.runs.numpy_files import Archive
+from prbench.numpy_files import Archive
 from prbench.skeleton import N_JOINTS
 from prbench.storage import atomic_path
 

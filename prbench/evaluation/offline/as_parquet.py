@@ -9,6 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench import parquet_files
+from prbench.boundary import foreign_input
 from prbench.contract import Condition
 from prbench.errors import InputFileError
 from prbench.evaluation.offline.conditions_file import ConditionsFile, given_columns
@@ -60,6 +62,7 @@ def write_parquet(conditions: ConditionsFile, path: Path) -> None:
         )
 
 
+@foreign_input()
 def read_parquet(path: Path) -> ConditionsFile:
     """Read a conditions file.
 
@@ -67,7 +70,7 @@ def read_parquet(path: Path) -> ConditionsFile:
         InputFileError: if it is missing, damaged, or not one that prbench wrote.
     """
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
+        table = parquet_files.read_parquet(path, verify=True)
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a conditions file", found="no file") from error
     except (pa.ArrowInvalid, OSError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.contract import ConditionBatch
 from prbench.evaluation.offline.as_npz import read_npz, write_npz
 from prbench.evaluation.offline.as_parquet import read_parquet, write_parquet
@@ -21,6 +22,7 @@ def write_conditions(conditions: ConditionsFile, path: Path) -> None:
     (write_parquet if path.suffix.lower() == ".parquet" else write_npz)(conditions, path)
 
 
+@foreign_input()
 def read_conditions_file(path: Path) -> ConditionsFile:
     """Read a conditions file with all its columns.
 

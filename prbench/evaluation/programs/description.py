@@ -8,8 +8,11 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.errors import InputFileError, did_you_mean
 from prbench.evaluation.method_names import name_problem
+from prbench.limits import HARMLESS_SIZE
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0)]
 _Text = Annotated[str, msgspec.Meta(min_length=1)]
@@ -78,6 +81,7 @@ _PLACES = ("virtual_environment", "conda", "container")
 _OF_CONTAINERS = ("engine", "gpus", "user", "volumes")
 
 
+@foreign_input()
 def read_description(path: Path) -> MethodDescription:
     """Read and check the file.
 
@@ -85,7 +89,7 @@ def read_description(path: Path) -> MethodDescription:
         InputFileError: naming the key that is missing, unknown, of the wrong kind, or does not fit the others.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
     except FileNotFoundError as error:
         beside = [file.name for file in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         remedy = did_you_mean(path.name, beside).strip()

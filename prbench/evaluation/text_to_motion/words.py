@@ -14,7 +14,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.numpy_files import load_array
 from prbench.storage import bytes_digest, text_digest
 from prbench.text.encoder import EncodedText, padded
 
@@ -38,6 +41,7 @@ class WordVectors:
     """Of everything that decides a number; evaluators are tied to it."""
 
     @classmethod
+    @foreign_input()
     def read(cls, folder: Path) -> WordVectors:
         """Read the files of a folder.
 
@@ -111,7 +115,7 @@ class GloveCaptions:
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").rstrip("\n").split("\n")
+        return read_text(path, encoding="utf-8").rstrip("\n").split("\n")
     except FileNotFoundError as error:
         raise InputFileError(
             path,
@@ -126,12 +130,7 @@ def _lines(path: Path) -> list[str]:
 
 def _vectors(path: Path, words: int) -> Float[np.ndarray, "words 300"]:
     expected = f"an array of shape ({words}, {WORD_DIMENSION}), one row a word of words.txt"
-    try:
-        vectors = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected=expected, found="no such file") from error
-    except (ValueError, EOFError, OSError) as error:
-        raise InputFileError(path, "", expected=expected, found=str(error)) from error
+    vectors = load_array(path)
     if vectors.shape != (words, WORD_DIMENSION) or not np.issubdtype(vectors.dtype, np.floating):
         raise InputFileError(path, "", expected=expected, found=f"shape {vectors.shape} of {vectors.dtype}")
     return vectors.astype(np.float32)

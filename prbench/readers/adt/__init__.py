@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.adt.layouts import find_recordings
@@ -20,6 +21,7 @@ __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_reading
 _DEFAULTS = AdtOptions()
 
 
+@foreign_input()
 def read_recording(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> Recording:
     """Read one recording (see :class:`prbench.readers.Reader` for what it raises)."""
     manifest = load_manifest("adt")
@@ -36,10 +38,12 @@ class AdtReader:
     dataset: str = "adt"
     options: AdtOptions = _DEFAULTS
 
+    @foreign_input()
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
         return find_recordings(root, self.options)
 
+    @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :func:`read_recording`."""
         return read_recording(found, self.options)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.formats import adt
 from prbench.formats.aria_mps import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE
@@ -92,8 +93,8 @@ def find_recordings(root: Path, options: AdtOptions = _DEFAULTS) -> tuple[Record
     """List the recordings of an ADT folder: the dataset's, a v1.x sequence, or a single recording.
 
     Raises:
-        InputFileError: if ``root`` holds none, saying what was looked for and what was found; or if a subtour would lie
-            outside of its sequence. Damaged metadata is reported when its recording is read, not here.
+        InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata, and
+            subtours that would lie outside of their sequence, are reported when the recording is read, not here.
     """
     root = root.expanduser().resolve()
     if not root.is_dir():
@@ -124,8 +125,7 @@ def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) 
         return []
     metadata_path = metadata_file(folder)
     metadata = [] if metadata_path is None else [input_file(METADATA, metadata_path)]
-    tours = () if metadata_path is None else _subtours(metadata_path)
-    places = [(subtour_id(folder.name, tour.subtour_name), inside(folder, tour.subtour_name)) for tour in tours]
+    places = [] if metadata_path is None else _subtour_places(metadata_path)
     return [
         RecordingFiles(
             dataset,
@@ -135,6 +135,28 @@ def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) 
         )
         for recording_id, place in places or [(folder.name, folder)]
     ]
+
+
+def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
+    """Id and folder of each pair of glasses; none where a name leads out of the sequence, which reading reports."""
+    folder = metadata_path.parent
+    try:
+        return [
+            (subtour_id(folder.name, tour.subtour_name), subtour_folder(metadata_path, tour))
+            for tour in _subtours(metadata_path)
+        ]
+    except InputFileError:
+        return []
+
+
+@foreign_input()
+def subtour_folder(metadata_path: Path, tour: Subtour) -> Path:
+    """Where the files of one pair of glasses lie.
+
+    Raises:
+        InputFileError: if its name leads out of the sequence, or cannot be the name of a folder.
+    """
+    return inside(metadata_path.parent, tour.subtour_name)
 
 
 def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtOptions) -> tuple[InputFile, ...]:

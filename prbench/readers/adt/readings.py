@@ -91,6 +91,8 @@ def _read_identity(found: RecordingFiles) -> tuple[str, str]:
         )
     if not tours:
         return metadata.serial or "", metadata.concurrent()
+    for tour in tours:
+        layouts.subtour_folder(path, tour)  # refused where the search found no recording of it
     own = next(tour for tour in tours if layouts.subtour_id(path.parent.name, tour.subtour_name) == found.recording_id)
     others = [tour for tour in tours if tour is not own]
     concurrent = min((layouts.subtour_id(path.parent.name, tour.subtour_name) for tour in others), default="")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from prbench.formats.aria_mps import AriaTrajectory
 from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
 from prbench.readers.aria_mps.check import TrajectoryCheck, check_trajectory
-from prbench.readers.aria_mps.find import find_gaze_file, find_mps_files
+from prbench.readers.aria_mps.find import UNREADABLE, find_gaze_file, find_mps_files
 from prbench.readers.aria_mps.gaze import read_gaze_angles
 from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
 from prbench.readers.aria_mps.readings import read_mps
@@ -17,6 +17,7 @@ from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.zipped import Source, ZippedFile, source_of
 
 __all__ = [
+    "UNREADABLE",
     "AriaTrajectory",
     "OnlineCalibration",
     "Source",

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
+from prbench.limits import LONGEST_LINE
 from prbench.readers.files import require_poses
 from prbench.readers.zipped import Source, opened, shown
 
@@ -58,7 +59,7 @@ def read_first_calibration(path: Source) -> OnlineCalibration:
     """
     try:
         with opened(path) as file:
-            row = msgspec.json.decode(file.readline(), type=_CalibrationRow)
+            row = msgspec.json.decode(file.readline(LONGEST_LINE), type=_CalibrationRow)
     except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "line 1", expected="a calibration record", found=str(error)) from error
     for camera in row.cameras:

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps.trajectory import COLUMNS, has_world
@@ -45,6 +46,7 @@ class TrajectoryCheck:
     """Rows of each world frame; rows without a world are under ``UNDEFINED_ROW``."""
 
 
+@foreign_input()
 def check_trajectory(source: Source) -> TrajectoryCheck:
     """Look at every row: what a searching read cannot notice shows here.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
+from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.readers.found import InputFile, input_file
 from prbench.readers.zipped import archive_members
@@ -22,6 +23,8 @@ _SUMMARIES = {
     mps.HAND_SUMMARY: (mps.WRISTS, mps.HAND_TRACKING),
 }
 """A summary lies beside one of the files that it speaks of."""
+UNREADABLE = "unreadable archive: "
+"""Role of an archive that cannot be opened: this and its name."""
 _USUAL_FOLDERS = ("slam", "trajectory", "eye_gaze", "hand_tracking")
 
 
@@ -36,7 +39,7 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
         highest, plain before archived. Nothing is required here.
 
     Raises:
-        InputFileError: if an archive is damaged.
+        InputFileError: if ``root`` is an archive and damaged.
     """
     present = _files_of_archive(root) if root.is_file() else _files_below(root)
     found = {role: file for role, names in _ROLES.items() if (file := _best(present, names, role))}
@@ -45,7 +48,8 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
         summaries = [file for file in present if _name(file) == mps.SUMMARY_FILE and _folder(file) in beside]
         if summaries:
             found[role] = InputFile(role, summaries[0].path, summaries[0].size, summaries[0].member)
-    return tuple(found.values())
+    unreadable = (file.path for file in present if file.role == UNREADABLE)
+    return (*found.values(), *(input_file(f"{UNREADABLE}{path.name}", path) for path in unreadable))
 
 
 def find_gaze_file(folder: Path) -> Path | None:
@@ -65,8 +69,16 @@ def _files_below(root: Path) -> list[InputFile]:
         if path.name in wanted and path.is_file():
             files.append(input_file("", path))
         elif path.suffix == ".zip" and path.is_file():
-            files += _files_of_archive(path)
+            files += _files_of_archive_if_whole(path)
     return files
+
+
+def _files_of_archive_if_whole(archive: Path) -> list[InputFile]:
+    """One damaged archive does not hide the files beside it; reading names it where something is missing."""
+    try:
+        return _files_of_archive(archive)
+    except InputFileError:
+        return [input_file(UNREADABLE, archive)]
 
 
 def _files_of_archive(archive: Path) -> list[InputFile]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
-from prbench.readers.aria_mps.find import is_personalized
+from prbench.readers.aria_mps.find import UNREADABLE, is_personalized
 from prbench.readers.aria_mps.gaze import read_gaze_angles
 from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.aria_status import read_warnings
 from prbench.readers.found import InputFile, RecordingFiles
-from prbench.readers.zipped import source_of
+from prbench.readers.zipped import archive_members, source_of
 
 _REQUIRED = {
     mps.TRAJECTORY: f"{mps.SLAM_FOLDER}/{mps.TRAJECTORY_FILE}",
@@ -59,6 +59,8 @@ def _file(found: RecordingFiles, role: str) -> InputFile | None:
 def _require(found: RecordingFiles, role: str) -> InputFile:
     file = _file(found, role)
     if file is None:
+        for archive in (other for other in found.files if other.role.startswith(UNREADABLE)):
+            archive_members(archive.path)  # says what is wrong with it
         found.require(role, _REQUIRED[role])  # says what was looked for
         raise AssertionError("a missing role was found")
     return file

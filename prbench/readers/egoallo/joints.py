@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError, StorageError
 from prbench.formats import egoallo as ego
 from prbench.locks import sole_file
@@ -76,7 +77,7 @@ def read_guidance(path: Path) -> str:
 
 def _content(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except FileNotFoundError as error:
         raise InputFileError(
             path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."

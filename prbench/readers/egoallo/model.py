@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.formats import egoallo as ego
+from prbench.numpy_files import Archive
 from prbench.storage import bytes_digest
 
 HOW_TO_GET = (
@@ -28,6 +28,7 @@ _CONVERT = (
 _KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
 
 
+@foreign_input()
 def read_smplh_rest(path: Path) -> ego.SmplhRest:
     """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
 
@@ -59,8 +60,12 @@ def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
     """Read once a process; size and time of change make a changed file another one."""
     path = state[0]
     arrays = _load(path)
+    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
+        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
+            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
+            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
     regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
-    points = regressor.shape[1] if regressor.ndim == 2 else -1
+    points = regressor.shape[1]
     for key, array, shape in (
         (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
         (ego.TEMPLATE, template, (points, 3)),
@@ -79,26 +84,14 @@ def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in _KEYS if key not in archive.files]
-            if missing:
-                raise InputFileError(
-                    path,
-                    "",
-                    expected=f"an array '{missing[0]}'",
-                    found=", ".join(archive.files) or "nothing",
-                    remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
-                )
-            return {key: archive[key] for key in _KEYS}
-    except ValueError as error:
-        if "allow_pickle" not in str(error):
-            raise _damaged(path, error) from error
-        raise InputFileError(path, "", expected="plain arrays", found="Python objects", remedy=_CONVERT) from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        raise _damaged(path, error) from error
-
-
-def _damaged(path: Path, error: Exception) -> InputFileError:
-    found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-    return InputFileError(path, "", expected="an npz archive", found=found, remedy="Copy or download it again.")
+    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
+    missing = [key for key in _KEYS if key not in archive.members]
+    if missing:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"an array '{missing[0]}'",
+            found=", ".join(archive.members) or "nothing",
+            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
+        )
+    return archive.load(_KEYS)

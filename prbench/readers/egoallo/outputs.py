@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +9,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.formats import egoallo as ego
+from prbench.numpy_files import Archive
 
 _AGAIN = "Delete it and run `prbench poses egoallo` again."
 _SHAPES = {
@@ -34,6 +34,7 @@ class JointsOnly:
     joints: Float[np.ndarray, "t 22 3"]
 
 
+@foreign_input()
 def read_output(path: Path) -> ego.EgoAlloOutput | JointsOnly:
     """Read one output file.
 
@@ -42,11 +43,12 @@ def read_output(path: Path) -> ego.EgoAlloOutput | JointsOnly:
             shape than the others, or holds NaN, quaternions of another length than 1, or times that do not increase.
     """
     try:
-        return parse_output(path, path.read_bytes())
+        return parse_output(path, read_whole(path))
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="an output of EgoAllo", found="no such file", remedy=_AGAIN) from error
 
 
+@foreign_input()
 def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | JointsOnly:
     """:func:`read_output` of bytes that are at hand; ``path`` is for the messages."""
     arrays = _load(path, content)
@@ -75,18 +77,8 @@ def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | JointsOnly:
 
 def _load(path: Path, content: bytes) -> dict[str, np.ndarray]:
     """The arrays that are used; what else an archive holds is not even unpacked."""
-    wanted = (ego.TIMES, ego.JOINTS, *_SHAPES)
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            return {key: archive[key] for key in wanted if key in archive.files}
-    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, KeyError) as error:
-        raise InputFileError(
-            path,
-            "",
-            expected="an npz archive of plain arrays, as EgoAllo writes them",
-            found=str(error).splitlines()[0][:160] if str(error) else type(error).__name__,
-            remedy=f"The file may be truncated. {_AGAIN}",
-        ) from error
+    archive = Archive(path, content, remedy=f"The file may be truncated. {_AGAIN}")
+    return archive.load((ego.TIMES, ego.JOINTS, *_SHAPES))
 
 
 def _times(path: Path, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " t"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.found import RecordingFiles
@@ -24,10 +25,12 @@ class GimoReader:
     dataset: str = "gimo"
     options: GimoOptions = GimoOptions()  # noqa: RUF009 (frozen)
 
+    @foreign_input()
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`find_segments`."""
         return find_segments(root, self.options)
 
+    @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """Read one segment; also one that a build leaves out because no event is known."""
         manifest = load_manifest("gimo")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
 from prbench.formats import gimo
+from prbench.numpy_files import Archive
 from prbench.readers.files import missing_file
 from prbench.skeleton import N_JOINTS
 
@@ -59,28 +59,13 @@ def read_smplx_model(path: Path) -> SmplxModel:
 
 
 def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [name for name in names if name not in archive]
-            if missing:
-                raise InputFileError(
-                    path,
-                    "",
-                    expected=f"the array '{missing[0]}'",
-                    found=", ".join(sorted(archive.files)[:8]) or "nothing",
-                    remedy=f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}.",
-                )
-            return {name: archive[name] for name in names}
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
-    except (ValueError, OSError, zipfile.BadZipFile, AttributeError) as error:
-        raise InputFileError(
-            path,
-            "",
-            expected="an npz file of plain arrays",
-            found=str(error).splitlines()[0],
-            remedy=f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}; a .pkl, or arrays of Python objects, are not read.",
-        ) from error
+    if not path.exists():
+        raise missing_file(path)
+    archive = Archive(
+        path, remedy=f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}; a .pkl, or arrays of Python objects, are not read."
+    )
+    archive.require(names)
+    return archive.load(names)
 
 
 @dataclass(frozen=True)

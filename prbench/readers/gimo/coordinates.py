@@ -8,8 +8,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.formats import gimo
+from prbench.limits import HARMLESS_SIZE
 from prbench.readers.files import decode_json, missing_file
 
 _ROTATION_TOLERANCE = 1e-3
@@ -50,7 +52,7 @@ def read_matrix(path: Path) -> Float[np.ndarray, "4 4"]:
         rows = next(iter(decode_json(path, _MATRIX).values()), [])
         return _rigid(path, "", np.array(rows, dtype=object))
     try:
-        words = path.read_text(encoding="utf-8-sig").replace(",", " ").split()
+        words = read_text(path, largest=HARMLESS_SIZE).replace(",", " ").split()
         numbers = np.array([float(word) for word in words])
     except FileNotFoundError as error:
         raise missing_file(path) from error

@@ -7,10 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.bounded import require_size
 from prbench.errors import InputFileError
 from prbench.formats import gimo
 from prbench.readers.files import missing_file
 
+_LAST_FRAME = 10**7
+"""Frame number that no recording reaches: four days at 30 frames a second."""
 _SPLITS = (gimo.TEST, gimo.TRAIN, gimo.TRAIN_LATER)
 
 
@@ -86,6 +89,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
         InputFileError: if the file is missing or no text.
     """
     try:
+        require_size(path)
         with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             for cells in reader:
@@ -162,7 +166,7 @@ def _number(path: Path, line: int, name: str, text: str) -> int:
         value = float(text)
     except ValueError:
         value = -1.0
-    if value < 0 or value != int(value):
+    if not (0 <= value <= _LAST_FRAME and value.is_integer()):
         raise InputFileError(path, f"line {line}", expected=f"a whole number '{name}'", found=f"'{text}'")
     return int(value)
 
@@ -176,4 +180,4 @@ def _hint(header: list[str], cells: list[str], start: int, end: int) -> int | No
         frame = float(cells[gimo.HINT_INDEX])
     except ValueError:
         return None
-    return int(frame) if frame == int(frame) and start <= frame <= end else None
+    return int(frame) if frame.is_integer() and start <= frame <= end else None

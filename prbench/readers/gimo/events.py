@@ -18,6 +18,7 @@ SegmentKey = tuple[str, str, int, int]
 
 _REQUIRED = tuple(name for name in gimo.EVENT_COLUMNS if name != "hand")
 _ACTIONS, _HANDS = ("pick", "put"), ("left", "right", "")
+_MOST_DIGITS = 9  # of a frame number
 _YES, _NO = ("yes", "y", "true", "1", "x"), ("no", "n", "false", "0", "")
 
 
@@ -174,7 +175,7 @@ def _confirmed(path: Path, line: int, cells: Mapping[str, str]) -> bool:
 
 
 def _frame(path: Path, line: int, name: str, text: str) -> int:
-    if not text.isdigit():
+    if not text.isdecimal() or len(text) > _MOST_DIGITS:
         raise _wrong(path, line, name, "a frame number", f"'{text}'")
     return int(text)
 

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Float, Int
 
+from prbench.bounded import read_text, require_size
 from prbench.errors import InputFileError
 from prbench.formats import gimo
 from prbench.readers.files import missing_file, require_increasing
@@ -52,6 +53,7 @@ def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "
     names = [str(column) for column in range(_WIDTH)]
     types = {names[column]: pa.float64() for column in wanted} | {names[_TICK]: pa.int64()}
     try:
+        require_size(path)
         table = pyarrow.csv.read_csv(
             path,
             read_options=pyarrow.csv.ReadOptions(column_names=names),
@@ -76,7 +78,7 @@ def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "
 def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 18"]]:
     """Lines after the first (which holds the principal point and the size): ticks, then focal lengths and pose."""
     try:
-        lines = [line.split(",") for line in path.read_text(encoding="utf-8-sig").splitlines()[1:] if line.strip()]
+        lines = [line.split(",") for line in read_text(path).splitlines()[1:] if line.strip()]
         ticks = np.array([int(line[0]) for line in lines], dtype=np.int64)
         rows = np.array([[float(word) for word in line[1:]] for line in lines])
     except FileNotFoundError as error:

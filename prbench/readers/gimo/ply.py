@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.readers.files import missing_file
 
@@ -18,6 +19,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _LONGEST_HEADER = 1 << 16
+_MOST_DIGITS = 12  # of a number of vertices
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
     Raises:
         InputFileError: if there is none.
     """
-    end = content.find(b"end_header")
+    end = content.find(b"end_header", 0, _LONGEST_HEADER)
     stop = content.find(b"\n", end) + 1
     if not content.startswith(b"ply") or end < 0 or stop <= 0:
         raise InputFileError(
@@ -90,17 +92,27 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
             form = words[1]
         elif words[:1] == ["element"] and len(words) == 3:
             element = words[1]
-            n_vertices = int(words[2]) if element == "vertex" and words[2].isdigit() else n_vertices
+            n_vertices = _count(path, words[2]) if element == "vertex" else n_vertices
         elif words[:1] == ["property"] and element == "vertex" and len(words) == 3 and words[1] in _TYPES:
             properties.append((words[2], _TYPES[words[1]]))
     if form != "ascii" and form not in _ORDERS:
         raise InputFileError(path, "header", expected="a known PLY format", found=f"'{form}'")
+    names = [name for name, _ in properties]
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise InputFileError(path, "header", expected="each vertex property once", found=f"'{repeated}' again")
     return PlyHeader(form, n_vertices, tuple(properties), stop)
+
+
+def _count(path: Path, word: str) -> int:
+    if not word.isdecimal() or len(word) > _MOST_DIGITS:
+        raise InputFileError(path, "header", expected="a number of vertices", found=f"'{word}'")
+    return int(word)
 
 
 def _content(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except FileNotFoundError as error:
         raise missing_file(path) from error
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.formats import gimo
 from prbench.readers.files import missing_file
@@ -95,7 +96,7 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3
         InputFileError: if the file is missing, or a line is cut.
     """
     try:
-        lines = path.read_bytes().splitlines()
+        lines = read_whole(path).splitlines()
     except FileNotFoundError as error:
         raise missing_file(path) from error
     places = [line.split()[1:4] for line in lines if line.startswith(b"v ")]

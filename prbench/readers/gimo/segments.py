@@ -226,8 +226,8 @@ class _Search:
 
 
 def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
-    wanted = range(segment.start_frame, segment.end_frame + 1)
-    return {f"{role}{frame}": files[frame] for frame in wanted if frame in files}
+    wanted = sorted(frame for frame in files if segment.start_frame <= frame <= segment.end_frame)
+    return {f"{role}{frame}": files[frame] for frame in wanted}
 
 
 def _transform_file(folder: Path, name: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.found import RecordingFiles
@@ -24,10 +25,12 @@ class HdEpicReader:
     dataset: str = "hd-epic"
     options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
 
+    @foreign_input()
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`prbench.readers.hd_epic.places.find_recordings`."""
         return find_recordings(root, self.options)
 
+    @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest(self.dataset)

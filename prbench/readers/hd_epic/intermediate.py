@@ -8,10 +8,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.bounded import whole_lines
 from prbench.errors import InputFileError
 from prbench.formats import hd_epic
 from prbench.formats.aria_mps import GlassesSize
-from prbench.readers.files import decode_json, missing_file
+from prbench.readers.files import Nanoseconds, decode_json, missing_file
 
 _NO_TIME = -1
 _SIZES: dict[str, GlassesSize] = {"DVT-S": "DVT-S", "DVT-L": "DVT-L"}
@@ -20,9 +21,9 @@ _ROTATION_TOLERANCE = 1e-3
 
 class _Frame(msgspec.Struct):
     frame_index: int
-    tracking_timestamp_ns: int
-    slam_timestamp_ns: int | None = None
-    gaze_timestamp_ns: int | None = None
+    tracking_timestamp_ns: Nanoseconds
+    slam_timestamp_ns: Nanoseconds | None = None
+    gaze_timestamp_ns: Nanoseconds | None = None
     pose: tuple[tuple[float, float, float, float], ...] | None = msgspec.field(name="T_world_device", default=None)
     gaze: tuple[float, float, float] | None = msgspec.field(name="gaze_direction_in_world", default=None)
 
@@ -73,7 +74,7 @@ def _decoded_lines(path: Path) -> list[_Frame]:
     frames: list[_Frame] = []
     try:
         with open(path, "rb") as file:
-            for number, line in enumerate(file, start=1):
+            for number, line in enumerate(whole_lines(file, path), start=1):
                 if not line.strip():
                     continue
                 try:
@@ -131,9 +132,12 @@ def _read_calibration(
     size = _SIZES.get(calibration.device_subtype or "")
     if camera is None or camera.pose is None:
         return size, None, None
+    if len(camera.pose) < 3 or any(len(row) != 4 for row in camera.pose):
+        found = f"rows of {sorted({len(row) for row in camera.pose})} numbers"
+        raise InputFileError(path, "camera-rgb, T_device_camera", expected="3 rows of 4 numbers", found=found)
     transform = np.eye(4)
-    transform[:3] = np.array(camera.pose, dtype=np.float64)[:3]
+    transform[:3] = np.array(camera.pose[:3], dtype=np.float64)
     focal = None
-    if camera.projection_params and camera.image_size:
+    if camera.projection_params and camera.image_size and camera.image_size[0] > 0:
         focal = camera.projection_params[0] * hd_epic.IMAGE_SIZE / camera.image_size[0]
     return size, transform, focal

@@ -9,7 +9,7 @@ from pathlib import Path
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
-from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.hd_epic.options import HdEpicOptions
@@ -21,9 +21,6 @@ ASSOCIATIONS, MASKS, PRIMING = "associations", "masks", "priming"
 SLAM_MAP = "slam map"
 FRAMES, DEVICE_CALIBRATION = "frames", "device calibration"
 """Roles of the files of a video, beside those of MPS and EgoAllo."""
-
-UNREADABLE = "unreadable archive: "
-"""Beginning of the role of an archive that cannot be listed; reading its video says why."""
 
 _SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
 _GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.HAND_TRACKING, mps.GAZE_SUMMARY, mps.HAND_SUMMARY})
@@ -191,7 +188,7 @@ def _mps_files(copy: Copy, participant: str, video: str) -> tuple[list[InputFile
 
 def _listed(place: Path, roles: frozenset[str]) -> list[InputFile]:
     try:
-        return [file for file in find_mps_files(place) if file.role in roles]
+        return [file for file in find_mps_files(place) if file.role in roles or file.role.startswith(UNREADABLE)]
     except InputFileError:
         return [input_file(f"{UNREADABLE}{place.name}", place)] if place.is_file() else []
 

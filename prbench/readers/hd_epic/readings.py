@@ -10,7 +10,7 @@ from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
 from prbench.formats.aria_mps import MpsReadings
-from prbench.readers.aria_mps import find_mps_files, read_mps
+from prbench.readers.aria_mps import UNREADABLE, find_mps_files, read_mps
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic import places
@@ -91,7 +91,7 @@ def _read_frames(found: RecordingFiles) -> hd_epic.FrameReadings:
 def _read_mps(found: RecordingFiles) -> MpsReadings:
     """Trajectory, gaze and hands; what is missing is named by the archive that a download by video leaves out."""
     for file in found.files:
-        if file.role.startswith(places.UNREADABLE):
+        if file.role.startswith(UNREADABLE):
             find_mps_files(file.path)
     participant = found.folder.name
     folder = f"{hd_epic.MPS_FOLDER}/{participant}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.found import RecordingFiles
@@ -24,10 +25,12 @@ class Hot3dReader:
     dataset: str = "hot3d"
     options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
 
+    @foreign_input()
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
         return find_recordings(root, self.options)
 
+    @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("hot3d")

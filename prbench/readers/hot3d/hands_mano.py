@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from prbench.errors import InputFileError
 from prbench.formats import hot3d, mano
+from prbench.numpy_files import Archive
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d.hands_umetrack import hand_rows, read_lines
 from prbench.readers.hot3d.layout import MANO, MANO_MODEL_PREFIX
@@ -116,13 +116,9 @@ def read_models(found: RecordingFiles, folder: Path | None) -> dict[Literal["lef
 
 
 def _read_model(path: Path) -> mano.ManoModel:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in _SHAPES}
-    except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile) as error:  # TypeError: one .npy
-        raise InputFileError(
-            path, "", expected=f"the arrays {', '.join(_SHAPES)}", found=str(error)[:160], remedy=_CONVERT
-        ) from error
+    archive = Archive(path, remedy=_CONVERT)
+    archive.require(_SHAPES)
+    arrays = archive.load(_SHAPES)
     for name, shape in _SHAPES.items():
         if arrays[name].shape != shape or arrays[name].dtype.kind not in "fiu":
             found = f"{arrays[name].shape} of {arrays[name].dtype}"

@@ -9,11 +9,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from prbench.bounded import whole_lines
 from prbench.errors import InputFileError
 from prbench.formats import hot3d, umetrack
-from prbench.readers.files import decode_json, missing_file, require_increasing
+from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
 
 _QUATERNION_TOLERANCE = 1e-3
+_FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
 
 
 class _Wrist(msgspec.Struct):
@@ -27,7 +29,7 @@ class _UmeTrackHand(msgspec.Struct):
 
 
 class _UmeTrackLine(msgspec.Struct):
-    timestamp_ns: int
+    timestamp_ns: Nanoseconds
     hand_poses: dict[str, _UmeTrackHand]
 
 
@@ -134,9 +136,10 @@ def read_profile(path: Path) -> umetrack.HandModel:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.
     """
     model = decode_json(path, _PROFILE).hand_model
-    weights = np.array(model.dense_bone_weights, dtype=np.float64)
+    _require_weights(path, model.dense_bone_weights)
+    weights = np.array(model.dense_bone_weights, dtype=np.float64).reshape(-1, umetrack.N_BONES)
     shapes = {
-        "dense_bone_weights": (weights.shape, (len(model.mesh_vertices), umetrack.N_BONES)),
+        "dense_bone_weights": ((len(weights),), (max(len(model.mesh_vertices), 1),)),
         "joint_rest_positions": ((len(model.joint_rest_positions),), (umetrack.N_JOINTS,)),
         "joint_rotation_axes": ((len(model.joint_rotation_axes),), (umetrack.N_JOINTS,)),
         "landmark_rest_positions": ((len(model.landmark_rest_positions),), (umetrack.N_LANDMARKS,)),
@@ -144,8 +147,7 @@ def read_profile(path: Path) -> umetrack.HandModel:
     for name, (found, expected) in shapes.items():
         if found != expected:
             raise InputFileError(path, name, expected=f"the shape {expected}", found=f"{found}")
-    if np.abs(weights.sum(axis=1) - 1).max() > 1e-3:
-        raise InputFileError(path, "dense_bone_weights", expected="rows that sum to 1", found="others")
+    _require_places(path, model)
     return umetrack.HandModel(
         vertices=np.array(model.mesh_vertices) * umetrack.METRES_A_UNIT,
         weights=weights,
@@ -155,6 +157,39 @@ def read_profile(path: Path) -> umetrack.HandModel:
         landmark_weights=_dense(model.landmark_rest_bone_indices, model.landmark_rest_bone_weights),
         triangles=np.array(model.mesh_triangles, dtype=np.int64).reshape(-1, 3),
     )
+
+
+def _require_weights(path: Path, rows: list[list[float]]) -> None:
+    for row, weights in enumerate(rows):
+        if len(weights) != umetrack.N_BONES or not abs(sum(weights) - 1) <= 1e-3:
+            raise InputFileError(
+                path,
+                f"dense_bone_weights, row {row}",
+                expected=f"{umetrack.N_BONES} numbers that sum to 1",
+                found=f"{len(weights)} that sum to {sum(weights):g}",
+            )
+
+
+def _require_places(path: Path, model: _Model) -> None:
+    """Refuse points far from any hand, and indices of bones or vertices that there are not."""
+    for name in ("mesh_vertices", "joint_rest_positions", "joint_rotation_axes", "landmark_rest_positions"):
+        if not (np.abs(np.array(getattr(model, name))) * umetrack.METRES_A_UNIT <= _FARTHEST).all():
+            raise InputFileError(path, name, expected=f"points within {_FARTHEST:g} m of the wrist", found="others")
+    for name, among in (
+        ("landmark_rest_bone_indices", umetrack.N_BONES),
+        ("mesh_triangles", len(model.mesh_vertices)),
+    ):
+        indices = np.array(getattr(model, name), dtype=np.float64)
+        if not ((indices >= 0) & (indices < among)).all():
+            raise InputFileError(path, name, expected=f"indices from 0 to {among - 1}", found="others")
+    landmarks = len(model.landmark_rest_bone_indices), len(model.landmark_rest_bone_weights)
+    if landmarks != (umetrack.N_LANDMARKS, umetrack.N_LANDMARKS):
+        raise InputFileError(
+            path,
+            "landmark_rest_bone_indices",
+            expected=f"{umetrack.N_LANDMARKS} of them and as many weights",
+            found=f"{landmarks[0]} and {landmarks[1]}",
+        )
 
 
 def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, float]]) -> np.ndarray:
@@ -168,6 +203,6 @@ def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, 
 def _text_lines(path: Path) -> Iterator[bytes]:
     try:
         with open(path, "rb") as file:
-            yield from (line for line in file if line.strip())
+            yield from (line for line in whole_lines(file, path) if line.strip())
     except FileNotFoundError as error:
         raise missing_file(path) from error

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.bounded import require_size
 from prbench.errors import InputFileError
 from prbench.formats.hot3d import ObjectMesh
 from prbench.readers.files import missing_file
@@ -23,12 +24,15 @@ def read_glb(path: Path) -> ObjectMesh:
     import trimesh  # takes a third of a second, and only models need it
 
     try:
+        require_size(path)
         with open(path, "rb") as file:
             # Whatever a broken file makes the parser stumble over, the user needs its name.
             scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
         mesh = scene.to_mesh()
     except FileNotFoundError as error:
         raise missing_file(path) from error
+    except (InputFileError, MemoryError):
+        raise
     except Exception as error:
         raise InputFileError(
             path,

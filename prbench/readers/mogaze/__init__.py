@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.found import RecordingFiles
@@ -37,10 +38,12 @@ class MogazeReader:
     dataset: str = "mogaze"
     options: MogazeOptions = MogazeOptions()  # noqa: RUF009 (frozen)
 
+    @foreign_input()
     def find(self, root: Path) -> tuple[RecordingFiles, ...]:
         """See :func:`prbench.readers.mogaze.layouts.find_recordings`."""
         return find_recordings(root, include_excluded=self.options.include_excluded)
 
+    @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("mogaze")

@@ -12,11 +12,20 @@ from prbench.errors import InputFileError
 from prbench.formats import mogaze, mogaze_body
 from prbench.manifests import Manifest
 from prbench.readers.found import RecordingFiles
-from prbench.readers.mogaze.arrays import attribute, dataset, group, numbers, opened, words
+from prbench.readers.mogaze.arrays import (
+    attribute,
+    dataset,
+    group,
+    number_attribute,
+    numbers,
+    opened,
+    stored_values,
+    words,
+)
 from prbench.readers.mogaze.layouts import SCENE
 from prbench.readers.mogaze.scene import SceneBody, read_mesh, read_scene
 
-_BODY_KEY = re.compile(r"(?:.*\s)?(\d+)")
+_BODY_KEY = re.compile(r"(?:.*\s)?(\d{1,19})")
 _PARTICIPANT = re.compile(r"(p\d+)_\d+")
 
 
@@ -63,7 +72,7 @@ def _read_human(path: Path) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]
         table = numbers(path, entry, columns=len(mogaze_body.STATE_COLUMNS))
         names = words(attribute(path, entry, mogaze.COLUMNS_ATTRIBUTE))
         keys = words(attribute(path, entry, mogaze.FIXED_KEYS_ATTRIBUTE))
-        values = attribute(path, entry, mogaze.FIXED_VALUES_ATTRIBUTE)
+        values = number_attribute(path, entry, mogaze.FIXED_VALUES_ATTRIBUTE).ravel()
         participant = str(entry.attrs.get(mogaze.PARTICIPANT_ATTRIBUTE, ""))
     if len(names) != table.shape[1]:
         raise InputFileError(
@@ -74,7 +83,7 @@ def _read_human(path: Path) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]
             remedy="Copy or download the file again.",
         )
     _require(path, mogaze.COLUMNS_ATTRIBUTE, mogaze_body.STATE_COLUMNS, names)
-    fixed = dict(zip(keys, values.astype(np.float64).tolist(), strict=False))
+    fixed = dict(zip(keys, values.tolist(), strict=False))
     _require(path, mogaze.FIXED_KEYS_ATTRIBUTE, sorted(mogaze_body.MODEL_OFFSETS), list(fixed))
     if len(table) < 2:
         raise InputFileError(
@@ -161,7 +170,7 @@ def _read_gaze(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, 
     with opened(path) as file:
         entry = dataset(path, file, mogaze.GAZE_DATASET)
         table = numbers(path, entry, columns=mogaze.FEWEST_GAZE_COLUMNS)
-        calibration = attribute(path, entry, mogaze.CALIBRATION_ATTRIBUTE).astype(np.float64).ravel()
+        calibration = number_attribute(path, entry, mogaze.CALIBRATION_ATTRIBUTE).ravel()
     if len(calibration) != 4 or not abs(np.linalg.norm(calibration) - 1) < 0.01:
         raise InputFileError(
             path,
@@ -175,7 +184,7 @@ def _read_gaze(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, 
 
 def _read_segments(path: Path) -> tuple[mogaze.Segment, ...]:
     with opened(path) as file:
-        rows = dataset(path, file, mogaze.SEGMENT_DATASET)[...]
+        rows = stored_values(path, dataset(path, file, mogaze.SEGMENT_DATASET))
     names = rows.dtype.names or ()
     if len(names) < 3:
         raise InputFileError(

@@ -10,8 +10,13 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.boundary import foreign_input
+from prbench.bounded import require_size
 from prbench.errors import InputFileError
 from prbench.formats import mogaze
+from prbench.limits import HARMLESS_SIZE
+
+_MOST_DIGITS = 19  # of the id of a body
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,7 @@ class SceneBody:
     """None where the scene names none, or none of that name lies in the dataset's folder."""
 
 
+@foreign_input()
 def read_scene(path: Path) -> dict[int, SceneBody]:
     """Bodies by id.
 
@@ -30,6 +36,7 @@ def read_scene(path: Path) -> dict[int, SceneBody]:
         InputFileError: if the file is no XML, or a body lacks id or name.
     """
     try:
+        require_size(path, largest=HARMLESS_SIZE)
         root = ET.parse(path).getroot()
     except ET.ParseError as error:
         raise InputFileError(
@@ -38,7 +45,7 @@ def read_scene(path: Path) -> dict[int, SceneBody]:
     bodies = {}
     for number, entry in enumerate(root.iter("body"), start=1):
         key, name = entry.get("id", ""), entry.get("name", "").strip()
-        if not key.isdecimal() or not name:
+        if not key.isdecimal() or len(key) > _MOST_DIGITS or not name:
             raise InputFileError(
                 path,
                 f"body {number}",
@@ -85,6 +92,7 @@ def _read_mesh(path: Path, _size: int, _changed: int) -> tuple[Float[np.ndarray,
     import trimesh  # late: 0.3 s that copies without meshes need not wait for
 
     try:
+        require_size(path)
         mesh = trimesh.load_mesh(path, process=False)
         vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
     except (ValueError, IndexError, KeyError, AttributeError, TypeError) as error:

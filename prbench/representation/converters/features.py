@@ -8,7 +8,6 @@ The steps, each a function: :func:`feature_rows`, :meth:`Statistics.restore`, :f
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -16,7 +15,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.numpy_files import load_array
 from prbench.representation.converters.feature_checks import FEATURES, check_features
 from prbench.representation.decoding import decode, decode_rotations
 from prbench.representation.encoding import yaw_matrices
@@ -59,17 +60,13 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     return Statistics(means, np.where(stds < _TINIEST_STD, np.float32(1.0), stds))
 
 
+@foreign_input()
 def _vector(path: Path) -> np.ndarray:
     remedy = "Give the Mean.npy and Std.npy that the model was trained with."
-    try:
-        values = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InputFileError(path, "", expected="an .npy file of numbers", found=str(error)[:160]) from error
-    shape = getattr(values, "shape", "an archive")
-    if shape != (N_FEATURES,) or not np.issubdtype(values.dtype, np.number):
-        raise InputFileError(path, "", expected=f"{N_FEATURES} numbers", found=f"{shape}", remedy=remedy)
+    values = load_array(path, remedy=remedy)
+    if values.shape != (N_FEATURES,) or values.dtype.kind not in "fiu":
+        found = f"shape {values.shape} of {values.dtype}"
+        raise InputFileError(path, "", expected=f"{N_FEATURES} numbers", found=found, remedy=remedy)
     if not np.isfinite(values).all():
         column = int(np.flatnonzero(~np.isfinite(values))[0])
         raise InputFileError(path, f"column {column}", expected="a finite number", found=str(values[column]))

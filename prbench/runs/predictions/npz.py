@@ -7,6 +7,7 @@ forms ``n_frames`` tells how many frames each has, and a pose may also be 66 num
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -18,12 +19,14 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError, PredictionsError
-from prbench.runs.numpy_files import Archive, ArrayHeader
+from prbench.limits import MOST_MOTIONS
+from prbench.numpy_files import Archive, ArrayHeader
 from prbench.runs.predictions.rows import IndexedRows, as_float32, leading_axes
 from prbench.skeleton import N_JOINTS
 
 _ID_COLUMNS = ("sequence_id", "opaque_id")
 _LARGEST_COLUMN = 1024**3  # bytes of ids or lengths, many times what any table needs
+_LARGEST_MOTION = 32 * 1024**2  # bytes of all samples of one sequence, in the form of one array a sequence
 _PADDED_FRAMES = 1000  # to which any motion may be padded; wider arrays are refused before they are unpacked
 _OPAQUE = re.compile(r"[0-9a-f]{64}")
 _FORMS = "(n, N, 22, 3) padded, or (total, 22, 3) after one another, of float32 or float64"
@@ -158,6 +161,7 @@ def _index_columns(archive: Archive) -> IndexedRows:
 
 
 def _ids(archive: Archive, name: str) -> tuple[str, ...]:
+    _require_few(archive.path, math.prod(archive.header(name).shape))
     values = archive.read(name, largest=_LARGEST_COLUMN)
     if values.ndim != 1 or values.dtype.kind not in "US":
         raise PredictionsError(
@@ -165,6 +169,12 @@ def _ids(archive: Archive, name: str) -> tuple[str, ...]:
         )
     texts = np.char.decode(values, "utf-8") if values.dtype.kind == "S" else values
     return tuple(texts.tolist())
+
+
+def _require_few(path: Path, motions: int) -> None:
+    """Refuse more motions than any table has sequences; a header may announce any number of empty ones."""
+    if motions > MOST_MOTIONS:
+        raise PredictionsError(f"{path}: expected at most {MOST_MOTIONS:,} motions, found {motions:,}.")
 
 
 def _whole_numbers(archive: Archive, name: str, n: int, *, smallest: int) -> np.ndarray:
@@ -225,7 +235,13 @@ def _index_named(archive: Archive) -> IndexedRows:
                 f" {header.shape} of {header.dtype}. Instead of one array a motion, the arrays opaque_id, joints and"
                 " n_frames may hold them all."
             )
+        if header.nbytes > _LARGEST_MOTION:
+            raise PredictionsError(
+                f"{path}, '{name}': expected at most {_LARGEST_MOTION:,} bytes of one sequence, found"
+                f" {header.nbytes:,}."
+            )
         drawn = leading[0] if len(leading) == 2 else 1
+        _require_few(path, len(keys) + drawn)
         keys += [name] * drawn
         samples += range(drawn)
         lengths += [leading[-1]] * drawn

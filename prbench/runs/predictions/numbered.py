@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError, PredictionsError
-from prbench.runs.numpy_files import ArrayHeader, map_array, read_header
+from prbench.numpy_files import ArrayHeader, map_array, read_header
 from prbench.runs.predictions.rows import IndexedRows, Numbering, as_float32, leading_axes
 from prbench.skeleton import N_JOINTS
 

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from prbench.errors import PredictionsError
+from prbench.parquet_files import open_parquet
 from prbench.runs.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
 from prbench.skeleton import N_JOINTS
 
@@ -157,7 +158,9 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError as error:
         raise PredictionsError(f"{path}: expected a predictions file, found none.") from error
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, MemoryError):
+            raise
         first = str(error).splitlines()[0] if str(error) else "damaged"
         raise PredictionsError(
             f"{path}: expected a readable Parquet file, found another form or a damaged one ({first})."
@@ -167,7 +170,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _open(path: Path) -> pq.ParquetFile:
     with _naming(path):
-        return pq.ParquetFile(path, page_checksum_verification=True)
+        return open_parquet(path, verify=True)
 
 
 def _id_column(path: Path) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
+from prbench.boundary import foreign_input
 from prbench.errors import PredictionsError
 from prbench.runs.predictions.npz import index_npz
 from prbench.runs.predictions.numbered import index_numbered, numbered_folder
@@ -33,6 +34,7 @@ class Predictions:
     """(id, sample) → row; of repeated ones the last."""
 
     @classmethod
+    @foreign_input()
     def open(cls, path: Path, *, numbering: Numbering | None = None) -> Predictions:
         """Index finished motions; none is read.
 
@@ -51,6 +53,7 @@ class Predictions:
     def __contains__(self, key: tuple[str, int]) -> bool:
         return key in self._row_of
 
+    @foreign_input()
     def make_ready(self) -> None:
         """Unpack what single motions cannot be read from; call it before the motions go to several processes."""
         self._store.make_ready()
@@ -63,6 +66,7 @@ class Predictions:
         """The file that a motion stands in and its place there, for messages."""
         return self._store.where(self._row_of[name, sample])
 
+    @foreign_input()
     def motions(self, ids: Sequence[str], sample: int) -> PredictionRows:
         """The motions of the given sequences, in the given order; float32, as a run keeps them.
 

@@ -10,7 +10,10 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.limits import HARMLESS_SIZE
 
 PLACEHOLDERS = {
     "python": "the interpreter named in the config",
@@ -64,6 +67,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
 
+@foreign_input()
 def read_config(path: Path) -> PosesConfig:
     """Read a config file; relative paths in it are relative to its folder.
 
@@ -72,7 +76,7 @@ def read_config(path: Path) -> PosesConfig:
             placeholder.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
         config = msgspec.convert(content, _File, dec_hook=_path).egoallo
     except FileNotFoundError as error:
         raise InputFileError(

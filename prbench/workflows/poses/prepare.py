@@ -18,6 +18,7 @@ from prbench.errors import InputFileError
 from prbench.formats import adt
 from prbench.formats import aria_mps as mps
 from prbench.formats import egoallo as ego
+from prbench.limits import LARGEST_FILE
 from prbench.readers.aria_mps import AriaTrajectory, Source, read_first_calibration, read_trajectory
 from prbench.readers.zipped import opened
 from prbench.recording import PoseStream
@@ -171,7 +172,10 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
         table = _point_table(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
     else:
         with opened(source) as packed, gzip.open(packed, "rb") as plain:
-            table = _turned(source, plain.read())
+            content = plain.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise InputFileError(str(source), "", expected=f"at most {LARGEST_FILE:,} bytes unpacked", found="more")
+        table = _turned(source, content)
     # Without name and time, equal points are equal files.
     with (
         atomic_path(place) as temporary,

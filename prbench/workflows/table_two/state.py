@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.boundary import foreign_input
 from prbench.errors import RunError, StorageError
 from prbench.storage import remove_leftovers, write_json
 from prbench.workflows.table_two.budget import RowCost
@@ -40,6 +41,7 @@ class TablePlan(msgspec.Struct, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
 
+@foreign_input()
 def open_plan(folder: Path, asked: Mapping[str, str], *, limit: int | None, minutes: int) -> TablePlan:
     """The plan of a folder, or a new one in a new folder.
 

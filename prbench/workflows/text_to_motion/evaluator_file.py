@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.extractor import Extractor
@@ -34,6 +35,7 @@ class LoadedEvaluator:
         return f"{name}/{self.words_digest[:12]}" if self.words_digest else name
 
 
+@foreign_input()
 def load_evaluator(
     path: Path,
     tables: Iterable[SequenceTable | CorpusTable],

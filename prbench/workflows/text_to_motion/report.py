@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from prbench.boundary import foreign_input
 from prbench.evaluation.text_to_motion import Repeated
 from prbench.evaluation.text_to_motion.measure import METRICS, Measured
 from prbench.locks import sole_writer
@@ -114,6 +115,7 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
             write_json(path, msgspec.to_builtins(self))
 
     @classmethod
+    @foreign_input()
     def read(cls, path: Path) -> TextEvaluation:
         """Read what :meth:`write` wrote."""
         return msgspec.json.decode(path.read_bytes(), type=cls)

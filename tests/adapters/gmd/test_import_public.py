@@ -211,7 +211,7 @@ def test_other_files_are_refused(files, tmp_path, content, message):
         ("std", np.full(263, 0.02), r"columns 1 and 2: .*found 0\.020 m, as of its steps.*relative features"),
         ("std", np.ones(4), r"expected an array of shape \(263,\), found shape \(4,\)"),
         ("mean", np.full(263, np.nan), "expected finite numbers, found float64"),
-        ("mean", np.array([{}] * 263), r"expected a file of NumPy \(\.npy\), found another format, or objects"),
+        ("mean", np.array([{}] * 263), r"expected numbers or text, found Python objects"),
         (
             "projection",
             np.linalg.inv(tiny.space().projection.double()),
@@ -239,7 +239,7 @@ def test_the_command_reports_what_it_took_and_what_comes_next(files, tmp_path, c
 def test_the_command_exits_with_the_code_of_the_error_and_writes_nothing(files, tmp_path, capsys):
     files.projection.unlink()
     assert main(_words(files, tmp_path / "gmd.safetensors")) == InputFileError.exit_code
-    assert "rand_proj.npy: expected a file of NumPy (.npy), found no such file" in capsys.readouterr().err
+    assert "rand_proj.npy: expected this file, found no such file" in capsys.readouterr().err
     assert main(_words(files, tmp_path / "gmd.pt")) == UsageError.exit_code
     assert not list(tmp_path.glob("gmd*"))
 

@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Num
 
+from prbench.boundary import foreign_input
+from prbench.bounded import read_text
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.limits import HARMLESS_SIZE
 from prbench.representation.converters.skeletons.anatomy import COMPLETIONS, LIMBS, NAMES, complete, placed, trunk_axes
 from prbench.representation.converters.skeletons.expressions import Expression, parse_expression
 from prbench.skeleton import N_JOINTS, Joint
@@ -67,6 +70,7 @@ class JointMap:
         return cls(name, names, expressions)
 
     @classmethod
+    @foreign_input()
     def from_toml(cls, path: Path) -> JointMap:
         """A user's map: keys ``name``, ``joints`` (list of the source's names) and a table ``[map]``.
 
@@ -77,7 +81,7 @@ class JointMap:
         import tomllib  # here, because Python before 3.11 has none, and programs of such a Python use this class
 
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
+            content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
         except FileNotFoundError as error:
             raise InputFileError(path, "", expected="this file", found="no such file") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -6,8 +6,6 @@ function of the shape, ``J_regressor @ (v_template + shapedirs @ betas)``.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +13,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.numpy_files import Archive
 from prbench.skeleton import N_JOINTS
 
 REGRESSOR, TEMPLATE, SHAPES = "J_regressor", "v_template", "shapedirs"
@@ -69,6 +69,7 @@ class RestJoints:
         return cls(joints.astype(np.float64), np.zeros((N_JOINTS, 3, 0)))
 
 
+@foreign_input()
 def read_rest_joints(path: Path) -> RestJoints:
     """The rest joints of a body model in ``.npz`` form.
 
@@ -108,6 +109,7 @@ def _shape_numbers(joints: int, columns: int) -> int:
     return 300 if columns >= 400 else min(columns, 10)
 
 
+@foreign_input()
 def read_plain_arrays(path: Path, needed: Iterable[str], optional: Iterable[str] = ()) -> dict[str, np.ndarray]:
     """Arrays of a body model by name; those that hold Python objects are never opened.
 
@@ -115,19 +117,7 @@ def read_plain_arrays(path: Path, needed: Iterable[str], optional: Iterable[str]
         InputFileError: if the file is missing, a pickle, or lacks one of the needed arrays.
     """
     path = path.expanduser()
-    try:
-        if path.suffix == ".pkl":
-            path.stat()
-            raise InputFileError(path, "", expected="an .npz archive", found="a pickle", remedy=HOW_TO_CONVERT)
-        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
-            missing = [name for name in needed if name not in archive.files]
-            if missing:
-                found = ", ".join(sorted(archive.files)) or "nothing"
-                raise InputFileError(
-                    path, "", expected=f"an array '{missing[0]}'", found=found, remedy="This is no body model."
-                )
-            return {name: archive[name] for name in (*needed, *optional) if name in archive.files}
-    except FileNotFoundError as error:
+    if not path.exists():
         raise InputFileError(
             path,
             "",
@@ -135,13 +125,10 @@ def read_plain_arrays(path: Path, needed: Iterable[str], optional: Iterable[str]
             found="no such file",
             remedy="Download it from the page of the model (smpl.is.tue.mpg.de, mano.is.tue.mpg.de,"
             " smpl-x.is.tue.mpg.de) after accepting its licence; prbench ships none.",
-        ) from error
-    except ValueError as error:
-        raise InputFileError(
-            path, "", expected="plain arrays", found="Python objects", remedy=HOW_TO_CONVERT
-        ) from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        raise InputFileError(
-            path, "", expected="an .npz archive of plain arrays", found=found, remedy=HOW_TO_CONVERT
-        ) from error
+        )
+    if path.suffix == ".pkl":
+        raise InputFileError(path, "", expected="an .npz archive", found="a pickle", remedy=HOW_TO_CONVERT)
+    needed = tuple(needed)
+    archive = Archive(path, remedy=HOW_TO_CONVERT)
+    archive.require(needed)
+    return archive.load((*needed, *optional))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.numpy_files import Archive
 from prbench.representation.converters.smpl.rotations import RotationForm, numbers_of, quaternions_of
 from prbench.skeleton import N_JOINTS
 
@@ -108,28 +109,28 @@ class SmplParameters:
         return cls(rotations, transl.astype(np.float64), _one_shape(betas, source), gender)
 
 
+@foreign_input()
 def read_amass(path: Path) -> SmplParameters:
     """A motion in the layout of AMASS: SMPL-H (``mocap_framerate``) or SMPL-X (``mocap_frame_rate``); Z up.
 
     Raises:
         InputFileError: if the file is missing, no archive of plain arrays, or lacks ``poses`` or ``trans``.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in ("poses", "trans") if key not in archive.files]
-            if missing:
-                found = ", ".join(sorted(archive.files)) or "nothing"
-                raise InputFileError(path, "", expected=f"an array '{missing[0]}'", found=found)
-            arrays = {key: archive[key] for key in ("poses", "trans")}
-            betas = archive["betas"] if "betas" in archive.files else None
-            gender = _text(archive["gender"]) if "gender" in archive.files else None
-            rates = [float(archive[key]) for key in _RATE_KEYS if key in archive.files]
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="this file", found="no such file") from error
-    except (ValueError, OSError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputFileError(path, "", expected="an .npz of plain arrays", found=str(error)[:160]) from error
-    parameters = SmplParameters.from_poses(arrays["poses"], arrays["trans"], betas=betas, gender=gender, source=path)
+    archive = Archive(path)
+    archive.require(("poses", "trans"))
+    arrays = archive.load(("poses", "trans", "betas", "gender", *_RATE_KEYS))
+    gender = _text(arrays["gender"]) if "gender" in arrays else None
+    rates = [_rate(path, key, arrays[key]) for key in _RATE_KEYS if key in arrays]
+    parameters = SmplParameters.from_poses(
+        arrays["poses"], arrays["trans"], betas=arrays.get("betas"), gender=gender, source=path
+    )
     return replace(parameters, fps=rates[0] if rates else None)
+
+
+def _rate(path: Path, key: str, value: np.ndarray) -> float:
+    if value.size != 1 or value.dtype.kind not in "fiu":
+        raise InputFileError(path, key, expected="a number", found=f"shape {value.shape} of {value.dtype}")
+    return float(value.reshape(-1)[0])
 
 
 def _text(value: np.ndarray) -> str:

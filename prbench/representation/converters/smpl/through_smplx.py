@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, MissingExtraError
 from prbench.representation.converters.smpl.body_model import (
     REGRESSOR,
@@ -63,6 +64,7 @@ class SmplxModel:
     """``SMPLLayer``, ``SMPLHLayer`` or ``SMPLXLayer``, double precision."""
 
     @classmethod
+    @foreign_input()
     def read(cls, model: Path) -> SmplxModel:
         """The user's own model.
 

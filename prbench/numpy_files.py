@@ -8,12 +8,13 @@ as a whole.
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +22,9 @@ from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 
+from prbench.bounded import require_size, require_unpackable
 from prbench.errors import InputFileError, StorageError
+from prbench.limits import HIGHEST_COMPRESSION, LARGEST_ARCHIVE, LARGEST_ARRAYS, LARGEST_UNPACKED, LONGEST_AXIS
 
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
@@ -83,9 +86,12 @@ def read_header(stream: ByteStream, path: Path, where: str, *, remedy: str = "")
             path, where, expected="an array as np.save writes it", found=first, remedy=remedy
         ) from error
     if dtype.hasobject:
-        raise InputFileError(path, where, expected="numbers or text", found="Python objects", remedy=_NO_OBJECTS)
-    if any(size < 0 for size in shape):
-        raise InputFileError(path, where, expected="an array as np.save writes it", found=f"the shape {shape}")
+        raise InputFileError(
+            path, where, expected="numbers or text", found="Python objects", remedy=remedy or _NO_OBJECTS
+        )
+    if any(not 0 <= size <= LONGEST_AXIS for size in shape) or not dtype.itemsize:
+        found = f"the shape {shape} of {dtype}"
+        raise InputFileError(path, where, expected="an array as np.save writes it", found=found, remedy=remedy)
     return ArrayHeader(shape, dtype, fortran_order, stream.tell())
 
 
@@ -111,11 +117,63 @@ def map_array(path: Path, header: ArrayHeader, *, start: int = 0) -> np.ndarray:
     return np.memmap(path, header.dtype, mode="r", offset=start + header.offset, shape=header.shape, order=order)
 
 
+def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
+    """A whole ``.npy``; nothing is allocated before its header agrees with the size of the file.
+
+    Args:
+        path: The file.
+        largest: Bytes beyond which it is refused unread.
+        remedy: What to do if it is damaged or another file, for messages.
+
+    Raises:
+        InputFileError: if it is missing, too large, cut off, no ``.npy``, or holds Python objects.
+    """
+    try:
+        require_size(path, largest=largest)
+        with open(path, "rb") as file:
+            header = read_header(file, path, "", remedy=remedy)
+            _require_bytes(path, header, largest=largest, present=path.stat().st_size)
+            return header.shaped(_values(file, header))
+    except FileNotFoundError as error:
+        raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
+
+
+def _require_bytes(path: Path, header: ArrayHeader, *, largest: int, present: int) -> None:
+    """Refuse an array that is larger than it may be, or than what stands in the file."""
+    form = f"(shape {header.shape} of {header.dtype})"
+    if header.nbytes > largest:
+        raise InputFileError(
+            path, "", expected=f"at most {largest:,} bytes", found=f"{header.nbytes:,} declared {form}"
+        )
+    if header.nbytes > present - header.offset:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"{header.nbytes:,} bytes {form}",
+            found=f"{max(present - header.offset, 0):,}",
+            remedy="The file is cut off; write it again.",
+        )
+
+
+def _values(stream: ByteStream, header: ArrayHeader) -> np.ndarray:
+    """The values behind a header, flat, in memory of their own."""
+    values = bytearray(header.nbytes)
+    filled = 0
+    while filled < header.nbytes and (part := stream.read(min(_PIECE, header.nbytes - filled))):
+        values[filled : filled + len(part)] = part
+        filled += len(part)
+    return np.frombuffer(values, header.dtype) if values else np.empty(header.shape, header.dtype).ravel()
+
+
 @dataclass(frozen=True)
 class Archive:
     """An ``.npz``; arrays are read when they are asked for."""
 
     path: Path
+    content: bytes | None = None
+    """All its bytes, where they are at hand; ``path`` is then for messages."""
+    remedy: str = ""
+    """What to do if it is damaged or another file, for messages."""
 
     @cached_property
     def members(self) -> dict[str, zipfile.ZipInfo]:
@@ -132,6 +190,36 @@ class Archive:
                     raise InputFileError(self.path, f"'{name}'", expected="an array once", found="it again")
                 found[name] = info
         return found
+
+    def require(self, names: Iterable[str]) -> None:
+        """Refuse an archive that lacks an array.
+
+        Raises:
+            InputFileError: naming the first one, and those that are there.
+        """
+        missing = next((name for name in names if name not in self.members), None)
+        if missing is not None:
+            found = ", ".join(sorted(self.members)) or "nothing"
+            raise InputFileError(self.path, "", expected=f"an array '{missing}'", found=found, remedy=self.remedy)
+
+    def load(self, names: Iterable[str], *, largest: int = LARGEST_ARRAYS) -> dict[str, np.ndarray]:
+        """Those of some arrays that are there, whole and writable; their declared sizes are looked at first.
+
+        Args:
+            names: Of the arrays.
+            largest: Bytes of all of them beyond which none is unpacked.
+
+        Raises:
+            InputFileError: if they are too large, damaged, or hold Python objects.
+        """
+        present = [name for name in names if name in self.members]
+        declared = sum(self.members[name].file_size for name in present)
+        if declared > largest:
+            found = f"{declared:,} declared"
+            raise InputFileError(self.path, "", expected=f"arrays of at most {largest:,} bytes", found=found)
+        for name in present:
+            require_unpackable(self.path, self.members[name], where=f"'{name}'")
+        return dict(zip(present, self.read_all(present), strict=True))
 
     def header(self, name: str) -> ArrayHeader:
         """Shape and kind of an array; its values are not read.
@@ -152,8 +240,9 @@ class Archive:
         Raises:
             InputFileError: if it is larger, damaged, or holds Python objects.
         """
-        if self.header(name).nbytes > largest:
-            header = self.header(name)
+        header = self.header(name)
+        require_unpackable(self.path, self.members[name], where=f"'{name}'")
+        if header.nbytes > largest:
             raise InputFileError(
                 self.path,
                 f"'{name}'",
@@ -186,7 +275,7 @@ class Archive:
             for name in names:
                 with archive.open(self.members[name]) as stream:
                     header = self._header(name, stream)
-                    found.append(header.shaped(np.frombuffer(stream.read(header.nbytes), header.dtype)))
+                    found.append(header.shaped(_values(stream, header)))
         return found
 
     def stored_as_is(self, name: str) -> bool:
@@ -223,7 +312,16 @@ class Archive:
             InputFileError: if the archive is damaged.
             StorageError: if there is no space for them.
         """
-        with self._opened() as archive, archive.open(self.members[name]) as stream, open(target, "wb") as file:
+        member = self.members[name]
+        if member.file_size > max(LARGEST_UNPACKED, HIGHEST_COMPRESSION * member.compress_size):
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"at most {HIGHEST_COMPRESSION} times the {member.compress_size:,} packed bytes",
+                found=f"{member.file_size:,} declared",
+                remedy="Save it without padding: the frames of all motions one after another.",
+            )
+        with self._opened() as archive, archive.open(member) as stream, open(target, "wb") as file:
             self._header(name, stream)
             while part := stream.read(_PIECE):
                 try:
@@ -240,7 +338,7 @@ class Archive:
         return map_array(target, replace(header, offset=0))
 
     def _header(self, name: str, stream: ByteStream) -> ArrayHeader:
-        header, info = read_header(stream, self.path, f"'{name}'"), self.members[name]
+        header, info = read_header(stream, self.path, f"'{name}'", remedy=self.remedy), self.members[name]
         if header.offset + header.nbytes != info.file_size:
             raise InputFileError(
                 self.path,
@@ -255,17 +353,19 @@ class Archive:
     def _opened(self) -> Iterator[zipfile.ZipFile]:
         """The archive; what is wrong with its bytes becomes an error that names it."""
         try:
-            with zipfile.ZipFile(self.path) as archive:
+            if self.content is None:
+                require_size(self.path, largest=LARGEST_ARCHIVE)
+            with zipfile.ZipFile(self.path if self.content is None else io.BytesIO(self.content)) as archive:
                 yield archive
         except FileNotFoundError as error:
-            raise InputFileError(self.path, "", expected="an .npz file", found="no file") from error
+            raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
             raise InputFileError(
                 self.path,
                 "",
                 expected="a readable .npz file",
                 found=f"another form or a damaged one ({str(error) or type(error).__name__})",
-                remedy="Write it with np.savez or np.savez_compressed.",
+                remedy=self.remedy or "Write it with np.savez or np.savez_compressed.",
             ) from error
 
 

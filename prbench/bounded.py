@@ -1,0 +1,105 @@
+"""Files read whole or by lines, and never more of them than any format holds: sizes are looked at before contents."""
+
+from __future__ import annotations
+
+import stat
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from prbench.errors import InputFileError
+from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_FILE, LARGEST_UNPACKED, LONGEST_LINE
+
+_TOO_LARGE = "This is another file, or a damaged one."
+_WELL_KNOWN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:
+    """All bytes of a file.
+
+    Args:
+        path: The file.
+        largest: Bytes beyond which it is refused unread.
+
+    Raises:
+        InputFileError: if it is larger, or no file but a folder, a pipe or a device, which may never end.
+        OSError: if it is missing or cannot be read.
+    """
+    require_size(path, largest=largest)
+    return path.read_bytes()
+
+
+def read_text(path: Path, *, encoding: str = "utf-8-sig", largest: int = LARGEST_FILE) -> str:
+    """The text of a file, line breaks as Python has them (see :func:`read_whole` for what it raises).
+
+    Raises:
+        UnicodeDecodeError: if it is no text.
+    """
+    require_size(path, largest=largest)
+    return path.read_text(encoding=encoding)
+
+
+def require_size(path: Path, *, largest: int = LARGEST_FILE) -> None:
+    """Refuse what is no regular file, or larger than any file of its kind.
+
+    Raises:
+        InputFileError: saying how large it may be.
+        OSError: if it is missing.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        found = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+        raise InputFileError(path, "", expected="a file", found=found)
+    if status.st_size > largest:
+        raise InputFileError(
+            path, "", expected=f"at most {largest:,} bytes", found=f"{status.st_size:,}", remedy=_TOO_LARGE
+        )
+
+
+def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
+    """The lines of an open file with their breaks.
+
+    Raises:
+        InputFileError: naming the first line that is longer than any line of a text file.
+    """
+    number = 1
+    while line := file.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
+            raise too_long_line(path, f"line {number}")
+        yield line
+        number += 1
+
+
+def too_long_line(path: Path, where: str) -> InputFileError:
+    """The error for a line that no text file has."""
+    return InputFileError(
+        path, where, expected=f"lines of at most {LONGEST_LINE:,} bytes", found="a longer one", remedy=_TOO_LARGE
+    )
+
+
+def require_unpackable(path: Path, member: zipfile.ZipInfo, *, where: str = "") -> None:
+    """Refuse a member of a ZIP archive that declares more bytes than it can honestly hold; call before opening it.
+
+    Args:
+        path: What messages name.
+        member: Its entry in the archive's table of contents.
+        where: The member, where ``path`` is the archive.
+
+    Raises:
+        InputFileError: if it declares too many bytes, altogether or for those that are stored; or if it is packed in
+            another way than those two whose unpacking can be stopped at any byte.
+    """
+    if member.compress_type not in _WELL_KNOWN:
+        raise InputFileError(
+            path, where, expected="a member stored or deflated", found=f"compression number {member.compress_type}"
+        )
+    plausible = max(HARMLESS_SIZE, HIGHEST_COMPRESSION * member.compress_size)
+    if member.file_size > min(plausible, LARGEST_UNPACKED):
+        raise InputFileError(
+            path,
+            where,
+            expected=f"at most {min(plausible, LARGEST_UNPACKED):,} bytes in {member.compress_size:,} packed ones",
+            found=f"{member.file_size:,} declared",
+            remedy="The archive is damaged, or made to fill the memory; download it again from its origin.",
+        )
