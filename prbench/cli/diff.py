@@ -65,9 +65,19 @@ def _print_changes(difference: Difference, *, everything: bool) -> None:
 def _write_csv(difference: Difference, path: Path) -> None:
     import csv
 
+    from prbench.shown import csv_text
     from prbench.storage import atomic_path
 
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("kind", "recording_id", "event", "first", "second", "decided_by"))
-        writer.writerows((c.kind, c.recording_id, c.event, c.before, c.after, c.decided_by) for c in difference.changes)
+        for change in difference.changes:
+            cells = (
+                change.kind,
+                change.recording_id,
+                change.event,
+                change.before,
+                change.after,
+                change.decided_by,
+            )
+            writer.writerow([csv_text(cell) for cell in cells])

@@ -15,6 +15,7 @@ from prbench.leaderboard.tables import (
     hides,
 )
 from prbench.metrics import MetricInfo
+from prbench.shown import markdown, markdown_code
 
 _DASH = "–"
 _FEW = "†"
@@ -28,22 +29,22 @@ def as_markdown(leaderboard: Leaderboard) -> str:
     for macro in leaderboard.macro:
         blocks += _macro_blocks(macro)
     if leaderboard.notes:
-        blocks += ["## Notes", "\n".join(f"- {_plain(note)}" for note in leaderboard.notes)]
+        blocks += ["## Notes", "\n".join(f"- {markdown(note)}" for note in leaderboard.notes)]
     return "\n\n".join(blocks) + "\n"
 
 
 def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
-    title = f"## {_plain(table.title)}, `{table.dataset}`: {table.split}, {counts}"
+    title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
     if shared_name:
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS)]
     rows = [
         [
-            "control" if row.entry.record.method.kind == "control" else row.entry.record.condition,
-            row.entry.method,
-            row.variant,
+            "control" if row.entry.record.method.kind == "control" else markdown(row.entry.record.condition),
+            markdown(row.entry.method),
+            markdown(row.variant),
             *(_cell(row, info) for info in MAIN_METRICS),
         ]
         for row in table.rows
@@ -79,7 +80,7 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     for row in table.rows:
         if row.entry.summary.unsupported:
             yield (
-                f"{_plain(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
+                f"{markdown(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
                 " generate and were left out; not ranked."
             )
     if table.redistribution == "non-commercial":
@@ -90,13 +91,13 @@ def _legend(table: DatasetTable) -> Iterable[str]:
 
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
-    title = f"## Mean over datasets: {', '.join(_plain(name) for name in macro.datasets)}{word}"
+    title = f"## Mean over datasets: {', '.join(markdown(name) for name in macro.datasets)}{word}"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing"]
     rows = [
         [
-            "control" if row.is_control else row.condition,
-            row.method,
-            row.variant,
+            "control" if row.is_control else markdown(row.condition),
+            markdown(row.method),
+            markdown(row.variant),
             *(_macro_cell(row, info) for info in MAIN_METRICS),
             _missing(row),
         ]
@@ -114,7 +115,7 @@ def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
 
 
 def _missing(row: MacroRow) -> str:
-    return ", ".join(row.missing)
+    return ", ".join(markdown(name) for name in row.missing)
 
 
 def _column(info: MetricInfo) -> str:
@@ -129,12 +130,7 @@ def _scale(info: MetricInfo) -> float:
 
 def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     rule = ["---"] * 3 + ["---:"] * len(MAIN_METRICS) + ["---"] * (len(header) - 3 - len(MAIN_METRICS))
-    return "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in [header, rule, *rows])
-
-
-def _plain(text: str) -> str:
-    """Text that cannot break a table."""
-    return text.replace("|", "\\|").replace("\n", " ")
+    return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
 
 
 def _repeats(table: DatasetTable, leaderboard: Leaderboard) -> bool:

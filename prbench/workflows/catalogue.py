@@ -15,6 +15,7 @@ from prbench.readers import READER_MODULES, reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover
 from prbench.sequences import DatasetInfo
 from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
+from prbench.shown import clean
 from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 from prbench.workflows.inspection import missing_files
 
@@ -111,11 +112,11 @@ def citation_text(folders: Sequence[Path]) -> str:
     terms, entries = [], []
     for folder in folders:
         info = CorpusInfo.read(folder) if (folder / CORPUS_FILE).is_file() else DatasetInfo.read(folder)
-        terms.append(f"% {info.dataset}: {info.title}")
-        terms.append(f"%   licence: {info.licence}")
-        terms.append(f"%   it {_TERMS.get(info.redistribution, info.redistribution)}.")
+        terms.append(f"% {clean(info.dataset)}: {clean(info.title)}")
+        terms.append(f"%   licence: {clean(info.licence)}")
+        terms.append(f"%   it {clean(_TERMS.get(info.redistribution, info.redistribution))}.")
         if info.homepage:
-            terms.append(f"%   {info.homepage}")
+            terms.append(f"%   {clean(info.homepage)}")
         entries += [entry for entry in _bibtex_entries(info.citation) if entry not in entries]
     common = load_citations()
     toolkit = common.toolkit.replace("VERSION", prbench.__version__)
