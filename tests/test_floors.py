@@ -16,10 +16,21 @@ FLOORS = {
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
     "prbench.axes": 1,
+    "prbench.ranges": 1,
     "prbench.formats": 1,
     **{
         f"prbench.{room}": 1
-        for room in ("skeleton", "rays", "timelines", "manifests", "published", "engine", "storage", "randomness")
+        for room in (
+            "skeleton",
+            "rays",
+            "ranges",
+            "timelines",
+            "manifests",
+            "published",
+            "engine",
+            "storage",
+            "randomness",
+        )
     },
     **{f"prbench.{room}": 2 for room in ("metrics", "sequences", "representation", "text", "recording")},
     **{f"prbench.{room}": 3 for room in ("readers", "synthetic", "contract", "runs")},

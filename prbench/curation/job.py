@@ -12,7 +12,7 @@ from prbench.curation.options import CurationOptions
 from prbench.curation.parts import PartReceipt, part_folder, read_receipt, write_part
 from prbench.curation.sources import RecordingSource
 from prbench.curation.split import split_of
-from prbench.errors import PrbenchError
+from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences.sequence import RecordingRecord
 from prbench.storage import text_digest
@@ -32,7 +32,7 @@ class CurationJob:
         """Make the part of one recording."""
         try:
             digest = "" if source.skip_reason is not None else source.input_digest()
-        except OSError as error:
+        except (OSError, InputFileError) as error:
             return self._write(source, self._failed(source, error), "unreadable")
         folder = self._folder(source, digest)
         receipt = read_receipt(folder)
