@@ -23,12 +23,13 @@ FLOORS = {
         for room in (
             "skeleton",
             "rays",
-            "ranges",
             "timelines",
             "manifests",
             "published",
             "engine",
             "storage",
+            "locks",
+            "workers",
             "randomness",
         )
     },
@@ -45,7 +46,9 @@ FLOORS = {
 NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
+    ("prbench.engine", "prbench.workers"),
     ("prbench.errors", "prbench.shown"),
+    ("prbench.locks", "prbench.storage"),
 }
 """The only arrows between rooms of one floor."""
 

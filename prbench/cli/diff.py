@@ -65,10 +65,10 @@ def _print_changes(difference: Difference, *, everything: bool) -> None:
 def _write_csv(difference: Difference, path: Path) -> None:
     import csv
 
+    from prbench.locks import sole_file
     from prbench.shown import csv_text
-    from prbench.storage import atomic_path
 
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+    with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("kind", "recording_id", "event", "first", "second", "decided_by"))
         for change in difference.changes:

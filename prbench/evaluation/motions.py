@@ -7,15 +7,19 @@ import gc
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
-from prbench.errors import AdapterError, PrbenchError
+from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
+from prbench.workers import is_out_of_memory
 
 
 def generate_checked(
@@ -49,9 +53,13 @@ def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str]
 ) -> tuple[Motions, int]:
     try:
-        motions = adapter.generate(own_copy(batch), seed=seed)
+        with _named_warnings(batch, ids):
+            motions = adapter.generate(own_copy(batch), seed=seed)
     except AdapterError as error:
         raise AdapterError(_with_names(str(error), batch, ids)) from error
+    except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
+        told_of = _with_names(str(error), batch, ids)
+        raise AdapterError(f"method '{method}' failed: {told_of}{_asked_for(ids)}") from error
     except PrbenchError:
         raise
     except (Exception, SystemExit) as error:
@@ -136,6 +144,22 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
     )
 
 
+@contextmanager
+def _named_warnings(batch: ConditionBatch, ids: Sequence[str]) -> Iterator[None]:
+    """Give warnings of a method, which knows opaque ids alone, the names that a user knows."""
+    show = warnings.showwarning
+
+    def show_with_names(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        text = _with_names(str(message), batch, ids)
+        show(message if text == str(message) else category(text), category, *place, **more)
+
+    warnings.showwarning = show_with_names
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
+
+
 def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
     """A message of a method that knows opaque ids alone, with the names that a user knows."""
     for opaque_id, name in zip(batch.opaque_id, ids, strict=True):
@@ -169,13 +193,6 @@ def _joined(first: Motions, second: Motions) -> Motions:
     declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
     cost = Cost(sum(declared)) if declared else None
     return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
-
-
-def is_out_of_memory(error: BaseException) -> bool:
-    """Of Python or NumPy, or of torch on either kind of device (recognised without importing it)."""
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
 
 
 def release_memory() -> None:

@@ -11,10 +11,10 @@ from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
 from prbench.formats import gimo
+from prbench.locks import sole_file
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.gimo.segments import row_of
 from prbench.shown import csv_text
-from prbench.storage import atomic_path
 
 DATASETS = ("gimo",)
 """Datasets whose events a person has to annotate."""
@@ -111,7 +111,7 @@ class Proposer:
 
 
 def _write(path: Path, proposals: Iterable[Proposal]) -> None:
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+    with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for proposal in proposals:

@@ -43,6 +43,7 @@ def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) 
         UsageError: if no event fits (with the nearest known ids), or more than one does.
     """
     table = SequenceTable(folder, DatasetInfo.read(folder))
+    table.require_unchanged()
     events = table.events()
     row = find_event(events, event)
     record = _record(events, row)
