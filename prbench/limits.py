@@ -8,6 +8,12 @@ from __future__ import annotations
 LARGEST_UNPACKED = 4 * 2**30
 """Bytes that one compressed member or dataset of an archive may declare and unpack to."""
 
+LONGEST_MESSAGE = 4_000
+"""Characters of one message on the terminal; what is quoted in it is cut to far less where it is quoted."""
+
+LONGEST_NAME = 150
+"""Characters of a dataset's name, which becomes a folder's; file systems take 255 bytes."""
+
 LONGEST_LINE = 2**20
 """Bytes of one line of a text file."""
 

@@ -16,6 +16,8 @@ from pathlib import Path
 import platformdirs
 
 from prbench.errors import InputFileError, StorageError
+from prbench.limits import LONGEST_NAME
+from prbench.shown import clean
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
 
@@ -227,6 +229,16 @@ def inside(root: Path, relative: str) -> Path:
     if not target.is_relative_to(root.resolve()):
         raise InputFileError(root, relative, expected="a path inside this folder", found="a path that leads out of it")
     return target
+
+
+def is_path_part(name: str) -> bool:
+    """Whether a name can be that of one folder or file: it leads nowhere else and cannot be mistaken for an option."""
+    return (
+        0 < len(name) <= LONGEST_NAME
+        and name[0] not in ".-"
+        and not any(letter in name for letter in "/\\:")
+        and clean(name) == name
+    )
 
 
 def cache_folder() -> Path:

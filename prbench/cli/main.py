@@ -33,6 +33,7 @@ from prbench.cli import (
 )
 from prbench.cli.terminal import clean_output
 from prbench.errors import PrbenchError
+from prbench.limits import LONGEST_MESSAGE
 
 _COMMANDS = (
     run,
@@ -89,7 +90,7 @@ def _execute(arguments: Sequence[str] | None) -> int:
     try:
         return chosen.execute(chosen)
     except PrbenchError as error:
-        print(f"prbench: {error}", file=sys.stderr)
+        print(f"prbench: {_cut(str(error))}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
         kept = "; finished parts are kept, the same command resumes" if chosen.resumes else ""
@@ -98,6 +99,14 @@ def _execute(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output went away, as `| head` does
         return 0
+
+
+def _cut(message: str) -> str:
+    """A message that lists more than anybody reads, such as a header of 100,000 characters, without its middle."""
+    if len(message) <= LONGEST_MESSAGE:
+        return message
+    half = LONGEST_MESSAGE // 2
+    return f"{message[:half]} … ({len(message) - 2 * half} characters) … {message[-half:]}"
 
 
 def _parser() -> argparse.ArgumentParser:
