@@ -51,6 +51,8 @@ def require_near(
     Raises:
         RecordingUnusable: naming the first such row and its value.
     """
+    if points.size == 0:
+        return
     beyond = np.abs(points.reshape(len(points), -1)) > farthest
     if valid is not None:
         beyond &= valid[:, None]

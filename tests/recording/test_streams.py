@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, RecordingUnusable
-from prbench.ranges import first_repeated, require_column
+from prbench.ranges import first_repeated, require_column, require_near
 from tests.curation.scenes import scene
 
 
@@ -48,6 +48,10 @@ def test_rows_that_are_not_valid_may_hold_anything() -> None:
     valid = gaze.valid.copy()
     valid[0] = False
     assert replace(gaze, origin=origin, valid=valid).origin[0, 0] == 9e29
+
+
+def test_nothing_is_wrong_with_nothing() -> None:
+    require_near("none", np.zeros((0, 3)), farthest=1.0)
 
 
 def test_a_column_of_a_file_names_line_and_column() -> None:
