@@ -1,8 +1,14 @@
-"""Text that comes from files and other people, made fit to be shown: on a terminal, in a message, in a log."""
+"""Text that comes from files and other people, made fit to be shown: one function for each place where it appears.
+
+Names of objects, datasets, recordings and methods are anybody's text. JSON needs no function here, as it spells out
+what it must; commands need none for the terminal, as everything they print goes through ``prbench.cli.terminal``.
+"""
 
 from __future__ import annotations
 
+import re
 import unicodedata
+from html import escape
 
 LONGEST_QUOTE = 200
 """Characters that a message quotes of something that was found in a file."""
@@ -45,3 +51,59 @@ def quoted(text: object, *, longest: int = LONGEST_QUOTE) -> str:
     if len(text) <= longest:
         return clean(text)
     return f"{clean(text[:longest])} … ({len(text) - longest} more characters)"
+
+
+def markdown(text: object) -> str:
+    r"""Return a text as Markdown that shows it and does nothing else: no link, image, markup, formula or table cell.
+
+    >>> markdown("[a](javascript:b) <img> x_y")
+    '\\[a\\](javascript:b) &lt;img&gt; x_y'
+    """
+    shown = clean(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    shown = _MARKDOWN_MARKS.sub(r"\\\g<0>", shown)
+    return _BARE_LINK.sub(lambda link: f"{link[1] or ''}\\{link[0][-1]}", shown)
+
+
+def markdown_code(text: object) -> str:
+    """Return a text between backticks, in which Markdown knows no marks; its own backticks become apostrophes."""
+    shown = clean(text).replace("`", "'")
+    return f"`{shown}`"
+
+
+_MARKDOWN_MARKS = re.compile(r"[\\`*\[\]|~$]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
+_BARE_LINK = re.compile(r"(?i)\b(https?|ftp|mailto|xmpp|www)[:.]")
+"""Addresses that GitHub makes links of although nothing marks them."""
+
+
+def csv_text(text: object) -> str:
+    r"""Return a text for a cell of a CSV file that no spreadsheet takes for a formula.
+
+    An apostrophe stands before what would be one; Excel and LibreOffice show the text behind it.
+
+    >>> csv_text('=cmd|"/c calc"!A0')
+    '\'=cmd|"/c calc"!A0'
+    """
+    shown = clean(text)
+    is_formula = shown.lstrip().startswith(_FORMULA_STARTS) and not _NUMBER.fullmatch(shown)
+    return f"'{shown}" if is_formula else shown
+
+
+_FORMULA_STARTS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+"""The last four are the full-width forms, which Excel takes alike."""
+_NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
+
+
+def html(text: object) -> str:
+    """Return a text for the body or an attribute of an HTML page."""
+    return escape(clean(text))
+
+
+def figure_text(text: object) -> str:
+    r"""Return a text that matplotlib draws letter by letter: a name between dollars is no formula.
+
+    Line breaks stay, as titles of ours have some.
+
+    >>> figure_text("$\\frac$")
+    '\\$\\frac\\$'
+    """
+    return clean(text, keep="\n").replace("$", r"\$")

@@ -18,7 +18,8 @@ import platformdirs
 from prbench.boundary import foreign_input
 from prbench.bounded import read_text
 from prbench.errors import InputFileError, StorageError
-from prbench.limits import LARGEST_JSON
+from prbench.limits import LARGEST_JSON, LONGEST_NAME
+from prbench.shown import clean
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
 
@@ -238,6 +239,16 @@ def inside(root: Path, relative: str) -> Path:
     if not target.is_relative_to(os.path.realpath(root)):
         raise InputFileError(root, relative, expected="a path inside this folder", found="a path that leads out of it")
     return target
+
+
+def is_path_part(name: str) -> bool:
+    """Whether a name can be that of one folder or file: it leads nowhere else and cannot be mistaken for an option."""
+    return (
+        0 < len(name) <= LONGEST_NAME
+        and name[0] not in ".-"
+        and not any(letter in name for letter in "/\\:")
+        and clean(name) == name
+    )
 
 
 def cache_folder() -> Path:

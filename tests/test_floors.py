@@ -18,6 +18,7 @@ FLOORS = {
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
     "prbench.axes": 1,
+    "prbench.ranges": 1,
     "prbench.formats": 1,
     **{
         f"prbench.{room}": 1

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_method_settings, command, positive
 from prbench.cli.progress import progress
+from prbench.shown import clean
 
 if TYPE_CHECKING:
     from prbench.evaluation.conformance import Finding, Report
@@ -87,15 +88,16 @@ def print_report(report: Report) -> None:
 
 def _print_table(report: Report) -> None:
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
+
+    from prbench.cli.terminal import console
 
     table = Table("check", "", "what was found, and what to change", box=box.SIMPLE, pad_edge=False)
     for finding in _shown(report):
         outcome = finding.outcome.value
-        table.add_row(finding.check, f"[{_COLOURS[outcome]}]{outcome}[/]", escape(_sentences(finding)))
-    Console().print(table)
+        table.add_row(finding.check, Text(outcome, _COLOURS[outcome]), clean(_sentences(finding), keep="\n"))
+    console().print(table)
 
 
 def _shown(report: Report) -> list[Finding]:

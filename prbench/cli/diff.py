@@ -66,8 +66,18 @@ def _write_csv(difference: Difference, path: Path) -> None:
     import csv
 
     from prbench.locks import sole_file
+    from prbench.shown import csv_text
 
     with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("kind", "recording_id", "event", "first", "second", "decided_by"))
-        writer.writerows((c.kind, c.recording_id, c.event, c.before, c.after, c.decided_by) for c in difference.changes)
+        for change in difference.changes:
+            cells = (
+                change.kind,
+                change.recording_id,
+                change.event,
+                change.before,
+                change.after,
+                change.decided_by,
+            )
+            writer.writerow([csv_text(cell) for cell in cells])

@@ -32,6 +32,7 @@ from prbench.cli import (
     view,
 )
 from prbench.cli.supervised import calls_foreign_code, supervised
+from prbench.cli.terminal import clean_output
 from prbench.errors import PrbenchError
 
 _COMMANDS = (
@@ -76,6 +77,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a console that lacks a character shows a substitute, not a traceback
             stream.reconfigure(errors="replace")
+    with clean_output():
+        return _execute(arguments)
+
+
+def _execute(arguments: Sequence[str] | None) -> int:
     parser = _parser()
     chosen = parser.parse_args(arguments)
     if not hasattr(chosen, "execute"):

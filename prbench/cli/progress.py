@@ -7,6 +7,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
+from prbench.shown import clean
+
 ProgressCallback = Callable[[int, int, str], None]
 """Called with finished items, all items, and what was finished last."""
 
@@ -25,19 +27,20 @@ def progress(description: str) -> Iterator[ProgressCallback]:
 
 @contextlib.contextmanager
 def _bar(description: str) -> Iterator[ProgressCallback]:
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from prbench.cli.terminal import console
+
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}", style="dim"),
+        TextColumn("{task.fields[last]}", style="dim", markup=False),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=None, last="")
-        yield lambda done, total, last: bar.update(task, completed=done, total=total, last=last)
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        task = bar.add_task(clean(description), total=None, last="")
+        yield lambda done, total, last: bar.update(task, completed=done, total=total, last=clean(last))
 
 
 def _lines(description: str) -> ProgressCallback:
@@ -48,6 +51,6 @@ def _lines(description: str) -> ProgressCallback:
         now = time.monotonic()
         if done == total or now - last_line >= _SECONDS_BETWEEN_LINES:
             last_line = now
-            print(f"{description}: {done}/{total} {last}".rstrip(), file=sys.stderr, flush=True)
+            print(f"{description}: {done}/{total} {clean(last)}".rstrip(), file=sys.stderr, flush=True)
 
     return callback

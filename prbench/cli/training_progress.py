@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
+from prbench.shown import clean
+
 if TYPE_CHECKING:
     from prbench.training.loop import Progress
 
@@ -35,19 +37,20 @@ def in_words(row: Mapping[str, float | int]) -> str:
 
 @contextlib.contextmanager
 def _bar(description: str) -> Iterator[Callable[[Progress], None]]:
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
+    from prbench.cli.terminal import console
+
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}", style="dim"),
+        TextColumn("{task.fields[last]}", style="dim", markup=False),
     )
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(description, total=None, last="")
+    with Bar(*columns, console=console(stderr=True)) as bar:
+        task = bar.add_task(clean(description), total=None, last="")
 
         def update(progress: Progress) -> None:
             bar.update(task, completed=progress.step, total=progress.steps)

@@ -13,6 +13,7 @@ from prbench.boundary import foreign_input
 from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
+from prbench.ranges import first_repeated
 from prbench.readers import (
     Reader,
     RecordingFiles,
@@ -127,7 +128,18 @@ def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[Nat
     reader = reader_for(dataset, dict(options.reader))
     manifest = load_manifest(reader.dataset)
     options.curation.require_fits(manifest)
-    found = {recording.recording_id: recording for recording in reader.find(root)}
+    recordings = reader.find(root)
+    repeated = first_repeated(recording.recording_id for recording in recordings)
+    if repeated is not None:
+        folders = [str(recording.folder) for recording in recordings if recording.recording_id == repeated]
+        raise InputFileError(
+            root,
+            "",
+            expected="recordings with different names",
+            found=f"'{repeated}' in {' and '.join(folders)}",
+            remedy="Move one of the two copies away.",
+        )
+    found = {recording.recording_id: recording for recording in recordings}
     require_one_origin(root, (recording.dataset for recording in found.values()))
     require_marked(root, {name: recording.dataset for name, recording in found.items()})
     tree = read_synthetic_tree(root)

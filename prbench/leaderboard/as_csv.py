@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, hides
 from prbench.metrics import METRICS
+from prbench.shown import csv_text
 
 COLUMNS: tuple[str, ...] = (
     "table",
@@ -28,6 +29,7 @@ COLUMNS: tuple[str, ...] = (
     "note",
     "kind",
 )
+_NAMES = ("dataset", "condition", "method", "variant", "metric", "note")
 _INFOS = {info.id: info for info in METRICS}
 _UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
 
@@ -38,10 +40,15 @@ def as_csv(leaderboard: Leaderboard) -> str:
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
     for number, table in enumerate(leaderboard.tables, start=1):
-        writer.writerows(_dataset_rows(str(number), table))
+        writer.writerows(map(_shown, _dataset_rows(str(number), table)))
     for number, macro in enumerate(leaderboard.macro, start=1):
-        writer.writerows(_macro_rows(f"macro {number}", macro))
+        writer.writerows(map(_shown, _macro_rows(f"macro {number}", macro)))
     return text.getvalue()
+
+
+def _shown(row: dict[str, str]) -> dict[str, str]:
+    """A row whose names no spreadsheet takes for formulas; numbers may begin with a minus."""
+    return row | {name: csv_text(row[name]) for name in _NAMES}
 
 
 def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:

@@ -17,6 +17,7 @@ from prbench.leaderboard.tables import (
 from prbench.metrics import MetricInfo
 from prbench.runs.record import CONTROL
 from prbench.runs.summary import TWICE_DAGGER
+from prbench.shown import markdown, markdown_code
 
 _DASH = "–"
 _FEW = "†"
@@ -30,24 +31,24 @@ def as_markdown(leaderboard: Leaderboard) -> str:
     for macro in leaderboard.macro:
         blocks += _macro_blocks(macro)
     if leaderboard.notes:
-        blocks += ["## Notes", "\n".join(f"- {_plain(note)}" for note in leaderboard.notes)]
+        blocks += ["## Notes", "\n".join(f"- {markdown(note)}" for note in leaderboard.notes)]
     return "\n\n".join(blocks) + "\n"
 
 
 def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
-    title = f"## {_plain(table.title)}, `{table.dataset}`: {table.split}, {counts}"
+    title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
     if shared_name:
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Kind"]
     rows = [
         [
-            "control" if row.entry.record.method.kind == CONTROL else row.entry.record.condition,
+            "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
             _marked(row.entry.method, row.entry.mark),
             _variant(row.variant, unverified=bool(row.entry.unverified)),
             *(_cell(row, info) for info in MAIN_METRICS),
-            row.entry.origin,
+            markdown(row.entry.origin),
         ]
         for row in table.rows
     ]
@@ -55,11 +56,11 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
 
 
 def _variant(text: str, *, unverified: bool) -> str:
-    return "; ".join(part for part in (text, "unverified" if unverified else "") if part)
+    return "; ".join(part for part in (markdown(text), "unverified" if unverified else "") if part)
 
 
 def _marked(method: str, mark: str) -> str:
-    return f"{method} {TWICE_DAGGER}" if mark else method
+    return f"{markdown(method)} {TWICE_DAGGER}" if mark else markdown(method)
 
 
 def _cell(row: TableRow, info: MetricInfo) -> str:
@@ -89,15 +90,15 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         yield "Bold: the best of two or more methods under one condition; controls are not ranked."
     for row in table.rows:
         if row.entry.mark:
-            yield f"{_plain(row.entry.method)} {row.entry.mark}."
+            yield f"{markdown(row.entry.method)} {row.entry.mark}."
         if row.entry.summary.unsupported:
             yield (
-                f"{_plain(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
+                f"{markdown(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
                 " generate and were left out; not ranked."
             )
     reasons = dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified)
     for reason in reasons:
-        yield f"Unverified: scores that were not held against the motions, because {_plain(reason)}."
+        yield f"Unverified: scores that were not held against the motions, because {markdown(reason)}."
     if table.redistribution == "non-commercial":
         yield "The data may be used for non-commercial purposes only."
     elif table.redistribution == "none":
@@ -106,16 +107,16 @@ def _legend(table: DatasetTable) -> Iterable[str]:
 
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
-    title = f"## Mean over datasets: {', '.join(_plain(name) for name in macro.datasets)}{word}"
+    title = f"## Mean over datasets: {', '.join(markdown(name) for name in macro.datasets)}{word}"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing", "Kind"]
     rows = [
         [
-            "control" if row.is_control else row.condition,
+            "control" if row.is_control else markdown(row.condition),
             _marked(row.method, row.mark),
             _variant(row.variant, unverified=row.unverified),
             *(_macro_cell(row, info) for info in MAIN_METRICS),
             _missing(row),
-            row.origin,
+            markdown(row.origin),
         ]
         for row in macro.rows
     ]
@@ -131,7 +132,7 @@ def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
 
 
 def _missing(row: MacroRow) -> str:
-    return ", ".join(row.missing)
+    return ", ".join(markdown(name) for name in row.missing)
 
 
 def _column(info: MetricInfo) -> str:
@@ -146,12 +147,7 @@ def _scale(info: MetricInfo) -> float:
 
 def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     rule = ["---"] * 3 + ["---:"] * len(MAIN_METRICS) + ["---"] * (len(header) - 3 - len(MAIN_METRICS))
-    return "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in [header, rule, *rows])
-
-
-def _plain(text: str) -> str:
-    """Text that cannot break a table."""
-    return text.replace("|", "\\|").replace("\n", " ")
+    return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
 
 
 def _repeats(table: DatasetTable, leaderboard: Leaderboard) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -105,11 +106,20 @@ class RecordingFiles:
 
 
 def input_file(role: str, path: Path) -> InputFile:
-    """An existing file with its size; 0 for what turns out to be none, which reading it reports."""
+    """An existing file with its size; 0 for a link that leads nowhere, which reading it reports."""
     try:
         return InputFile(role, path, path.stat().st_size)
     except OSError:  # a link that leads nowhere, found by its name
         return InputFile(role, path, 0)
+
+
+def is_present(path: Path) -> bool:
+    """Whether something has this name: a file, or a folder or a broken link in its place.
+
+    An optional file is absent only where nothing has its name. What stands there otherwise is listed, and reading it
+    says that it cannot be read; a result that was made without it would pass for one that never had it.
+    """
+    return os.path.lexists(path)
 
 
 def names_in(folder: Path) -> str:

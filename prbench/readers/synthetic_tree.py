@@ -14,6 +14,7 @@ import msgspec
 
 from prbench.errors import InputFileError
 from prbench.readers.files import decode_json
+from prbench.readers.found import is_present
 
 SYNTHETIC_FILE = "synthetic.json"
 SYNTHETIC_PREFIX = "synthetic-"
@@ -46,7 +47,7 @@ def read_synthetic_tree(root: Path) -> SyntheticTree | None:
         InputFileError: if the mark is damaged.
     """
     for folder in (root, root.parent):
-        if (folder / SYNTHETIC_FILE).is_file():
+        if is_present(folder / SYNTHETIC_FILE):
             return decode_json(folder / SYNTHETIC_FILE, _TREE)
     return None
 

@@ -51,6 +51,11 @@ def published_priming(
         remarks.append(f"published priming: {len(entries) - used} of {len(entries)} entries belong to no event")
     if used < located:
         remarks.append(f"published priming: nothing about {located - used} of {located} located events")
+    behind = sum(index is not None and told is None for index, told in zip(partner, result, strict=True))
+    if behind:
+        remarks.append(
+            f"published priming: {behind} primed frames lie beyond the rows of the time file; taken as unknown"
+        )
     return result, tuple(remarks)
 
 

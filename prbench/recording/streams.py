@@ -2,11 +2,13 @@
 
 World frame: metres, Y up, right-handed. Times: seconds on the recording's clock, strictly increasing within a stream;
 every stream has its own. Quaternions: w x y z, Hamilton. Values are finite everywhere; where nothing was measured the
-``valid`` mask is False and the value is a harmless filler.
+``valid`` mask is False and the value is a harmless filler. Numbers that no recording can hold (a wrist 9e29 m away, a
+clock that jumps by years) are refused here, so that no reader has to think of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -14,6 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from prbench.errors import RecordingUnusable
+from prbench.limits import FARTHEST_POSITION, LARGEST_OBJECT
+from prbench.ranges import first_repeated, require_near, require_times, require_unit_length
+from prbench.shown import quoted
 from prbench.timelines import interpolate, slerp
 
 Side = Literal["left", "right"]
@@ -31,6 +37,19 @@ def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
     assert all(np.isfinite(column).all() for column in columns), "streams hold no NaN; readers mask instead"
 
 
+def _check_poses(name: str, stream: PoseStream | ObjectTrack) -> None:
+    require_times(name, stream.times)
+    require_near(name, stream.position, stream.valid, farthest=FARTHEST_POSITION)
+    require_unit_length(f"rotation of {name}", stream.rotation, stream.valid)
+
+
+def _require_distinct(what: str, ids: Sequence[str]) -> None:
+    """Refuse one id for two things: which of them is meant later would depend on their order."""
+    repeated = first_repeated(ids)
+    if repeated is not None:
+        raise RecordingUnusable(f"{what}: expected different ids, found '{quoted(repeated)}' twice.")
+
+
 @dataclass(frozen=True)
 class GazeStream:
     """Where the wearer looks: rays in the world."""
@@ -44,6 +63,9 @@ class GazeStream:
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.origin, self.direction, self.valid)
+        require_times("gaze", self.times)
+        require_near("gaze origin", self.origin, self.valid, farthest=FARTHEST_POSITION)
+        require_unit_length("gaze direction", self.direction, self.valid)
 
 
 @dataclass(frozen=True)
@@ -57,6 +79,7 @@ class PoseStream:
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)
+        _check_poses("glasses", self)
 
 
 @dataclass(frozen=True)
@@ -69,6 +92,8 @@ class BodyStream:
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.joints, self.valid)
+        require_times("body", self.times)
+        require_near("body", self.joints, self.valid, farthest=FARTHEST_POSITION)
 
 
 @dataclass(frozen=True)
@@ -83,6 +108,8 @@ class HandStream:
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.points, self.valid)
+        require_times(f"{self.side} hand", self.times)
+        require_near(f"{self.side} hand", self.points, self.valid, farthest=FARTHEST_POSITION)
 
 
 @dataclass(frozen=True)
@@ -110,6 +137,11 @@ class ObjectTrack:
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)
+        name = f"object {quoted(self.name)} ({quoted(self.object_id)})"
+        _check_poses(name, self)
+        require_near(f"box of {name}", np.stack([self.box_min, self.box_max]), farthest=LARGEST_OBJECT)
+        if self.surface_points is not None:
+            require_near(f"surface of {name}", self.surface_points, farthest=LARGEST_OBJECT)
 
     def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
         """Position and rotation interpolated between valid samples, end values held beyond them."""
@@ -178,6 +210,15 @@ class AnnotatedEvent:
     hand_source: HandSource | None = None
     """None where the hand is unknown."""
 
+    def __post_init__(self) -> None:
+        name = f"event {quoted(self.native_key)}"
+        require_times(name, np.array([self.event_time], dtype=np.float64))
+        for place in (self.location, self.box_min, self.box_max):
+            if place is not None:
+                require_near(name, place[None], farthest=FARTHEST_POSITION)
+        if self.published_priming is not None and self.published_priming.prime_time is not None:
+            require_times(f"prime of {name}", np.array([self.published_priming.prime_time], dtype=np.float64))
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -212,6 +253,11 @@ class Recording:
     """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
     messages: tuple[str, ...] = ()
     """What the reader noticed and the user should know."""
+
+    def __post_init__(self) -> None:
+        require_times("ground truth", np.array(self.span, dtype=np.float64))
+        _require_distinct("objects", [track.object_id for track in self.objects])
+        _require_distinct("events", [f"{event.native_key} ({event.action})" for event in self.annotated_events])
 
     def hand_streams(self, contact: ContactPoint) -> tuple[HandStream, ...]:
         """The wearer's streams of one kind of contact point."""

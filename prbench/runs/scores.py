@@ -6,12 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.parquet_files import read_parquet
 from prbench.runs.schema import RUN_SCHEMA_VERSION, SCORES
+from prbench.shown import quoted
 from prbench.storage import atomic_path
 
 
@@ -50,4 +52,9 @@ def read_scores(path: Path) -> pa.Table:
         raise RunError(
             f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(table.column_names)}."
         )
+    keys = table.group_by(["dataset", "sequence_id", "sample", "metric"]).aggregate([([], "count_all")])
+    if len(keys) < len(table):
+        row = keys.filter(pc.field("count_all") > 1).slice(0, 1).to_pylist()[0]
+        name = f"{row['dataset']}, {row['sequence_id']}, sample {row['sample']}, {row['metric']}"
+        raise RunError(f"{path}: expected one value for each sequence, sample and metric, found more: {quoted(name)}.")
     return table

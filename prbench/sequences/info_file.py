@@ -11,8 +11,8 @@ from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import TableError
 from prbench.limits import LARGEST_JSON
-
-Info = TypeVar("Info", bound=msgspec.Struct)
+from prbench.shown import quoted
+from prbench.storage import is_path_part
 
 
 class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,6 +49,9 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     citation: str
 
 
+Info = TypeVar("Info", bound=Provenance)
+
+
 @foreign_input()
 def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
@@ -58,7 +61,7 @@ def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
     """
     folder = path.parent
     try:
-        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
+        info = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
     except (FileNotFoundError, NotADirectoryError) as error:
         found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise TableError(
@@ -66,6 +69,12 @@ def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
         ) from error
     except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {what} again.") from error
+    if not is_path_part(info.dataset):  # folders are named after it, and nothing is made before this is known
+        raise TableError(
+            f"{path}, dataset: expected a name that a folder can have, found '{quoted(info.dataset)}'."
+            f" Build the {what} again."
+        )
+    return info
 
 
 def _remedy(path: Path, what: str) -> str:

@@ -14,7 +14,9 @@ import pyarrow.parquet as pq
 from prbench import parquet_files
 from prbench.boundary import foreign_input
 from prbench.errors import TableError
+from prbench.ranges import first_repeated
 from prbench.sequences.chunk import SequenceChunk
+from prbench.shown import quoted
 
 
 def table_parts(folder: Path, name: str) -> list[Path]:
@@ -96,6 +98,19 @@ def read_parquet(path: Path, columns: list[str]) -> pa.Table:
     """
     with naming(path):
         return parquet_files.read_parquet(path, columns)
+
+
+def require_distinct(ids: SequenceOf[str], where: Path | str) -> None:
+    """Refuse rows of one id: which of them is meant would depend on their order, and counts would count them twice.
+
+    Raises:
+        TableError: naming the first repeated id.
+    """
+    repeated = first_repeated(ids)
+    if repeated is not None:
+        raise TableError(
+            f"{where}: expected rows with different ids, found '{quoted(repeated)}' twice. Build the dataset again."
+        )
 
 
 def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatch:

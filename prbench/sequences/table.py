@@ -17,7 +17,15 @@ from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import ContentDigest, identity_digest
-from prbench.sequences.rows import is_bulky, naming, open_parquet, read_parquet, stream_chunks, table_parts
+from prbench.sequences.rows import (
+    is_bulky,
+    naming,
+    open_parquet,
+    read_parquet,
+    require_distinct,
+    stream_chunks,
+    table_parts,
+)
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, check_schema, with_later_columns
 from prbench.sequences.unchanged import require_unchanged
 
@@ -34,7 +42,7 @@ class SequenceTable:
     @classmethod
     @foreign_input()
     def open(cls, folder: Path) -> SequenceTable:
-        """Open a dataset folder and check versions, columns, that it holds sequences, and that no file was edited.
+        """Open a dataset folder and check versions, columns, ids, that it holds sequences, and that no file was edited.
 
         Raises:
             TableError: naming the file, what was expected and what was found.
@@ -51,6 +59,9 @@ class SequenceTable:
                 " `prbench explain` tells the story of single events."
             )
         table.require_unchanged()
+        paths = table.part_paths("sequences")
+        ids = [name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()]
+        require_distinct(ids, f"{folder}, sequences")
         return table
 
     def require_unchanged(self) -> None:
@@ -102,11 +113,15 @@ class SequenceTable:
 
     def events(self) -> pa.Table:
         """The ``events`` table."""
-        return self._read("events", EVENTS)
+        events = self._read("events", EVENTS)
+        require_distinct(events["event_id"].to_pylist(), f"{self.folder}, events")
+        return events
 
     def recordings(self) -> pa.Table:
         """The ``recordings`` table."""
-        return self._read("recordings", RECORDINGS)
+        recordings = self._read("recordings", RECORDINGS)
+        require_distinct(recordings["recording_id"].to_pylist(), f"{self.folder}, recordings")
+        return recordings
 
     @cached_property
     def identity(self) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import MissingExtraError
+from prbench.shown import figure_text
 from prbench.storage import atomic_path
 from prbench.training.state import Row, TrainingState
 
@@ -78,13 +79,13 @@ def draw_curves(path: Path, rows: list[Row], validations: list[Row]) -> None:
     for place, (name, curves) in enumerate(plots.items()):
         axes = figure.add_subplot(lines, columns, place + 1)
         for label, (steps, values) in curves.items():
-            axes.plot(steps, values, label=label, linewidth=1, marker="." if len(steps) < 30 else None)
+            axes.plot(steps, values, label=figure_text(label), linewidth=1, marker="." if len(steps) < 30 else None)
         if name in losses and all(value > 0 for _, values in curves.values() for value in values):
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axes.yaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_minor_locator(NullLocator())
-        axes.set_title(name, fontsize=9)
+        axes.set_title(figure_text(name), fontsize=9)
         axes.set_xlabel("step", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)

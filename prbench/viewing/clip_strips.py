@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.locks import sole_file
+from prbench.shown import figure_text
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.activities import narrated_recording
 from prbench.viewing.stick_figure import draw_figure
@@ -85,7 +86,7 @@ def _draw(axes: Axes, strip: Strip) -> None:
     frames = np.linspace(0, len(strip.joints) - 1, _N_FIGURES).round().astype(int)
     for number, frame in enumerate(frames):
         draw_figure(axes, strip.joints[frame], strip.head_tilt_deg, _SIDEWAYS, number * _SPACING)
-    axes.set_title(strip.text, fontsize=8, loc="left")
+    axes.set_title(figure_text(strip.text), fontsize=8, loc="left")
     axes.set_aspect("equal")
     axes.set_ylim(-0.05, 2.25)
     moved = np.linalg.norm((strip.joints[-1] - strip.joints[0])[Joint.PELVIS, [0, 2]])

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from prbench.locks import sole_file
 from prbench.metrics.ray_track import ray_distance
+from prbench.shown import clean, figure_text
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.stick_figure import draw_figure
 from prbench.viewing.story import EventStory, StoryMotion
@@ -39,7 +40,8 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     figure = Figure(figsize=(_WIDTH, sum(heights) + 0.4), layout="constrained")
     axes = figure.subplots(len(heights), 1, height_ratios=heights)
     notice = f"\n{story.notice}" if story.notice else ""
-    figure.suptitle(f"{story.title}: {story.event.outcome}\n{story.event.event_id}{notice}", fontsize=10)
+    title = f"{clean(story.title)}: {clean(story.event.outcome)}\n{clean(story.event.event_id)}{notice}"
+    figure.suptitle(figure_text(title), fontsize=10)
     _write_stages(axes[0], story)
     _draw_timeline(axes[1], story)
     if story.motion is not None:
@@ -59,7 +61,7 @@ def _write_stages(axes: Axes, story: EventStory) -> None:
         place = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
         axes.text(0.0, height, stage.name, weight="bold", color=colour, **place)
         axes.text(0.07, height, stage.verdict, color=colour, **place)
-        axes.text(0.16, height, stage.text, **place)
+        axes.text(0.16, height, figure_text(stage.text), **place)
 
 
 def _draw_timeline(axes: Axes, story: EventStory) -> None:
@@ -71,8 +73,8 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         axes.axvspan(
             prime - story.lead, 0, ymin=0.05, ymax=0.25, color="tab:green", alpha=0.25, label="from lead to event"
         )
-        axes.axvline(prime, color=_PRIME, label=f"prime ({(event.prime_kind or '').replace('_', ' ')})")
-    axes.axvline(0, color=_EVENT, linewidth=1.5, label=f"{event.action}")
+        axes.axvline(prime, color=_PRIME, label=figure_text(f"prime ({(event.prime_kind or '').replace('_', ' ')})"))
+    axes.axvline(0, color=_EVENT, linewidth=1.5, label=figure_text(event.action))
     first, last = -story.priming_window - story.lead - 1, 5.0
     shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
     for number, other in enumerate(shown):
@@ -81,7 +83,7 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
         name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
         side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
-        label = f"{other.action} {name}: {other.outcome}"
+        label = figure_text(f"{other.action} {name}: {other.outcome}")
         axes.annotate(label, (time, height), fontsize=7, va="center", color=colour, textcoords="offset points", **side)
     axes.set(xlim=(first, last), ylim=(0, 1), yticks=[], xlabel="seconds from the event")
     axes.legend(loc="upper left", fontsize=7, ncols=4, frameon=False)

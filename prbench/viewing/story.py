@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.sequences import EventRecord
+from prbench.shown import clean
 
 Verdict = Literal["passed", "stopped here", "not reached"]
 _MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached": " "}
@@ -78,7 +79,7 @@ class EventStory:
         if self.neighbours:
             lines += ["", "other events around it, and of the same object:"]
             lines += [f"  {self._beside(other)}" for other in self.neighbours]
-        return "\n".join(lines)
+        return "\n".join(map(clean, lines))
 
     def _beside(self, other: EventRecord) -> str:
         same = " (same object)" if other.object_id == self.event.object_id else ""

@@ -12,6 +12,7 @@ from prbench.errors import UsageError
 from prbench.locks import sole_file
 from prbench.published import Spread, load_table_one
 from prbench.sequences.table_one import TableStatistics
+from prbench.shown import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +76,9 @@ def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
     band = None if published is None else published.prime_gap
     _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
     for colour, each in zip(_COLOURS, statistics, strict=False):
-        panels[0].plot([], [], color=colour, linewidth=4, label=f"{each.dataset}, {each.sequences} sequences")
+        panels[0].plot(
+            [], [], color=colour, linewidth=4, label=figure_text(f"{each.dataset}, {each.sequences} sequences")
+        )
     panels[0].legend(fontsize=7, frameon=False)
     return figure
 

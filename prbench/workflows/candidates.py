@@ -14,6 +14,7 @@ from prbench.formats import gimo
 from prbench.locks import sole_writer
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.gimo.segments import row_of
+from prbench.shown import csv_text
 from prbench.storage import atomic_path
 
 DATASETS = ("gimo",)
@@ -115,4 +116,6 @@ def _write(path: Path, proposals: Iterable[Proposal]) -> None:
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
-        writer.writerows([row[name] for name in COLUMNS] for row in (proposal.row() for proposal in proposals))
+        for proposal in proposals:
+            row = proposal.row()
+            writer.writerow([csv_text(row[name]) for name in COLUMNS])

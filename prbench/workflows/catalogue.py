@@ -15,6 +15,7 @@ from prbench.readers import READER_MODULES, reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
 from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
+from prbench.shown import clean
 from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 from prbench.workflows.inspection import missing_files
 
@@ -116,11 +117,11 @@ def citation_text(folders: Sequence[Path]) -> str:
             table = SequenceTable(folder, DatasetInfo.read(folder))
         table.require_unchanged()
         info = table.info
-        terms.append(f"% {info.dataset}: {info.title}")
-        terms.append(f"%   licence: {info.licence}")
-        terms.append(f"%   it {_TERMS.get(info.redistribution, info.redistribution)}.")
+        terms.append(f"% {clean(info.dataset)}: {clean(info.title)}")
+        terms.append(f"%   licence: {clean(info.licence)}")
+        terms.append(f"%   it {clean(_TERMS.get(info.redistribution, info.redistribution))}.")
         if info.homepage:
-            terms.append(f"%   {info.homepage}")
+            terms.append(f"%   {clean(info.homepage)}")
         entries += [entry for entry in _bibtex_entries(info.citation) if entry not in entries]
     common = load_citations()
     toolkit = common.toolkit.replace("VERSION", prbench.__version__)

@@ -16,6 +16,7 @@ from prbench.errors import TableError, UsageError
 from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import DatasetInfo, EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
+from prbench.shown import clean
 from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
 
@@ -86,11 +87,11 @@ def find_event(events: pa.Table, wanted: str) -> int:
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
-        shown = "\n".join(f"  {ids[row]}  ({names[row]})" for row in fitting[:_SHOWN])
+        shown = "\n".join(f"  {clean(ids[row])}  ({clean(names[row])})" for row in fitting[:_SHOWN])
         more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
         raise UsageError(f"'{wanted}' fits {len(fitting)} events; give a longer part of one:\n{shown}{more}")
     near = difflib.get_close_matches(wanted, [*ids, *names], n=3, cutoff=0.3)
-    hint = "\n".join(f"  {name}" for name in near)
+    hint = "\n".join(f"  {clean(name)}" for name in near)
     counted = f"no event '{wanted}' among the {len(ids)} of this dataset; events.parquet lists them."
     raise UsageError(f"{counted} Near it:\n{hint}" if near else counted)
 

@@ -297,6 +297,21 @@ def test_text_from_a_run_cannot_break_the_table(tmp_path):
     assert rows[2][1] == r"one\|two"
 
 
+HOSTILE = "=cmd|'/c x'!A0 [x](javascript:y) <img src=x onerror=z>\n`\x1b[2J"
+
+
+def test_names_in_an_export_are_text_and_nothing_else(tmp_path):
+    write_run(tmp_path / "a", HOSTILE, summary={"title": HOSTILE})
+    markdown = export(leaderboard(tmp_path), "md")
+    assert "<img" not in markdown
+    assert "[x](" not in markdown
+    assert "\x1b" not in markdown
+    assert len({line.replace(r"\|", "").count("|") for line in markdown.splitlines() if line.startswith("| ")}) == 1
+    for row in csv.DictReader(io.StringIO(export(leaderboard(tmp_path), "csv"))):
+        assert row["method"].startswith("'=cmd")
+        assert "\x1b" not in row["method"]
+
+
 def test_every_table_line_has_the_same_number_of_cells(tmp_path):
     write_run(tmp_path / "a", "one", datasets=("adt", "gimo"))
     write_run(tmp_path / "b", "two", datasets=("adt",))

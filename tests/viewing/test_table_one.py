@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from prbench.errors import UsageError
@@ -29,3 +31,8 @@ def test_another_kind_of_file_is_refused_before_anything_is_written(tmp_path) ->
     with pytest.raises(UsageError, match=r"\.pdf"):
         draw_table_one([table_statistics(fake_dataset(tmp_path / "t", n=2))], tmp_path / "figure.pdf")
     assert not (tmp_path / "figure.pdf").exists()
+
+
+def test_a_name_between_dollars_is_no_formula(tmp_path) -> None:
+    statistics = table_statistics(fake_dataset(tmp_path / "t", n=2))
+    draw_table_one([replace(statistics, dataset="$\\frac$")], tmp_path / "figure.svg")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import msgspec
@@ -132,3 +133,14 @@ def test_where_the_licence_keeps_goals_the_story_does_not_tell_them(tmp_path) ->
     msgspec.structs.replace(table.info, redistribution="none").write(table.folder)
     assert " m, box " not in explain_event(table.folder, event).text()
     assert " m, box " in explain_event(table.folder, event, permitted=["synthetic-adt"]).text()
+
+
+def test_names_can_neither_steer_the_terminal_nor_add_lines_nor_end_a_drawing(table: Path, tmp_path: Path) -> None:
+    story = explain_event(table, "room_a/cup/pick")
+    name = "cup\x1b[2J\n  + filters  passed $\\frac$"
+    event = dataclasses.replace(story.event, object_name=name)
+    other = dataclasses.replace(story.neighbours[0], object_name=name)
+    named = dataclasses.replace(story, event=event, neighbours=(other,))
+    assert "\x1b" not in named.text()
+    assert "cup\\x1b[2J\\n  + filters" in named.text()
+    draw_event_story(named, tmp_path / "story.png")

@@ -14,7 +14,7 @@ from prbench.readers.adt.options import AdtOptions
 from prbench.readers.aria_mps import find_gaze_file
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json
-from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
+from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.storage import inside
 
@@ -194,14 +194,14 @@ def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
     for role, names in _FILES.items():
         if role == GAZE and options.gaze == "personalized":
             names = (*(f"{adt.MPS_FOLDER}/eye_gaze/{name}" for name in PERSONALIZED_GAZE_FILES), *names)
-        path = next((folder / name for name in names if (folder / name).is_file()), None)
+        path = next((folder / name for name in names if is_present(folder / name)), None)
         if path is None and role == GAZE:
             path = find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze")
         if path is None:
             continue
         files.append(input_file(role, path))
         status = path.with_name(SUMMARY_FILE)
-        if role in _STATUS_OF and path.parent != folder and status.is_file():
+        if role in _STATUS_OF and path.parent != folder and is_present(status):
             files.append(input_file(_STATUS_OF[role], status))
     skeletons = sorted(folder.glob("Skeleton_*.json"))
     return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
-from prbench.readers.found import InputFile, input_file
+from prbench.readers.found import InputFile, input_file, is_present
 from prbench.readers.zipped import archive_members
 
 _ROLES: dict[str, tuple[str, ...]] = {
@@ -54,7 +54,7 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
 
 def find_gaze_file(folder: Path) -> Path | None:
     """The preferred gaze file of a folder, under its new or an old name; None if there is none."""
-    return next((folder / name for name in mps.GAZE_FILES if (folder / name).is_file()), None)
+    return next((folder / name for name in mps.GAZE_FILES if is_present(folder / name)), None)
 
 
 def is_personalized(file: InputFile) -> bool:
@@ -66,7 +66,7 @@ def _files_below(root: Path) -> list[InputFile]:
     wanted = {name for names in _ROLES.values() for name in names} | {mps.SUMMARY_FILE}
     files = []
     for path in sorted(root.rglob("*")):
-        if path.name in wanted and path.is_file():
+        if path.name in wanted:
             files.append(input_file("", path))
         elif path.suffix == ".zip" and path.is_file():
             files += _files_of_archive_if_whole(path)

@@ -6,6 +6,8 @@ import numpy as np
 
 from prbench.errors import InputFileError
 from prbench.formats import aria_mps as mps
+from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE
+from prbench.ranges import require_column
 from prbench.readers.files import read_columns, read_header, require_increasing
 from prbench.readers.zipped import Source, shown
 
@@ -40,6 +42,10 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
         )
     require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     columns = {name: table[name].to_numpy() for name in table.column_names}
+    for name in (*yaws, mps.PITCH):  # their bounds steer no ray
+        require_column(shown(path), name, columns[name], largest=LARGEST_ANGLE, unit="rad")
+    if mps.DEPTH in columns:
+        require_column(shown(path), mps.DEPTH, columns[mps.DEPTH], largest=FARTHEST_POSITION, unit="m")
     unknown = np.full(len(table), np.nan)
 
     def pair(names: tuple[str, str]) -> np.ndarray:

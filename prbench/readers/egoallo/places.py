@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from prbench.formats import egoallo as ego
-from prbench.readers.found import InputFile, input_file
+from prbench.readers.found import InputFile, input_file, is_present
 
 OUTPUT_ROLE = "egoallo/"
 """Roles of output files are this and the file's name."""
@@ -49,13 +49,13 @@ def find_outputs(
     places += [folder / ego.OUTPUT_FOLDER] if folder is not None else []
     places.append(poses_folder(root, recording_id))
     for place in places:
-        outputs = sorted(path for path in place.glob("*.npz") if path.is_file() and not path.name.startswith("."))
+        outputs = sorted(path for path in place.glob("*.npz") if not path.name.startswith("."))
         if outputs:
             model = find_model(root, smplh_model)
             files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
             options = [path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}") for path in outputs]
-            files += [input_file(f"{OPTIONS_ROLE}{path.name}", path) for path in options if path.is_file()]
-            return (*files, *([input_file(MODEL_ROLE, model)] if model is not None and model.is_file() else []))
+            files += [input_file(f"{OPTIONS_ROLE}{path.name}", path) for path in options if is_present(path)]
+            return (*files, *([input_file(MODEL_ROLE, model)] if model is not None and is_present(model) else []))
     return ()
 
 
@@ -69,4 +69,4 @@ def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:
     if named is not None:
         return named.expanduser()
     beside = root / ego.MODEL_FILE
-    return beside if beside.is_file() else None
+    return beside if is_present(beside) else None

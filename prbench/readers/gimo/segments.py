@@ -11,7 +11,7 @@ from typing import Literal
 
 from prbench.errors import InputFileError
 from prbench.formats import gimo
-from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, names_in
+from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.gimo.dataset_csv import Row, read_segments
 from prbench.readers.gimo.events import (
     EventRow,
@@ -73,7 +73,7 @@ def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Pat
     """The table of events and where it lies; an empty one where the user has none."""
     if options.events is None:
         path = root / gimo.EVENTS_FILE
-        return (read_events(path) if path.is_file() else ()), path
+        return (read_events(path) if is_present(path) else ()), path
     path = options.events.expanduser()
     if not path.is_file():
         raise InputFileError(
@@ -220,9 +220,9 @@ class _Search:
             paths[SKELETON] = folder.path / gimo.SKELETON_FILE
         paths |= _hololens_files(folder.path)
         if self._options.meshes:
-            mesh = next((scene / name for name in gimo.SCENE_MESHES if (scene / name).is_file()), None)
+            mesh = next((scene / name for name in gimo.SCENE_MESHES if is_present(scene / name)), None)
             paths |= {} if mesh is None else {SCENE_MESH: mesh}
-        return [input_file(role, path) for role, path in paths.items() if path.is_file()]
+        return [input_file(role, path) for role, path in paths.items() if is_present(path)]
 
 
 def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
@@ -243,7 +243,7 @@ def _hololens_files(folder: Path) -> dict[str, Path]:
     found = {
         STREAM: sorted(folder.glob(f"*{gimo.HOLOLENS_SUFFIX}")),
         VIDEO: sorted(folder.glob(f"*{gimo.VIDEO_SUFFIX}")),
-        HOLOLENS_TRANSFORM: [folder / name for name in gimo.HOLOLENS_TRANSFORM_FILES if (folder / name).is_file()],
+        HOLOLENS_TRANSFORM: [folder / name for name in gimo.HOLOLENS_TRANSFORM_FILES if is_present(folder / name)],
     }
     return {role: paths[0] for role, paths in found.items() if paths}
 

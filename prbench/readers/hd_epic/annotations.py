@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -15,7 +16,11 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.formats import hd_epic
+from prbench.limits import MOST_FRAMES
 from prbench.readers.files import decode_json, missing_file
+
+_Frame = Annotated[int, msgspec.Meta(ge=-MOST_FRAMES, le=MOST_FRAMES)]
+"""Number of a video frame; negative ones are marks."""
 
 
 class _Track(msgspec.Struct):
@@ -30,18 +35,18 @@ class _Association(msgspec.Struct):
 
 
 class _Mask(msgspec.Struct):
-    frame_number: int
+    frame_number: _Frame
     location: list[float | None] | None = msgspec.field(name="3d_location", default=None)
     bbox: list[float] | None = None
     fixture: str | None = None
 
 
 class _PrimeStats(msgspec.Struct):
-    frame_primed: int
+    frame_primed: _Frame
 
 
 class _Side(msgspec.Struct):
-    frame: int
+    frame: _Frame
     prime_stats: _PrimeStats
     location: list[float | None] | None = msgspec.field(name="3d_location", default=None)
 

@@ -11,7 +11,7 @@ from prbench.formats import aria_mps as mps
 from prbench.formats import hd_epic
 from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.egoallo import find_outputs
-from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
+from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.slam_map import slam_number
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -138,8 +138,8 @@ def _recording(copy: Copy, dataset: str, participant: str, video: str, options: 
 
 
 def _present(role: str, places: Iterable[Path]) -> list[InputFile]:
-    """The first of several places that is a file."""
-    path = next((place for place in places if place.is_file()), None)
+    """The first of several places at which something lies."""
+    path = next((place for place in places if is_present(place)), None)
     return [] if path is None else [input_file(role, path)]
 
 
@@ -203,7 +203,7 @@ def _archive_or_folder(folder: Path, name: str) -> Path | None:
         if place.is_dir():
             return place
     archive = folder / f"{name}.zip"
-    return archive if archive.is_file() else None
+    return archive if is_present(archive) else None
 
 
 def _body_files(copy: Copy, video: str, options: HdEpicOptions) -> tuple[InputFile, ...]:

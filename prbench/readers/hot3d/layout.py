@@ -11,7 +11,7 @@ from prbench.formats import hot3d
 from prbench.readers.aria_mps import find_mps_files
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json, read_columns
-from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
+from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hot3d.options import Hot3dOptions
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, synthetic_tree_around
 
@@ -97,7 +97,7 @@ def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, 
 def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
     tree = synthetic_tree_around(folder, root)
     files = [input_file(METADATA, folder / hot3d.METADATA_FILE)]
-    files += [input_file(role, folder / name) for role, name in _FILES.items() if (folder / name).is_file()]
+    files += [input_file(role, folder / name) for role, name in _FILES.items() if is_present(folder / name)]
     files += find_mps_files(folder / hot3d.MPS_FOLDER)
     files += _library_files(root, folder)
     files += _mano_models(options)
@@ -129,13 +129,13 @@ def _library_files(root: Path, folder: Path) -> list[InputFile]:
     """The table of names, and the models of those objects that this recording tracks."""
     bases = dict.fromkeys((root, folder.parent, folder.parent.parent))
     places = [base / name for base in bases for name in hot3d.LIBRARY_FOLDERS]
-    library = next((place for place in places if (place / hot3d.INSTANCES_FILE).is_file()), None)
+    library = next((place for place in places if is_present(place / hot3d.INSTANCES_FILE)), None)
     if library is None:
         return []
     models = [(uid, library / f"{uid}.glb") for uid in _object_ids(folder / hot3d.OBJECTS_FILE)]
     return [
         input_file(INSTANCES, library / hot3d.INSTANCES_FILE),
-        *(input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if path.is_file()),
+        *(input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)),
     ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from prbench.errors import InputFileError
 from prbench.formats import mogaze
 from prbench.manifests import load_manifest
-from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
+from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.mogaze.scene import read_scene
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
 
@@ -60,7 +60,7 @@ def _parts_in(folder: Path) -> dict[str, list[InputFile]]:
     parts: dict[str, list[InputFile]] = {}
     for path in sorted(folder.iterdir()):
         match = _FILE_NAME.fullmatch(path.name)
-        if match and path.is_file():
+        if match:
             parts.setdefault(match["id"], []).append(input_file(match["part"], path))
     return parts
 
@@ -68,7 +68,7 @@ def _parts_in(folder: Path) -> dict[str, list[InputFile]]:
 def _shared_files(folder: Path) -> tuple[InputFile, ...]:
     """The scene and the meshes that it names; of a damaged scene the file alone."""
     path = folder / mogaze.SCENE_FILE
-    if not path.is_file():
+    if not is_present(path):
         return ()
     try:
         meshes = {body.mesh for body in read_scene(path).values() if body.mesh is not None}

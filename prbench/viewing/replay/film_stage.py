@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from prbench.shown import figure_text
 from prbench.skeleton import Joint
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import bone_segments, draw_bodies, side_view, top_view
@@ -67,10 +68,10 @@ class FilmStage:
 
     def _write_texts(self) -> None:
         scene, write = self._scene, self._figure.text
-        write(0.02, 0.962, scene.title, fontsize=13, weight="bold")
-        write(0.02, 0.935, scene.sequence_id, fontsize=7.5, color="0.35", family="monospace")
+        write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
+        write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
         if scene.notice:
-            write(0.02, 0.012, scene.notice, fontsize=8, color=palette.METHODS[1])
+            write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=palette.METHODS[1])
 
     def _build_side_views(self) -> None:
         scene, axis = self._scene, self._scene.picture_axis
@@ -82,7 +83,9 @@ class FilmStage:
             panel.set_ylabel("m", fontsize=7.5)
             for side in ("top", "right"):
                 panel.spines[side].set_visible(False)
-            panel.set_title(motion.label, fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2)
+            panel.set_title(
+                figure_text(motion.label), fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2
+            )
             panel.set_title(verdict(scene, motion), fontsize=7.5, color="0.35", loc="right", pad=3)
             self._add_goal(panel, lambda points: side_view(points, axis))
             self._add_body(panel, motion, lambda points: side_view(points, axis))

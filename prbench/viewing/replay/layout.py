@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from prbench.shown import figure_text
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -61,7 +63,7 @@ class Block:
     def text(self, left: float, down: float, text: str, **style: Any) -> None:
         """Write a line whose foot is ``down`` inches under the top."""
         width, height = self.figure.get_size_inches()
-        self.figure.text(left / width, (self.top - down) / height, text, **style)
+        self.figure.text(left / width, (self.top - down) / height, figure_text(text), **style)
 
     def _axes(self, left: float, down: float, width: float, height: float) -> Axes:
         figure_width, figure_height = self.figure.get_size_inches()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from prbench.shown import figure_text
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.captions import HEADER, score_row
 from prbench.viewing.replay.scene import Scene
@@ -27,7 +28,7 @@ def draw_scores(axes: Axes, scene: Scene) -> None:
             shown = text if len(text) <= _LABEL else f"{text[: _LABEL - 1]}…"
             side = "left" if column == 0 else "right"
             style: dict[str, Any] = {"ha": side, "va": "center", "fontsize": 7.5 if number else 7, "color": colour}
-            axes.text(place, height, shown, transform=axes.transAxes, **style)
+            axes.text(place, height, figure_text(shown), transform=axes.transAxes, **style)
 
 
 def draw_key(axes: Axes, scene: Scene) -> None:

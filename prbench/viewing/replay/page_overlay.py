@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
+from prbench.shown import html
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.captions import score_sentence
 from prbench.viewing.replay.scene import Scene
@@ -42,7 +42,7 @@ def _overlay(scenes: Sequence[Scene], hold: float) -> str:
         parts.append(_sequence(scene, start, end))
         start = end + hold
     notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
-    notice = "".join(f'<p class="notice">{escape(text)}</p>' for text in notices)
+    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
     return (
         f"<style>{_STYLE}</style>"
         f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{_key(scenes)}{"".join(parts)}'
@@ -56,19 +56,19 @@ def _key(scenes: Sequence[Scene]) -> str:
         entries.append(("recorded gaze", palette.GAZE))
     if any(scene.goal is not None for scene in scenes):
         entries.append(("goal and its box", palette.GOAL))
-    lines = "".join(f"<div>{_swatch(colour)}{escape(text)}</div>" for text, colour in entries)
+    lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
     return f"{lines}<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
 
 
 def _sequence(scene: Scene, start: float, end: float) -> str:
     prime = start + scene.prime_time
     motions = "".join(
-        f"<div>{_swatch(motion.colour)}<b>{escape(motion.label)}</b>:"
-        f" {escape(score_sentence(scene, motion) or 'not scored')}</div>"
+        f"<div>{_swatch(motion.colour)}<b>{html(motion.label)}</b>:"
+        f" {html(score_sentence(scene, motion) or 'not scored')}</div>"
         for motion in scene.motions
     )
     when = f"{start:.1f} to {end:.1f} s, prime at {prime:.1f} s"
-    return f'<h2>{escape(scene.title)} ({when})</h2><div class="id">{escape(scene.sequence_id)}</div>{motions}'
+    return f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>{motions}'
 
 
 def _swatch(colour: str) -> str:

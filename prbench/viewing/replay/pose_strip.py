@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.shown import figure_text
 from prbench.skeleton import Joint
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import draw_bodies, side_view
@@ -95,7 +96,7 @@ def _finish(
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(-0.75, places[-1] + 0.95), ylim=(-0.05, 2.15), yticks=[0, 1, 2])
     axes.set_ylabel("height (m)", fontsize=7.5)
-    axes.set_title(motion.label, fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2)
+    axes.set_title(figure_text(motion.label), fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2)
     axes.set_xticks(places, [_when(scene, int(frame)) for frame in frames] if with_times else [""] * len(places))
     axes.tick_params(labelsize=7.5, length=2)
     axes.axhline(0.0, color="0.8", linewidth=0.6, zorder=0)

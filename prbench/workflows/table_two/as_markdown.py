@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
+from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     BlockLayout,
     Cell,
@@ -25,9 +26,9 @@ def as_markdown(layout: TableLayout) -> str:
     """The whole document."""
     parts = ["# Table 2"]
     for dataset in layout.datasets:
-        parts += [f"## {heading(dataset, layout)}", _grid(dataset)]
-        parts += ["\n".join(f"- {_plain(text)}" for text in orders(dataset))] if dataset.is_ranked else []
-    parts.append("\n".join(f"- {note}" for note in notes(layout)))
+        parts += [f"## {markdown(heading(dataset, layout))}", _grid(dataset)]
+        parts += ["\n".join(f"- {markdown(text)}" for text in orders(dataset))] if dataset.is_ranked else []
+    parts.append("\n".join(f"- {markdown(note)}" for note in notes(layout)))
     return "\n\n".join(parts) + "\n"
 
 
@@ -89,13 +90,13 @@ def _grid(dataset: DatasetLayout) -> str:
     header = ["Condition", "Method", *(metric_title(info) for info in MAIN_METRICS), *COST_TITLES]
     rule = ["---"] * 2 + ["---:"] * (len(MAIN_METRICS) + len(COST_TITLES))
     rows = [row for block in dataset.blocks for row in _rows(block)]
-    return "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in (header, rule, *rows))
+    return "\n".join("| " + " | ".join(line) + " |" for line in (header, rule, *rows))
 
 
 def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
     for i, line in enumerate(block.lines):
         cells = (_cell(line.cells[info.id]) for info in MAIN_METRICS)
-        yield [block.title if i == 0 else "", line.label, *cells, *cost_cells(line.cost)]
+        yield [markdown(block.title) if i == 0 else "", markdown(line.label), *cells, *cost_cells(line.cost)]
 
 
 def _cell(cell: Cell | None) -> str:
@@ -111,8 +112,3 @@ def cost_cells(cost: LineCost) -> tuple[str, str, str]:
     seconds = DASH if cost.seconds is None else f"{cost.seconds:.2f}"
     passes = DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
     return seconds, passes, DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
-
-
-def _plain(text: str) -> str:
-    """Text that cannot break a table; a lone star is no emphasis."""
-    return text.replace("|", "\\|").replace("\n", " ").replace("MDM *", "MDM \\*")

@@ -1,0 +1,65 @@
+"""What commands print: text from files in it cannot steer the terminal, whichever command prints it."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from prbench.shown import clean
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+class CleanStream:
+    """A text stream that spells out escape sequences and the like; line breaks and tabs stay.
+
+    Everything but writing is that of the stream behind it. (A subclass of ``io.TextIOBase`` would close that one when
+    it is cleared away itself.)
+
+    Args:
+        raw: The stream behind it.
+    """
+
+    def __init__(self, raw: Any) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        """Write a text, cleaned; return how many of its characters were taken, which is all of them."""
+        self.raw.write(clean(text, keep="\n\t"))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write some texts, cleaned."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        """Hand everything else on."""
+        return getattr(self.raw, name)
+
+
+@contextlib.contextmanager
+def clean_output() -> Iterator[None]:
+    """Clean everything that is printed to standard output and error while the block runs."""
+    with contextlib.redirect_stdout(_cleaned(sys.stdout)), contextlib.redirect_stderr(_cleaned(sys.stderr)):
+        yield
+
+
+def _cleaned(stream: Any) -> Any:
+    return stream if isinstance(stream, CleanStream) else CleanStream(stream)
+
+
+def console(*, stderr: bool = False, **settings: Any) -> Console:
+    """Make a console for tables and bars, which steers the terminal itself; its callers clean the text they hand it.
+
+    Markup is off: a name such as ``[red]`` is shown as it is.
+    """
+    from rich.console import Console
+
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(
+        file=stream.raw if isinstance(stream, CleanStream) else stream, highlight=False, markup=False, **settings
+    )
