@@ -88,6 +88,10 @@ class StorageError(PrbenchError):
     exit_code = 8
 
 
+class RecordingsWouldBeLost(StorageError):
+    """A built table would be replaced by one that holds less, and the user has not asked for that."""
+
+
 class UsageError(PrbenchError):
     """The command line asks for something that does not exist or does not fit together."""
 

@@ -16,3 +16,6 @@ LARGEST_JSON = 2**30
 
 FARTHEST_COORDINATE = 100.0
 """Metres from the origin beyond which a coordinate of a generated motion is refused."""
+
+LARGEST_UNPACKED_FOR_ITS_END = 32 * 2**20
+"""Bytes of an archived file that `prbench inspect` unpacks to see its last line."""

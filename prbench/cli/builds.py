@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import key_value
+from prbench.cli.arguments import key_value, positive
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusPlan
@@ -27,6 +27,20 @@ def add_on_error(parser: argparse.ArgumentParser, *, what: str = "a recording", 
         default="skip",
         help=f"go on without {what} that cannot be read and name {them} (default), or fail at once",
     )
+
+
+def add_replace(parser: argparse.ArgumentParser, *, what: str = "table") -> None:
+    """``--replace``: lose what an earlier result holds."""
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help=f"replace an earlier {what} even where the new one lacks recordings that it holds (refused by default)",
+    )
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """``--limit N`` recordings; where sequences are counted, see :func:`prbench.cli.arguments.add_limit`."""
+    parser.add_argument("--limit", type=positive, metavar="N", help="at most N recordings: the first by name")
 
 
 def add_reader_options(
@@ -64,6 +78,13 @@ def print_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: i
     for record in records:
         if record.status != "read":
             print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
+
+
+def print_cut_short(records: Iterable[RecordingRecord]) -> None:
+    """Name the recordings of which a stream ends early: events may be missing, and nothing else would tell."""
+    for record in records:
+        for shortfall in record.shortfalls:
+            print(f"cut short: {record.recording_id}: {shortfall}", file=sys.stderr)
 
 
 def print_fruitless(records: Iterable[RecordingRecord]) -> None:

@@ -66,7 +66,8 @@ def build_dataset(
     Args:
         dataset: Name of the reader, for example ``adt``.
         root: The dataset's folder, or one recording of it.
-        out: Folder of the new dataset; an earlier dataset there is replaced when everything is ready.
+        out: Folder of the new dataset; an earlier dataset there is replaced when everything is ready, and
+            only by one that holds its recordings.
         options: What to read, and how to curate it.
         engine: Where recordings are worked on.
         progress: Called after each recording, in order.
@@ -75,6 +76,8 @@ def build_dataset(
         UsageError: for an unknown dataset or option.
         InputFileError: if there is nothing to read.
         StorageError: if ``out`` cannot be written or holds something else.
+        RecordingsWouldBeLost: if the dataset that stands there holds more, and the options do not say to replace it;
+            finished parts are kept.
     """
     sources: tuple[NativeSource, ...] = native_sources(dataset, root, options)
     return build_from_sources(sources, out, options=options, engine=engine, progress=progress)
@@ -121,6 +124,8 @@ def build_from_sources(
         sequences=read_batches(receipts, "sequences"),
         events=read_batches(receipts, "events"),
         recordings=read_batches(receipts, "recordings"),
+        replace=options.replace,
+        incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
     )
     remove_parts(out)
     reused = sum(receipt.reused for receipt in receipts)

@@ -92,7 +92,8 @@ def curate_recording(
             duration=recording.span[1] - recording.span[0],
             outcomes=dict(Counter(story.decision.outcome for story in stories)),
             status="read",
-            message="; ".join((*recording.messages, *remarks)),
+            message="; ".join((*recording.shortfalls, *recording.messages, *remarks)),
+            shortfalls=recording.shortfalls,
         ),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -20,6 +20,7 @@ from prbench.readers import (
     reader_for,
     require_one_origin,
 )
+from prbench.readers.cut_short import cut_short
 from prbench.readers.digests import remembered_digest
 from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording
@@ -103,8 +104,9 @@ class NativeSource:
         return reader_for(self.dataset, dict(self.reader_options))
 
     def read(self) -> Recording:
-        """See :class:`RecordingSource`."""
-        return self._reader.read(self.found)
+        """See :class:`RecordingSource`; streams that end before the recording does are named."""
+        recording = self._reader.read(self.found)
+        return replace(recording, shortfalls=cut_short(self.found, recording))
 
     def without_places(self, message: str) -> str:
         """See :class:`RecordingSource`."""

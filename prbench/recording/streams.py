@@ -207,6 +207,12 @@ class Recording:
     """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
     messages: tuple[str, ...] = ()
     """What the reader noticed and the user should know."""
+    shortfalls: tuple[str, ...] = ()
+    """One message for each stream that ends before the recording does; its file may be cut off."""
+
+    def __post_init__(self) -> None:
+        start, end = self.span
+        object.__setattr__(self, "span", (float(start), float(end)))  # readers take them from arrays
 
     def hand_streams(self, contact: ContactPoint) -> tuple[HandStream, ...]:
         """The wearer's streams of one kind of contact point."""

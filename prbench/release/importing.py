@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.inferences import Inference
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
@@ -75,6 +75,8 @@ def import_release(
         InputFileError: if there is nothing to import; with ``on_error="fail"`` for the first thing that is wrong.
         UsageError: for an unknown dataset or field name.
         StorageError: if ``out`` cannot be written or holds something else.
+        RecordingsWouldBeLost: if the one dataset's table that stands there holds more, and the options do not say to
+            replace it.
     """
     dataset = None if dataset is None else dataset_of(dataset) or dataset  # the authors' spelling will do too
     found = find_datasets(root, dataset)
@@ -86,7 +88,7 @@ def import_release(
     for name, folder in found:
         try:
             reports.append(_import_dataset(name, folder, targets[name], options, progress))
-        except InputFileError as error:
+        except (InputFileError, RecordingsWouldBeLost) as error:
             if options.on_error == "fail" or len(found) == 1:
                 raise
             failed.append(FailedDataset(name, str(error)))
@@ -111,6 +113,8 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
         sequences=rows.sequences(),
         events=rows.events(),
         recordings=rows.recordings(),
+        replace=options.replace,
+        incomplete=[each.recording_id for each in rows.records] if interpreted.found.left_out else (),
     )
     of_study = None if dataset.startswith(SYNTHETIC_PREFIX) else interpreted.known
     counts = count_rows((each.candidate.subset for each in measured), of_study)

@@ -19,6 +19,8 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
     recordings_read: int
     recordings_failed: int
     recordings_skipped: int
+    recordings_cut_short: int = 0
+    """Of those that were read, how many have a stream that ends before the recording does; 0 in older tables."""
     events: int
     located: int
     primed: int

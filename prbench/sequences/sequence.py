@@ -112,6 +112,11 @@ class RecordingRecord:
     status: str
     """``read``, ``failed`` or ``skipped``."""
     message: str
+    shortfalls: tuple[str, ...] = ()
+    """One message for each stream that ends before the recording does; they stand in ``message``, too."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "duration", float(self.duration))  # receipts are JSON, which knows no NumPy numbers
 
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:
@@ -134,5 +139,6 @@ def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
     for recording in recordings:
         row = dataclasses.asdict(recording)
         counts = row.pop("outcomes")
+        del row["shortfalls"]
         rows.append(row | {outcome: counts.get(outcome, 0) for outcome in OUTCOMES})
     return pa.RecordBatch.from_pylist(rows, schema=RECORDINGS)

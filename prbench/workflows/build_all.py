@@ -31,8 +31,11 @@ class Outcome:
 
     @property
     def complete(self) -> bool:
-        """Whether every recording that was found could be read."""
-        return self.report is not None and self.report.info.counts.recordings_failed == 0
+        """Whether every recording that was found could be read, to its end."""
+        if self.report is None:
+            return False
+        counts = self.report.info.counts
+        return counts.recordings_failed == 0 and counts.recordings_cut_short == 0
 
 
 def build_all(
