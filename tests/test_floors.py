@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = {
     "prbench.errors": 0,
     "prbench.limits": 0,
+    "prbench.paths": 0,
     "prbench.shown": 0,
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,

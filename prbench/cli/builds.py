@@ -88,9 +88,15 @@ def print_cut_short(records: Iterable[RecordingRecord]) -> None:
 
 
 def print_fruitless(records: Iterable[RecordingRecord]) -> None:
-    """Name the recordings that were read and gave no sequence, with what the reader remarked: gaze may be missing."""
+    """Name the recordings that were read and gave no sequence, and why; what a reader remarks is seldom the cause."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
-            told = f": {record.message}" if record.message else ""
-            events = sum(record.outcomes.values())
-            print(f"no sequence: {record.recording_id}, of {events} events{told}", file=sys.stderr)
+            print(f"no sequence: {record.recording_id}: {_why_fruitless(record)}", file=sys.stderr)
+
+
+def _why_fruitless(record: RecordingRecord) -> str:
+    """What became of its events, the most frequent outcome first, and what the recording lacks."""
+    outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
+    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+    told = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
+    return "; ".join((told, *record.lacks))

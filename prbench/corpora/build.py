@@ -43,8 +43,8 @@ class CorpusReport:
 
 def build_corpus(
     name: str,
-    root: Path | None,
-    out: Path,
+    root: Path | str | None,
+    out: Path | str,
     *,
     options: CorpusOptions = _DEFAULTS,
     engine: Engine = _IN_PROCESS,
@@ -68,6 +68,8 @@ def build_corpus(
         RecordingsWouldBeLost: if the corpus that stands there holds more, and the options do not say to replace it;
             finished parts are kept.
     """
+    root = None if root is None else Path(root)
+    out = Path(out)
     out = out.expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
     corpus = corpus_for(name)

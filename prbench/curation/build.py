@@ -54,8 +54,8 @@ class BuildReport:
 
 def build_dataset(
     dataset: str,
-    root: Path,
-    out: Path,
+    root: Path | str,
+    out: Path | str,
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
@@ -79,13 +79,15 @@ def build_dataset(
         RecordingsWouldBeLost: if the dataset that stands there holds more, and the options do not say to replace it;
             finished parts are kept.
     """
+    root = Path(root)
+    out = Path(out)
     sources: tuple[NativeSource, ...] = native_sources(dataset, root, options)
     return build_from_sources(sources, out, options=options, engine=engine, progress=progress)
 
 
 def build_from_sources(
     sources: SequenceOf[RecordingSource],
-    out: Path,
+    out: Path | str,
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
@@ -102,6 +104,7 @@ def build_from_sources(
         progress: See :func:`build_dataset`.
         extra_options: Further entries for the options in ``dataset.json``.
     """
+    out = Path(out)
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="dataset")
     sources = sorted(sources, key=lambda source: f"{source.recording_id}/")

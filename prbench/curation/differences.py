@@ -66,13 +66,15 @@ class Difference:
         return not self.changes
 
 
-def compare_builds(first: Path, second: Path) -> Difference:
+def compare_builds(first: Path | str, second: Path | str) -> Difference:
     """Compare two built datasets.
 
     Raises:
         TableError: if a folder holds no built dataset.
         UsageError: if they are builds of different datasets.
     """
+    first = Path(first)
+    second = Path(second)
     tables = [SequenceTable(folder, DatasetInfo.read(folder)) for folder in (first, second)]
     names = [table.info.dataset for table in tables]
     if names[0] != names[1]:

@@ -116,13 +116,14 @@ class NativeSource:
         return message
 
 
-def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[NativeSource, ...]:
+def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tuple[NativeSource, ...]:
     """The recordings of a dataset's folder that the options choose, sorted by id.
 
     Raises:
         UsageError: for a dataset without a reader, or options that it cannot fulfil.
         InputFileError: if there is no recording, or none that matches the glob.
     """
+    root = Path(root)
     reader = reader_for(dataset, dict(options.reader))
     manifest = load_manifest(reader.dataset)
     options.curation.require_fits(manifest)

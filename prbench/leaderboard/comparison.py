@@ -25,7 +25,7 @@ class ComparedMetric:
     comparison: Comparison
 
 
-def compare_runs(first: Path, second: Path) -> list[ComparedMetric]:
+def compare_runs(first: Path | str, second: Path | str) -> list[ComparedMetric]:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
     Signs are flipped by recording, and p-values corrected after Holm for everything compared here (design, section 3).
@@ -37,6 +37,8 @@ def compare_runs(first: Path, second: Path) -> list[ComparedMetric]:
     Raises:
         RunError: if a run is unfinished, or the two are not of the same protocol, tables and sequences.
     """
+    first = Path(first)
+    second = Path(second)
     runs = RunFolder.open(first), RunFolder.open(second)
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
         raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")

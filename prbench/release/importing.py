@@ -55,8 +55,8 @@ class ImportResult:
 
 
 def import_release(
-    root: Path,
-    out: Path,
+    root: Path | str,
+    out: Path | str,
     *,
     dataset: str | None = None,
     options: ImportOptions = NO_OPTIONS,
@@ -78,6 +78,8 @@ def import_release(
         RecordingsWouldBeLost: if the one dataset's table that stands there holds more, and the options do not say to
             replace it.
     """
+    root = Path(root)
+    out = Path(out)
     dataset = None if dataset is None else dataset_of(dataset) or dataset  # the authors' spelling will do too
     found = find_datasets(root, dataset)
     targets = {name: out if dataset is not None else out / name for name, _ in found}

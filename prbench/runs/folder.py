@@ -131,12 +131,13 @@ class RunFolder:
         return cls(path, wanted)
 
     @classmethod
-    def open(cls, path: Path) -> RunFolder:
+    def open(cls, path: Path | str) -> RunFolder:
         """Open a run for reading.
 
         Raises:
             RunError: if the folder holds no run.
         """
+        path = Path(path)
         return cls(path, RunRecord.read(path))
 
     def dataset(self, name: str) -> DatasetFolder:

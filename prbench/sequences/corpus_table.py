@@ -31,12 +31,13 @@ class CorpusTable:
     info: CorpusInfo
 
     @classmethod
-    def open(cls, folder: Path) -> CorpusTable:
+    def open(cls, folder: Path | str) -> CorpusTable:
         """Open a corpus folder and check version, columns and that it holds clips.
 
         Raises:
             TableError: naming the file, what was expected and what was found.
         """
+        folder = Path(folder)
         table = cls(folder, CorpusInfo.read(folder))
         rows = 0
         for path in table_parts(folder, "clips"):

@@ -49,10 +49,10 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
     @classmethod
-    def read(cls, folder: Path) -> DatasetInfo:
+    def read(cls, folder: Path | str) -> DatasetInfo:
         """Read ``dataset.json``.
 
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        return read_info(folder / FILE_NAME, cls, what="dataset")
+        return read_info(Path(folder) / FILE_NAME, cls, what="dataset")

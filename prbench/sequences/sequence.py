@@ -114,6 +114,8 @@ class RecordingRecord:
     message: str
     shortfalls: tuple[str, ...] = ()
     """One message for each stream that ends before the recording does; they stand in ``message``, too."""
+    lacks: tuple[str, ...] = ()
+    """What it lacks to have events or sequences at all; stands in ``message``, too."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "duration", float(self.duration))  # receipts are JSON, which knows no NumPy numbers
@@ -139,6 +141,6 @@ def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
     for recording in recordings:
         row = dataclasses.asdict(recording)
         counts = row.pop("outcomes")
-        del row["shortfalls"]
+        del row["shortfalls"], row["lacks"]
         rows.append(row | {outcome: counts.get(outcome, 0) for outcome in OUTCOMES})
     return pa.RecordBatch.from_pylist(rows, schema=RECORDINGS)

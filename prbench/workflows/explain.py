@@ -27,7 +27,7 @@ _AROUND = 2  # events before and after that are shown
 _SHOWN = 8  # candidates that an error message lists
 
 
-def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) -> EventStory:
+def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] = ()) -> EventStory:
     """Tell the story of one event.
 
     Args:
@@ -41,6 +41,7 @@ def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) 
         TableError: if the folder holds no dataset.
         UsageError: if no event fits (with the nearest known ids), or more than one does.
     """
+    folder = Path(folder)
     table = SequenceTable(folder, DatasetInfo.read(folder))
     events = table.events()
     row = find_event(events, event)

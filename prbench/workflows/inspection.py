@@ -63,7 +63,7 @@ class Inspection:
 
 
 def inspect_folder(
-    root: Path, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
+    root: Path | str, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
 ) -> Inspection:
     """Look at every recording below a folder.
 
@@ -76,6 +76,7 @@ def inspect_folder(
     Raises:
         InputFileError: if nothing is recognised.
     """
+    root = Path(root)
     corpora = find_corpora(root) if root.is_dir() else ()
     try:
         discovery = discover(root)

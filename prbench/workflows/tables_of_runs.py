@@ -34,7 +34,7 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
     ]
     if not common:
         raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
-    named = [SequenceTable.open(folder) for folder in data]
+    named = [SequenceTable.open(folder).with_sequences() for folder in data]
     if not named:
         tables = [_from_cache(runs[0], record) for record in common]
     else:
@@ -69,7 +69,7 @@ def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
     default = default_table_folder()
     for folder in [default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]:
         if (folder / "dataset.json").is_file():
-            table = SequenceTable.open(folder)
+            table = SequenceTable.open(folder).with_sequences()
             if table.info.dataset == record.dataset and _is_table_of(record, table):
                 return table
     raise TableError(
