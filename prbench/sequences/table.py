@@ -136,10 +136,10 @@ def why_no_sequences(info: DatasetInfo) -> str:
     """What became of the recordings and events of a dataset, in one sentence or two."""
     counts = info.counts
     told = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
-    if not counts.events:
-        return f"{told}, and no candidate event was found in them."
     outcomes = sorted(info.outcomes.items(), key=lambda item: (-item[1], item[0]))
     became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+    if not became:
+        return f"{told}, and no candidate event was found in them."
     bodies = " Bodies can be estimated: `prbench poses egoallo`." if info.outcomes.get("no_body") else ""
     return f"{told}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
 

@@ -36,7 +36,7 @@ class AdtReader:
     dataset: str = "adt"
     options: AdtOptions = _DEFAULTS
 
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
         return find_recordings(root, self.options)
 

@@ -24,7 +24,7 @@ class GimoReader:
     dataset: str = "gimo"
     options: GimoOptions = GimoOptions()  # noqa: RUF009 (frozen)
 
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`find_segments`."""
         return find_segments(root, self.options)
 

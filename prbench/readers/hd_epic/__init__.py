@@ -24,7 +24,7 @@ class HdEpicReader:
     dataset: str = "hd-epic"
     options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
 
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`prbench.readers.hd_epic.places.find_recordings`."""
         return find_recordings(root, self.options)
 

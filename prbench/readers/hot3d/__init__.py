@@ -24,7 +24,7 @@ class Hot3dReader:
     dataset: str = "hot3d"
     options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
 
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
         return find_recordings(root, self.options)
 

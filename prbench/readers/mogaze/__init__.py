@@ -37,7 +37,7 @@ class MogazeReader:
     dataset: str = "mogaze"
     options: MogazeOptions = MogazeOptions()  # noqa: RUF009 (frozen)
 
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`prbench.readers.mogaze.layouts.find_recordings`."""
         return find_recordings(root, include_excluded=self.options.include_excluded)
 

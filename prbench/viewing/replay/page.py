@@ -64,9 +64,10 @@ def _server() -> Iterator[ViserServer]:
         from viser import ViserServer
     except ModuleNotFoundError as error:
         raise MissingExtraError("viser", "view", "writing HTML") from error
-    with redirect_stdout(io.StringIO()):  # it announces an address, whatever `verbose` says; nobody is to go there
+    with redirect_stdout(io.StringIO()):  # it announces its address, whatever `verbose` says; nobody is to go there
         server = ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         yield server
     finally:
-        server.stop()
+        with redirect_stdout(io.StringIO()):
+            server.stop()
