@@ -6,18 +6,18 @@ spread work (a cluster, say) is one more class and no change elsewhere.
 
 from __future__ import annotations
 
+import gc
 import itertools
 import multiprocessing
-import os
-import signal
-import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from prbench.errors import PrbenchError
+from prbench.errors import MemoryFullError, PrbenchError
+from prbench.workers import Full, answer, call, start_worker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -27,10 +27,23 @@ Result = TypeVar("Result")
 class Engine(Protocol):
     """Where work runs."""
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    def map(
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        if_full: Callable[[Item, PrbenchError], Result] | None = None,
+    ) -> Iterator[Result]:
         """Yield ``function(item)`` for every item, in the order of the items.
 
-        ``function`` and the items must be picklable; the first exception is raised where its result would stand.
+        ``function`` and the items must be picklable; the first exception is raised where its result would stand. An
+        item for which the memory did not suffice is tried once more, alone.
+
+        Args:
+            function: What is done with an item.
+            items: Taken up as they are needed.
+            if_full: Gives the result of an item for which the memory does not suffice alone either, from the item and
+                the error; called in this process. By default the error is raised.
         """
         ...
 
@@ -39,9 +52,24 @@ class Engine(Protocol):
 class InProcess:
     """One item after the other, in this process."""
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """See :class:`Engine`."""
-        return map(function, items)
+    def map(
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        if_full: Callable[[Item, PrbenchError], Result] | None = None,
+    ) -> Iterator[Result]:
+        """See :class:`Engine`.
+
+        Raises:
+            MemoryFullError: if the memory does not suffice for an item.
+        """
+        for item in items:
+            found = answer(function, item)
+            if isinstance(found, Full):
+                gc.collect()
+                found = _settled(answer(function, item), item, if_full)
+            yield found
 
 
 @dataclass(frozen=True)
@@ -51,79 +79,120 @@ class ProcessPool:
     workers: int
     threads_per_worker: int = 1
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    def map(
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        if_full: Callable[[Item, PrbenchError], Result] | None = None,
+    ) -> Iterator[Result]:
         """See :class:`Engine`.
 
         Raises:
-            PrbenchError: if a worker process dies (killed, or out of memory).
+            MemoryFullError: if the memory does not suffice for an item, or a worker process dies with it (killed, by
+                the operating system for its memory, too), also when it is worked on alone.
         """
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(
-            self.workers, mp_context=context, initializer=_start_worker, initargs=(self.threads_per_worker,)
-        ) as pool:
-            waiting = iter(items)
-            running: list[Future[Result]] = [
-                pool.submit(_call, function, item) for item in itertools.islice(waiting, 2 * self.workers)
-            ]
-            try:
-                while running:
-                    result = running.pop(0).result()
-                    running.extend(pool.submit(_call, function, item) for item in itertools.islice(waiting, 1))
-                    yield result
-            except BrokenProcessPool as error:
-                raise PrbenchError(
-                    "a worker process ended without an answer: it was killed or ran out of memory."
-                    " Finished parts are kept; run the same command again with fewer --workers."
-                ) from error
-            finally:
+        waiting = iter(items)
+        under_way: deque[_Submitted[Item]] = deque()
+        pool: ProcessPoolExecutor | None = None
+        try:
+            while True:
+                free = 2 * self.workers - len(under_way)
+                under_way.extend(_Submitted(item) for item in itertools.islice(waiting, free))
+                if not under_way:
+                    return
+                first = under_way[0]
+                if not first.suspected:
+                    pool = pool or self._pool(self.workers)
+                    for each in under_way:
+                        each.submit(pool, function)
+                    found = first.answer()
+                    if not isinstance(found, Full):
+                        under_way.popleft()
+                        yield found
+                        continue
+                if pool is not None:
+                    pool.shutdown()  # the others come to their end first
+                    pool = None
+                    for each in under_way:
+                        each.suspect_if_full()
+                under_way.popleft()
+                yield _settled(self._alone(function, first.item), first.item, if_full)
+        finally:
+            if pool is not None:
                 # By the pool itself: a future that is cancelled from here while Ctrl-C ends idle workers, too, makes
                 # its thread print a traceback.
                 pool.shutdown(cancel_futures=True)
+
+    def _alone(self, function: Callable[[Item], Result], item: Item) -> Result | Full:
+        with self._pool(1) as pool:
+            again = _Submitted(item)
+            again.submit(pool, function)
+            return again.answer()
+
+    def _pool(self, workers: int) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(
+            workers, mp_context=context, initializer=start_worker, initargs=(self.threads_per_worker,)
+        )
+
+
+@dataclass
+class _Submitted(Generic[Item]):
+    """An item that is under way."""
+
+    item: Item
+    future: Future | None = None
+    suspected: bool = False
+    """The memory did not suffice, or a worker was killed while this item was under way; it is worked on alone."""
+
+    def submit(self, pool: ProcessPoolExecutor, function: Callable[[Item], object]) -> None:
+        """Give it to the pool, unless it was given to one before or must be alone."""
+        if self.future is not None or self.suspected:
+            return
+        try:
+            self.future = pool.submit(call, function, self.item)
+        except BrokenProcessPool as error:
+            self.future = Future()
+            self.future.set_exception(error)
+
+    def answer(self) -> Any:
+        """The result, or that there is none for lack of memory."""
+        assert self.future is not None
+        try:
+            return self.future.result()
+        except BrokenProcessPool:
+            return Full(_KILLED)
+
+    def suspect_if_full(self) -> None:
+        """Note that it has no result for lack of memory, after the pool has come to its end."""
+        assert self.future is not None
+        killed = isinstance(self.future.exception(), BrokenProcessPool)
+        self.suspected = killed or (self.future.exception() is None and isinstance(self.future.result(), Full))
+
+
+_KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
+
+
+def _settled(found: Result | Full, item: Item, if_full: Callable[[Item, PrbenchError], Result] | None) -> Result:
+    """The result of the second try, or what stands for it."""
+    if not isinstance(found, Full):
+        return found
+    error = found.told or MemoryFullError(_name(item), found.reason)
+    if if_full is None:
+        raise error
+    return if_full(item, error)
+
+
+def _name(item: object) -> str:
+    """What an item is called in a message."""
+    for attribute in ("recording_id", "name"):
+        name = getattr(item, attribute, None)
+        if isinstance(name, str):
+            return name
+    return "one item of the work"
 
 
 def engine_for(workers: int) -> Engine:
     """``InProcess`` for one worker or none, else a ``ProcessPool``."""
     return InProcess() if workers <= 1 else ProcessPool(workers)
-
-
-class _CtrlC:
-    """What Ctrl-C does in a worker: it ends the item under way, and all that follow at once, without a traceback."""
-
-    def __init__(self) -> None:
-        self.working = self.pressed = False
-
-    def __call__(self, *_: object) -> None:
-        """Of the signal's handler."""
-        self.pressed = True
-        if self.working:
-            raise KeyboardInterrupt
-
-
-_ctrl_c = _CtrlC()
-
-
-def _call(function: Callable[[Item], Result], item: Item) -> Result:
-    """In a worker."""
-    if _ctrl_c.pressed:
-        raise KeyboardInterrupt
-    _ctrl_c.working = True
-    try:
-        return function(item)
-    finally:
-        _ctrl_c.working = False
-
-
-def _start_worker(threads: int) -> None:
-    signal.signal(signal.SIGINT, _ctrl_c)
-    # Numerical libraries read these when they load, which in a spawned worker is after this.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = str(threads)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this worker when its parent was killed and cannot tell it to: it would wait for work for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

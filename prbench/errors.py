@@ -92,6 +92,28 @@ class RecordingsWouldBeLost(StorageError):
     """A built table would be replaced by one that holds less, and the user has not asked for that."""
 
 
+class MemoryFullError(PrbenchError):
+    """The machine's memory does not suffice for one item of the work, also when nothing else is done beside it.
+
+    Args:
+        item: Recording, batch or other item.
+        reason: What happened.
+    """
+
+    exit_code = 12
+
+    def __init__(self, item: str, reason: str) -> None:
+        self.item, self.reason = item, reason
+        super().__init__(
+            f"{clean(item)}: {clean(reason)}, also when nothing else was done beside it. What is finished is kept: end"
+            " other programs and run the same command again with fewer --workers, or on a machine with more memory."
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Keep both parts when the error crosses a process border."""
+        return type(self), (self.item, self.reason)
+
+
 class UsageError(PrbenchError):
     """The command line asks for something that does not exist or does not fit together."""
 

@@ -89,8 +89,9 @@ def remove_leftovers(path: Path) -> None:
 
     Half-written files and folders are deleted. A folder that was just about to be replaced gets its name back.
     """
-    stem = path.stem if path.suffix else path.name
-    mine = re.compile(rf"\.({re.escape(path.name)}|{re.escape(stem)})-[a-z0-9_]{{8}}\.(partial|replaced)(\..*)?")
+    of_file = rf"{re.escape(path.stem)}-[a-z0-9_]{{8}}\.partial{re.escape(path.suffix)}"
+    of_folder = rf"{re.escape(path.name)}-[a-z0-9_]{{8}}\.(partial|replaced)"
+    mine = re.compile(rf"\.({of_file}|{of_folder})")
     for left in path.parent.glob(".*-*.*") if path.parent.is_dir() else ():
         match = mine.fullmatch(left.name)
         if match and match[2] == "replaced" and not path.exists():

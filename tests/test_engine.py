@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from prbench.engine import InProcess, ProcessPool, engine_for
-from prbench.errors import InputFileError, PrbenchError
+from prbench.errors import InputFileError, MemoryFullError
 
 
 def square(value: int) -> int:
@@ -30,6 +33,26 @@ def die(value: int) -> int:
     return value
 
 
+@dataclass(frozen=True)
+class Short:
+    """Work for whose item 3 the memory does not suffice, so many times; a file a try counts them."""
+
+    folder: Path
+    times: int
+    how: str
+
+    def __call__(self, value: int) -> int:
+        tries = len(list(self.folder.iterdir()))
+        if value == 3 and tries < self.times:
+            (self.folder / str(tries)).touch()
+            if self.how == "killed":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if self.how == "told":
+                raise InputFileError("x.csv", "", expected="less", found="too much") from MemoryError()
+            raise pa.lib.ArrowMemoryError("malloc of size 4398046511104 failed")
+        return value
+
+
 def test_both_engines_give_the_same_results_in_order():
     items = list(range(11))
     assert list(ProcessPool(2).map(square, items)) == list(InProcess().map(square, items)) == [i * i for i in items]
@@ -44,8 +67,31 @@ def test_an_error_of_a_user_keeps_its_words_across_the_process_border():
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
 def test_a_dead_worker_is_reported_not_waited_for():
-    with pytest.raises(PrbenchError, match="a worker process ended without an answer"):
+    with pytest.raises(MemoryFullError, match="one item of the work: a worker process ended without an answer"):
         list(ProcessPool(1).map(die, [1]))
+
+
+@pytest.mark.parametrize("how", ["killed", "arrow", "told"])
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
+def test_an_item_for_which_the_memory_did_not_suffice_is_tried_once_more_alone(how, tmp_path):
+    assert list(ProcessPool(2).map(Short(tmp_path, 1, how), range(6))) == list(range(6))
+
+
+@pytest.mark.parametrize("engine", [InProcess(), ProcessPool(2)], ids=["in process", "pool"])
+def test_one_that_does_not_fit_alone_either_is_named_and_the_others_go_on(engine, tmp_path):
+    short = Short(tmp_path, 2, "arrow")
+    found = engine.map(short, range(6), if_full=lambda item, error: f"{item}: {error}")
+    assert [next(found) for _ in range(3)] == [0, 1, 2]
+    message = next(found)
+    assert message.startswith("3: one item of the work: the memory of this machine does not suffice (malloc of size")
+    assert "run the same command again with fewer --workers" in message
+    assert list(found) == [4, 5]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_is_said_of_lacking_memory_crosses_process_borders():
+    error = MemoryFullError("P01", "the memory is full")
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
 def test_items_are_taken_up_lazily():

@@ -20,7 +20,18 @@ FLOORS = {
     "prbench.formats": 1,
     **{
         f"prbench.{room}": 1
-        for room in ("skeleton", "rays", "timelines", "manifests", "published", "engine", "storage", "randomness")
+        for room in (
+            "skeleton",
+            "rays",
+            "timelines",
+            "manifests",
+            "published",
+            "engine",
+            "storage",
+            "locks",
+            "workers",
+            "randomness",
+        )
     },
     **{f"prbench.{room}": 2 for room in ("metrics", "sequences", "representation", "text", "recording")},
     **{f"prbench.{room}": 3 for room in ("readers", "synthetic", "contract", "runs")},
@@ -35,7 +46,9 @@ FLOORS = {
 NEIGHBOURS = {
     ("prbench.formats", "prbench.skeleton"),
     ("prbench.engine", "prbench.storage"),
+    ("prbench.engine", "prbench.workers"),
     ("prbench.errors", "prbench.shown"),
+    ("prbench.locks", "prbench.storage"),
 }
 """The only arrows between rooms of one floor."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -61,13 +62,15 @@ def test_a_folder_that_is_missing_is_told_the_same_when_it_is_text(name, tmp_pat
 
 @pytest.mark.unchecked_shapes  # fields are annotated as what they hold afterwards
 def test_requests_hold_paths_whatever_they_were_given() -> None:
-    tables = ("tables/adt", Path("tables/gimo"))
+    tables: Any = ("tables/adt", Path("tables/gimo"))
+    run: Any = "r"
+    file: Any = "p.npz"
     paths = (Path("tables/adt"), Path("tables/gimo"))
-    assert RunRequest(method="static", data=tables, out="r").data == paths
-    assert ExportRequest(data=tables, condition=Condition.TEXT, out="c.npz").out == Path("c.npz")
-    assert ScoreRequest(predictions="p.npz", data=tables).predictions == Path("p.npz")
-    assert ViewRequest(out="v.png", data=tables).data == paths
-    assert DoctorRequest(path="p.npz", data=tables).data == paths
+    assert RunRequest(method="static", data=tables, out=run).data == paths
+    assert ExportRequest(data=tables, condition=Condition.TEXT, out=file).out == Path("p.npz")
+    assert ScoreRequest(predictions=file, data=tables).predictions == Path("p.npz")
+    assert ViewRequest(out=file, data=tables).data == paths
+    assert DoctorRequest(path=file, data=tables).data == paths
 
 
 def test_what_is_none_stays_none() -> None:

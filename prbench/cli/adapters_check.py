@@ -50,6 +50,7 @@ def add_parser(group: argparse._SubParsersAction) -> None:
 
 def _check(arguments: argparse.Namespace) -> int:
     from prbench.evaluation.conformance import CheckRequest, check
+    from prbench.locks import sole_writer
     from prbench.storage import write_json
 
     request = CheckRequest(
@@ -66,7 +67,8 @@ def _check(arguments: argparse.Namespace) -> int:
     with progress(f"checking {arguments.method}") as show:
         report = check(request, lambda name, place, total: show(place, total, name))
     if arguments.json is not None:
-        write_json(arguments.json, report.as_json())
+        with sole_writer(arguments.json):
+            write_json(arguments.json, report.as_json())
     print_report(report)
     return _FAILED if report.failed else 0
 

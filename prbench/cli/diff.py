@@ -65,9 +65,9 @@ def _print_changes(difference: Difference, *, everything: bool) -> None:
 def _write_csv(difference: Difference, path: Path) -> None:
     import csv
 
-    from prbench.storage import atomic_path
+    from prbench.locks import sole_file
 
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+    with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("kind", "recording_id", "event", "first", "second", "decided_by"))
         writer.writerows((c.kind, c.recording_id, c.event, c.before, c.after, c.decided_by) for c in difference.changes)

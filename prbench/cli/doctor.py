@@ -45,6 +45,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from prbench.evaluation.doctor.examine_file import DoctorRequest, examine_file
+    from prbench.locks import sole_writer
     from prbench.storage import write_json
 
     report = examine_file(
@@ -58,7 +59,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
         )
     )
     if arguments.json is not None:
-        write_json(arguments.json, asdict(report) | {"path": str(report.path), "certain": report.certain})
+        with sole_writer(arguments.json):
+            write_json(arguments.json, asdict(report) | {"path": str(report.path), "certain": report.certain})
     _print(report)
     return SOMETHING_IS_WRONG if report.certain else 0
 

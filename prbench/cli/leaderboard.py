@@ -71,6 +71,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 def _export(arguments: argparse.Namespace) -> int:
     from prbench.leaderboard import collect_runs, export, make_leaderboard
+    from prbench.locks import sole_writer
     from prbench.storage import write_text
 
     collected = collect_runs(arguments.runs)
@@ -80,6 +81,7 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         print(text, end="")
         return 0
-    write_text(arguments.out, text)
+    with sole_writer(arguments.out):
+        write_text(arguments.out, text)
     print(f"leaderboard: {arguments.out}")
     return 0

@@ -246,7 +246,7 @@ def _embedded_table(engine: Engine) -> Path:
             file=sys.stderr,
         )
     with progress("building synthetic data") as show:
-        return default_table(engine, show).folder
+        return default_table(engine, show, tell=lambda line: print(line, file=sys.stderr)).folder
 
 
 def _tell_limit(request: RunRequest) -> None:

@@ -38,6 +38,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 def _validate(arguments: argparse.Namespace) -> int:
     from prbench.curation.options import BuildOptions
     from prbench.engine import engine_for
+    from prbench.locks import sole_writer
     from prbench.storage import write_json
     from prbench.workflows.hd_epic_funnel import as_json
     from prbench.workflows.validate_hd_epic import validate_build, validate_root
@@ -52,7 +53,8 @@ def _validate(arguments: argparse.Namespace) -> int:
         )
         validation = validate_root(arguments.root, options=options, engine=engine_for(arguments.workers))
     if arguments.out is not None:
-        write_json(arguments.out, as_json(validation))
+        with sole_writer(arguments.out):
+            write_json(arguments.out, as_json(validation))
     _print(validation)
     for message in validation.failed:
         print(f"failed: {message}", file=sys.stderr)

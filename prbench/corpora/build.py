@@ -15,6 +15,7 @@ from prbench.corpora.options import CorpusOptions
 from prbench.corpora.provenance import describe
 from prbench.corpora.sources import corpus_for, find_groups
 from prbench.engine import Engine, InProcess
+from prbench.locks import sole_writer
 from prbench.manifests import digest_of, load_protocol
 from prbench.sequences import parts
 from prbench.sequences.corpus import CorpusRecord
@@ -80,19 +81,18 @@ def build_corpus(
         options.on_error == "fail",
         parts.work_folder(out),
     )
-    parts.remove_half_written(out)
     finished, done, total = [], 0, sum(len(group.recordings) for group in groups)
-    for part in engine.map(job, groups):
-        finished.append(part)
-        done += len(part.receipt.records)
-        if progress is not None:
-            progress(done, total, part.receipt.name)
-    dataset = groups[0].recordings[0].belonging.dataset
-    info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
-    folders = [part.folder for part in finished]
-    tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
-    info = write_corpus(out, info, tables, replace=options.replace)
-    parts.remove_parts(out)
+    with sole_writer(out), parts.working_in_parts(out):
+        for part in engine.map(job, groups, if_full=job.if_full):
+            finished.append(part)
+            done += len(part.receipt.records)
+            if progress is not None:
+                progress(done, total, part.receipt.name)
+        dataset = groups[0].recordings[0].belonging.dataset
+        info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
+        folders = [part.folder for part in finished]
+        tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
+        info = write_corpus(out, info, tables, replace=options.replace)
     records = tuple(record for part in finished for record in part.receipt.records)
     return CorpusReport(out, info, records, sum(len(part.receipt.records) for part in finished if part.reused))
 

@@ -14,6 +14,7 @@ from prbench.errors import PrbenchError
 from prbench.sequences import parts
 from prbench.sequences.corpus import CorpusRecord, annotation_batch, clip_batch, corpus_recording_batch
 from prbench.storage import text_digest
+from prbench.workers import is_out_of_memory
 
 
 class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,17 +50,28 @@ class CorpusJob:
 
     def __call__(self, group: RecordingGroup) -> FinishedGroup:
         """Make the part of one group."""
-        try:
-            digest = group.input_digest()
-        except OSError as error:
-            digest = text_digest("unreadable", type(error).__name__)
-        folder = parts.part_folder(self.work, group.name, digest, self._settings_of(group))
+        folder, digest = self._folder(group)
         entries = parts.read_receipt(folder)
         if entries is not None:
             receipt = msgspec.convert(entries, GroupReceipt)
             if all(record.status != "failed" for record in receipt.records):  # a failure may have passed: try again
                 return FinishedGroup(folder, receipt, reused=True)
-        return FinishedGroup(folder, self._write(folder, group, digest), reused=False)
+        done = [self._read(recording) for recording in group.recordings]
+        return FinishedGroup(folder, self._write(folder, group, digest, done), reused=False)
+
+    def if_full(self, group: RecordingGroup, error: PrbenchError) -> FinishedGroup:
+        """Make the part of a group for which the memory does not suffice: nothing of it is read, and it says why."""
+        folder, digest = self._folder(group)
+        done = [self._failed(recording, error) for recording in group.recordings]
+        return FinishedGroup(folder, self._write(folder, group, digest, done), reused=False)
+
+    def _folder(self, group: RecordingGroup) -> tuple[Path, str]:
+        """Where the part lies, and the digest of its input."""
+        try:
+            digest = group.input_digest()
+        except OSError as error:
+            digest = text_digest("unreadable", type(error).__name__)
+        return parts.part_folder(self.work, group.name, digest, self._settings_of(group)), digest
 
     def _settings_of(self, group: RecordingGroup) -> str:
         """Splits, participants and reasons to skip come from files that the recordings share, or from the manifest."""
@@ -70,8 +82,9 @@ class CorpusJob:
         ]
         return text_digest(self.settings, *known)
 
-    def _write(self, folder: Path, group: RecordingGroup, digest: str) -> GroupReceipt:
-        done = [self._read(recording) for recording in group.recordings]
+    def _write(
+        self, folder: Path, group: RecordingGroup, digest: str, done: list[tuple[ReadRecording, CorpusRecord]]
+    ) -> GroupReceipt:
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
         batches = {
             "clips": clip_batch(clips),
@@ -96,6 +109,8 @@ class CorpusJob:
         try:
             read = recording.read()
         except Exception as error:
+            if is_out_of_memory(error):
+                raise  # the engine tries again when nothing else is done beside it
             # Whatever one recording does, the others go on; its message reaches the user with the build's report.
             return self._failed(recording, error)
         outcomes = Counter(row.outcome for row in read.annotations)

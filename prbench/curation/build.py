@@ -19,10 +19,11 @@ from prbench.curation.provenance import describe
 from prbench.curation.sources import NativeSource, RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, StorageError, TableError
+from prbench.locks import sole_writer
 from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.parts import remove_half_written, remove_parts, work_folder
+from prbench.sequences.parts import work_folder, working_in_parts
 from prbench.sequences.sequence import RecordingRecord
 from prbench.sequences.write_dataset import write_dataset
 from prbench.storage import require_replaceable
@@ -114,23 +115,22 @@ def build_from_sources(
     manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
     options.curation.require_fits(manifest)
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
-    remove_half_written(out)
-    receipts = []
-    for receipt in engine.map(job, sources):
-        receipts.append(receipt)
-        if progress is not None:
-            progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
-    info = describe(dataset, manifest, protocol, options, receipts, extra_options or {})
-    info = write_dataset(
-        out,
-        info,
-        sequences=read_batches(receipts, "sequences"),
-        events=read_batches(receipts, "events"),
-        recordings=read_batches(receipts, "recordings"),
-        replace=options.replace,
-        incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
-    )
-    remove_parts(out)
+    with sole_writer(out), working_in_parts(out):
+        receipts = []
+        for receipt in engine.map(job, sources, if_full=job.if_full):
+            receipts.append(receipt)
+            if progress is not None:
+                progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
+        info = describe(dataset, manifest, protocol, options, receipts, extra_options or {})
+        info = write_dataset(
+            out,
+            info,
+            sequences=read_batches(receipts, "sequences"),
+            events=read_batches(receipts, "events"),
+            recordings=read_batches(receipts, "recordings"),
+            replace=options.replace,
+            incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
+        )
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
 

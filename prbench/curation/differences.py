@@ -1,22 +1,23 @@
 """What changed between two builds: which events and sequences appeared, vanished or moved, and what decided.
 
-Events of the two builds are paired by recording, object and action, nearest in time first (design, section 2).
+Events of the two builds are paired by recording, object and action, nearest in time first (design, section 2). What is
+the same event is compared column by column, with its sequence, and so are the recordings.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pyarrow as pa
 
+from prbench.curation.differing_columns import Row, differing_columns, sequence_rows
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.schema import OUTCOMES
 
 LARGEST_SHIFT = 1.0
 """Seconds between two events that may be the same one."""
@@ -28,7 +29,7 @@ KINDS: dict[str, str] = {
     "vanished": "an event that only the first build found",
     "moved": "a sequence in both, with other event or prime times or another place",
     "outcome": "left out by both, for different reasons",
-    "values": "the same sequence in both, with other poses, gaze or split",
+    "values": "the same sequence, event or recording in both, with other values in the columns named",
 }
 """Kinds of changes in the order of a report."""
 _SAME_TIME, _SAME_PLACE = 1e-6, 1e-5  # s, m
@@ -41,7 +42,7 @@ class Change:
     kind: Kind
     recording_id: str
     event: str
-    """``object name/action/time`` as a person would say it."""
+    """``object name/action/time`` as a person would say it; empty for a change of the recording itself."""
     before: str
     """What the first build made of it; empty where it has no such event."""
     after: str
@@ -62,7 +63,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the two builds hold the same events and sequences."""
+        """Whether the two builds hold the same events, sequences and recordings."""
         return not self.changes
 
 
@@ -70,27 +71,28 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
     """Compare two built datasets.
 
     Raises:
-        TableError: if a folder holds no built dataset.
+        TableError: if a folder holds no built dataset, or one of which a file was edited.
         UsageError: if they are builds of different datasets.
     """
-    first = Path(first)
-    second = Path(second)
-    tables = [SequenceTable(folder, DatasetInfo.read(folder)) for folder in (first, second)]
+    tables = [SequenceTable.open(folder) for folder in (first, second)]
     names = [table.info.dataset for table in tables]
     if names[0] != names[1]:
         raise UsageError(f"{first} holds {names[0]} and {second} holds {names[1]}; compare builds of one dataset.")
     before, after = (_events(table) for table in tables)
-    statuses = [_statuses(table) for table in tables]
-    contents = [_contents(table) for table in tables]
+    recordings = [_recordings(table) for table in tables]
+    sequences = [sequence_rows(table) for table in tables]
     changes: list[tuple[float, Change]] = []
     same_events = same_sequences = 0
     for one, other in _pairs(before, after):
-        change = _change(one, other, statuses, contents)
+        change = _change(one, other, recordings, sequences)
         if change is not None:
             changes.append(((other or one or {})["event_time"], change))
             continue
         same_events += 1
         same_sequences += one is not None and one["outcome"] == "sequence"
+    changes += [(0.0, change) for change in _sequences_without_event(before, after, sequences)]
+    told = {change.recording_id for _, change in changes}
+    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], told)]
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
     return Difference(
@@ -109,31 +111,8 @@ def _events(table: SequenceTable) -> list[Event]:
     return table.events().to_pylist()
 
 
-def _statuses(table: SequenceTable) -> dict[str, tuple[str, str]]:
-    rows = table.recordings().select(["recording_id", "status", "message"]).to_pylist()
-    return {row["recording_id"]: (row["status"], row["message"]) for row in rows}
-
-
-def _contents(table: SequenceTable) -> dict[str, str]:
-    """Digest of poses, gaze and split of every sequence, values rounded to 10 µm."""
-    columns = ["joints", "gaze_origin", "gaze_direction", "gaze_valid", "split"]
-    found = {}
-    for chunk in table.chunks(columns=columns):
-        for name, row in zip(chunk.batch.column("sequence_id").to_pylist(), range(chunk.batch.num_rows), strict=True):
-            digest = hashlib.sha256()
-            for column in columns:
-                digest.update(_bytes(chunk.batch.column(column).slice(row, 1)))
-            found[name] = digest.hexdigest()
-    return found
-
-
-def _bytes(column: pa.Array) -> bytes:
-    if pa.types.is_string(column.type):
-        return str(column[0]).encode()
-    while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-        column = column.flatten()
-    values = column.to_numpy(zero_copy_only=False)
-    return (np.rint(values.astype(np.float64) * 1e5).astype(np.int64) if values.dtype != bool else values).tobytes()
+def _recordings(table: SequenceTable) -> dict[str, Row]:
+    return {row["recording_id"]: row for row in table.recordings().to_pylist()}
 
 
 def _pairs(before: list[Event], after: list[Event]) -> Iterator[tuple[Event | None, Event | None]]:
@@ -163,28 +142,64 @@ def _pair_group(ours: list[Event], theirs: list[Event]) -> Iterator[tuple[Event 
 def _change(
     one: Event | None,
     other: Event | None,
-    statuses: list[dict[str, tuple[str, str]]],
-    contents: list[dict[str, str]],
+    recordings: list[dict[str, Row]],
+    sequences: list[dict[str, Row]],
 ) -> Change | None:
     """What is different about one event; None if nothing is."""
     if one is None or other is None:
-        event, absent = (other, statuses[0]) if one is None else (one, statuses[1])
+        event, absent = (other, recordings[0]) if one is None else (one, recordings[1])
         assert event is not None
         decided = _why_absent(absent, event["recording_id"])
         return _described("appeared" if one is None else "vanished", one, other, decided)
     was, is_now = one["outcome"] == "sequence", other["outcome"] == "sequence"
     if was != is_now:
         return _described("lost" if was else "gained", one, other, _decision(other if was else one))
-    if not was:
-        same = one["outcome"] == other["outcome"] and one["stage"] == other["stage"]
-        return None if same else _described("outcome", one, other, f"{_decision(one)} → {_decision(other)}")
+    if (one["outcome"], one["stage"]) != (other["outcome"], other["stage"]):
+        return _described("outcome", one, other, f"{_decision(one)} → {_decision(other)}")
     shift = _shift(one, other)
-    if shift:
+    if shift and was:
         return _described("moved", one, other, shift)
-    if contents[0].get(one["sequence_id"]) != contents[1].get(other["sequence_id"]):
-        source = "" if one["sequence_id"] == other["sequence_id"] else ", other body"
-        return _described("values", one, other, f"poses, gaze or split{source}")
-    return None
+    columns = differing_columns(one, other)
+    if was:
+        columns += _differing_of_sequence(sequences[0].get(one["sequence_id"]), sequences[1].get(other["sequence_id"]))
+    return _described("values", one, other, ", ".join(dict.fromkeys(columns))) if columns else None
+
+
+def _differing_of_sequence(one: Row | None, other: Row | None) -> list[str]:
+    if one is None or other is None:
+        return [] if one is other else ["no row in sequences in one of them"]
+    return differing_columns(one, other)
+
+
+def _sequences_without_event(
+    before: list[Event], after: list[Event], sequences: list[dict[str, Row]]
+) -> Iterator[Change]:
+    """Sequences of one build only that no event names."""
+    named = {event["sequence_id"] for event in [*before, *after]}
+    for name in sorted((sequences[0].keys() ^ sequences[1].keys()) - named):
+        row = sequences[0].get(name) or sequences[1][name]
+        event = f"{row['object_name']}/{row['action']}/{row['event_time']:.3f} s"
+        known = name in sequences[0]
+        kind: Kind = "vanished" if known else "appeared"
+        before_and_after = ("sequence", "") if known else ("", "sequence")
+        yield Change(kind, row["recording_id"], event, *before_and_after, "a sequence that no event names")
+
+
+def _changed_recordings(one: dict[str, Row], other: dict[str, Row], told: Collection[str]) -> Iterator[Change]:
+    """Recordings with other values; what follows from changes of their events, which are told, is left out."""
+    for name in sorted(one.keys() | other.keys()):
+        if name not in one or name not in other:
+            if name not in told:
+                kind: Kind = "appeared" if name not in one else "vanished"
+                there = one.get(name) or other[name]
+                before_and_after = ("", there["status"]) if name not in one else (there["status"], "")
+                yield Change(kind, name, "", *before_and_after, "recording in one of the builds only")
+            continue
+        columns = differing_columns(
+            one[name], other[name], besides=(*OUTCOMES, "status", "message") if name in told else ()
+        )
+        if columns:
+            yield Change("values", name, "", one[name]["status"], other[name]["status"], ", ".join(columns))
 
 
 def _described(kind: Kind, one: Event | None, other: Event | None, decided_by: str) -> Change:
@@ -200,10 +215,10 @@ def _described(kind: Kind, one: Event | None, other: Event | None, decided_by: s
     )
 
 
-def _why_absent(statuses: dict[str, tuple[str, str]], recording_id: str) -> str:
-    if recording_id not in statuses:
+def _why_absent(recordings: dict[str, Row], recording_id: str) -> str:
+    if recording_id not in recordings:
         return "recording not in that build"
-    status, message = statuses[recording_id]
+    status, message = recordings[recording_id]["status"], recordings[recording_id]["message"]
     return "in_hand or annotations: no such event within 1 s" if status == "read" else f"recording {status}: {message}"
 
 

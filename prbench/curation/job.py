@@ -16,6 +16,7 @@ from prbench.errors import PrbenchError
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences.sequence import RecordingRecord
 from prbench.storage import text_digest
+from prbench.workers import is_out_of_memory
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,10 @@ class CurationJob:
             return receipt
         return self._write(source, self._curated(source), digest)
 
+    def if_full(self, source: RecordingSource, error: PrbenchError) -> PartReceipt:
+        """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
+        return self._write(source, self._failed(source, error), source.input_digest())
+
     def _curated(self, source: RecordingSource) -> CuratedRecording:
         if source.skip_reason is not None:
             return self._left_out(source, "skipped", source.skip_reason)
@@ -47,6 +52,8 @@ class CurationJob:
             recording = source.read()
             return curate_recording(recording, self.manifest, self.protocol, self.options, split=source.split)
         except Exception as error:
+            if is_out_of_memory(error):
+                raise  # the engine tries again when nothing else is done beside it
             # Whatever one recording does, the others go on; its message reaches the user with the build's report.
             return self._failed(source, error)
 

@@ -9,13 +9,15 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.evaluation.intervals import ClusteredValues, Estimate, Ids, clustered, mean_interval, seed_of
+from prbench.evaluation.intervals import EQUAL_WITHIN, Estimate, Ids, clustered, mean_interval
+from prbench.randomness import named_generator
 
 FEWEST_FOR_P_VALUE = 6
 """Recordings: with five, the smallest two-sided p-value of a sign-flip test is 2/32, above 5 %."""
-LARGEST_ENUMERATION = 16
-"""Recordings up to which all sign patterns are tried; beyond, random ones."""
-PERMUTATIONS = 20_000
+LARGEST_ENUMERATION = 36
+"""Recordings up to which all sign patterns are counted; beyond, random ones."""
+PERMUTATIONS = 100_000
+_PATTERNS_AT_ONCE = 10_000
 SIGNIFICANCE = 0.05
 
 Conclusion = Literal["higher", "lower", "not supported by the data"]
@@ -70,21 +72,22 @@ def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
 def sign_flip_p_value(differences: Float[np.ndarray, " sequences"], recording_ids: Ids) -> float | None:
     """Two-sided p-value of the mean difference, if the sign of each recording's differences were a coin's.
 
-    All sign patterns are tried up to 16 recordings, otherwise 20,000 random ones (the same for the same data).
+    All sign patterns are counted up to 36 recordings, otherwise 100,000 random ones, which depend on the names of the
+    recordings alone. Mean differences that agree within 10 µm (or as little of another unit) are ties.
 
     Returns:
         None below six recordings, where no result could be significant.
     """
     data = clustered(differences, recording_ids)
-    if len(data.sequences) < FEWEST_FOR_P_VALUE:
-        return None
     totals = data.totals
-    tolerance = 1e-9 * np.abs(totals).sum()
+    if len(totals) < FEWEST_FOR_P_VALUE:
+        return None
+    reached = abs(float(totals.sum())) - EQUAL_WITHIN * len(data.samples)
+    if reached <= 0:
+        return 1.0
     if len(totals) <= LARGEST_ENUMERATION:
-        flipped = np.abs(_all_signs(len(totals)) @ totals)
-        return float((flipped >= abs(totals.sum()) - tolerance).mean())
-    flipped = np.abs(_random_signs(data) @ totals)
-    return float((1 + (flipped >= abs(totals.sum()) - tolerance).sum()) / (1 + PERMUTATIONS))
+        return _patterns_that_reach(reached, totals) / 2 ** len(totals)
+    return (1 + _random_patterns_that_reach(reached, totals, data.recordings)) / (1 + PERMUTATIONS)
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
@@ -98,10 +101,33 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
     return adjusted
 
 
-def _all_signs(count: int) -> Float[np.ndarray, "patterns count"]:
-    return 1.0 - 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1)
+def _patterns_that_reach(least: float, totals: Float[np.ndarray, " recordings"]) -> int:
+    """Number of sign patterns whose sum has at least this absolute value, which is above 0.
+
+    Every pattern is one of the first half of the recordings joined to one of the second half, so that the sums of the
+    halves are all that has to be made: the pairs are counted among sorted numbers.
+    """
+    half = len(totals) // 2
+    first = np.sort(_sums_of_all_signs(totals[:half]))
+    second = np.sort(_sums_of_all_signs(totals[half:]))
+    below = np.searchsorted(first, -least - second, side="right")
+    not_above = np.searchsorted(first, least - second, side="left")
+    return int(below.sum() + (len(first) - not_above).sum())
 
 
-def _random_signs(data: ClusteredValues) -> Float[np.ndarray, "patterns count"]:
-    generator = np.random.default_rng(seed_of(data))
-    return generator.choice([-1.0, 1.0], size=(PERMUTATIONS, len(data.sequences)))
+def _sums_of_all_signs(totals: Float[np.ndarray, " recordings"]) -> Float[np.ndarray, " patterns"]:
+    sums = np.zeros(1)
+    for total in totals:
+        sums = np.concatenate([sums + total, sums - total])
+    return sums
+
+
+def _random_patterns_that_reach(
+    least: float, totals: Float[np.ndarray, " recordings"], recordings: Sequence[str]
+) -> int:
+    generator = named_generator("sign-flips", *recordings)
+    found = 0
+    for _ in range(PERMUTATIONS // _PATTERNS_AT_ONCE):
+        signs = generator.choice(np.array([-1.0, 1.0]), size=(_PATTERNS_AT_ONCE, len(totals)))
+        found += int((np.abs(signs @ totals) >= least).sum())
+    return found

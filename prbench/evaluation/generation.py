@@ -35,6 +35,11 @@ class BatchTask:
     cost: Path
     protocol_version: int
 
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return f"batch {self.index}, from sequence {self.sequence_ids[0]} on"
+
 
 def run_batch(task: BatchTask) -> int:
     """Generate, check, measure and write one batch.

@@ -9,7 +9,8 @@ is that of this estimator: its spread is measured by leaving out, or drawing ane
   less than n independent sequences of their sizes (Kish). Where all values are equal, nothing is known about the
   correlation; then the interval is that of Clopper and Pearson with one trial a recording, so that 0 % and 100 % never
   claim certainty.
-* **Metres and ratios** get a percentile bootstrap over recordings, with samples drawn anew inside their sequences.
+* **Metres and ratios** get a percentile bootstrap over recordings, with samples drawn anew inside their sequences. It
+  is computed instead of drawn (:mod:`prbench.evaluation.bootstrap`), so that no seed moves a printed digit.
   Percentiles of few recordings lie too close together; they are taken further out by as much as Student's interval is
   wider than the normal one (Hesterberg 2015, "expanded percentiles"). Below ten recordings the interval is Student's
   itself, from the jackknife over recordings with recordings - 1 degrees of freedom. With recordings of one size this
@@ -19,7 +20,6 @@ is that of this estimator: its spread is measured by leaving out, or drawing ane
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,15 +27,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import special
 
+from prbench.evaluation.bootstrap import RecordingTotals
 from prbench.metrics import MetricInfo
-from prbench.metrics.batch import ranges
 
 Ids = Sequence[str] | np.ndarray
 """One name a row."""
 
 CONFIDENCE = 0.95
 FEWEST_FOR_BOOTSTRAP = 10
-REPLICATES = 2000
+EQUAL_WITHIN = 1e-5
+"""Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
 
 FEW_RECORDINGS = "few_recordings"
 ONE_RECORDING = "one_recording"
@@ -80,6 +81,13 @@ class ClusteredValues:
         return np.add.reduceat(self.sequence_means, _starts(self.sequences))
 
     @property
+    def inner_variances(self) -> Float[np.ndarray, " recordings"]:
+        """Variance of each total, if as many samples of each of its sequences are drawn anew from them."""
+        about_mean = self.values - np.repeat(self.sequence_means, self.samples)
+        of_means = np.add.reduceat(about_mean**2, _starts(self.samples)) / self.samples.astype(np.float64) ** 2
+        return np.add.reduceat(of_means, _starts(self.sequences))
+
+    @property
     def mean(self) -> float:
         """The estimator: mean over sequences."""
         return float(self.totals.sum() / self.sequences.sum())
@@ -91,7 +99,7 @@ class ClusteredValues:
         found = {
             ONE_RECORDING: count == 1,
             FEW_RECORDINGS: count < FEWEST_FOR_BOOTSTRAP,
-            ALL_EQUAL: bool((self.values == self.values[0]).all()),
+            ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
         }
         return tuple(mark for mark, holds in found.items() if holds)
 
@@ -153,8 +161,8 @@ def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequen
     if ((values < 0) | (values > 1)).any():
         raise ValueError("a rate has values from 0 to 1")
     data = clustered(values, recording_ids, sequence_ids)
-    if data.mean in (0.0, 1.0):
-        low, high = _clopper_pearson_of_recordings(data.mean, len(data.sequences))
+    if min(data.mean, 1 - data.mean) <= EQUAL_WITHIN:
+        low, high = _clopper_pearson_of_recordings(float(round(data.mean)), len(data.sequences))
         return data.estimate(low, high, "clopper-pearson-recordings")
     low, high = _wilson(data.mean, effective_sample_size(data))
     return data.estimate(low, high, "wilson-cluster")
@@ -182,9 +190,7 @@ def mean_interval(
         reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(jackknife_variance(data))
         low, high, method = data.mean - reach, data.mean + reach, "t-jackknife"
     else:
-        means = _bootstrap_means(data, np.random.default_rng(seed_of(data)))
-        tail = _expanded_tail(len(data.sequences))
-        low, high = np.quantile(means, [tail, 1 - tail])
+        low, high = _bootstrap(data)
         method = "bootstrap"
     return data.estimate(max(float(low), 0.0) if nonnegative else float(low), float(high), method)
 
@@ -225,29 +231,14 @@ def _expanded_tail(count: int) -> float:
     return float(special.ndtr(-reach))
 
 
-def _bootstrap_means(data: ClusteredValues, generator: np.random.Generator) -> Float[np.ndarray, " replicates"]:
-    count = len(data.sequences)
-    drawn = generator.integers(count, size=(REPLICATES, count))
-    if (data.samples == 1).all():
-        return data.totals[drawn].sum(axis=1) / data.sequences[drawn].sum(axis=1)
-    return np.array([_mean_of_drawn(data, recordings, generator) for recordings in drawn])
-
-
-def _mean_of_drawn(data: ClusteredValues, recordings: np.ndarray, generator: np.random.Generator) -> float:
-    """Mean over the sequences of the drawn recordings, with the samples of each sequence drawn anew."""
-    sequence = ranges(_starts(data.sequences)[recordings], data.sequences[recordings])
-    samples = data.samples[sequence]
-    begin = np.repeat(_starts(data.samples)[sequence], samples)
-    row = begin + (generator.random(len(begin)) * np.repeat(samples, samples)).astype(np.int64)
-    return float((np.add.reduceat(data.values[row], _starts(samples)) / samples).mean())
-
-
-def seed_of(data: ClusteredValues) -> int:
-    """A seed that depends on the data alone, so that the same table prints the same interval everywhere."""
-    digest = hashlib.sha256("\n".join(data.recordings).encode())
-    for column in (data.values, data.samples.astype(np.int64), data.sequences.astype(np.int64)):
-        digest.update(column.tobytes())
-    return int.from_bytes(digest.digest()[:16], "big")
+def _bootstrap(data: ClusteredValues) -> tuple[float, float]:
+    drawn = RecordingTotals(data.totals, data.sequences, data.inner_variances)
+    lowest = float(data.values.min())
+    highest = float(data.values.max())
+    tail = _expanded_tail(len(data.sequences))
+    low = drawn.percentile(tail, lowest=lowest, highest=highest)
+    high = drawn.percentile(1 - tail, lowest=lowest, highest=highest)
+    return low, high
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from prbench.errors import AdapterError, PrbenchError
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
+from prbench.workers import is_out_of_memory
 
 
 def generate_checked(
@@ -169,13 +170,6 @@ def _joined(first: Motions, second: Motions) -> Motions:
     declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
     cost = Cost(sum(declared)) if declared else None
     return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
-
-
-def is_out_of_memory(error: BaseException) -> bool:
-    """Of Python or NumPy, or of torch on either kind of device (recognised without importing it)."""
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
 
 
 def release_memory() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,6 +24,7 @@ from prbench.evaluation.planning import Selection, plan_batches, plan_digest, se
 from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.weights import require_weights, used_weights, weights_digest
+from prbench.locks import in_turn
 from prbench.manifests import load_protocol
 from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.runs.schema import RUN_SCHEMA_VERSION
@@ -176,7 +178,8 @@ def _dataset(
         )
     if spec is not None:
         spec = spec.fitted_to(table)
-        spec.load()  # a fit is made here, once, and found by every worker
+        with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
+            spec.load()  # a fit is made here, once, and found by every worker
     source, scored_goals = ConditionSource.read(selection), None
     if request.control == SHUFFLED_GOAL:
         shuffled = source.with_goals_of(derangement(selection, seed=request.seed))

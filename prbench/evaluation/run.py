@@ -7,6 +7,7 @@ same request finds out from the files what is left to do and ends with the same 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
@@ -57,23 +59,25 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         AdapterError: if the method is unknown, does not take the condition, or breaks its contract.
         RunError: if the run folder belongs to other inputs.
         TableError: if a table is missing, empty, changed or of an unknown version.
-        StorageError: if a file cannot be written.
+        StorageError: if a file cannot be written, or another process works in the run folder.
         UsageError: if the request does not fit together.
     """
     engine = engine or InProcess()
-    try:
-        prepared = prepare_run(request)
-        folder = RunFolder.prepare(prepared.out, prepared.record)
-        made = _generate_all(prepared, folder, engine, progress)
-    except Exception:
-        if request.isolate:
-            _remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
-        raise
-    finally:
-        forget_loaded_methods()  # no program outlives the run, however it ends
-    for dataset in prepared.datasets:
-        _write_notice(prepared, dataset, folder)
-    summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)
+    with contextlib.ExitStack() as held:
+        try:
+            prepared = prepare_run(request)
+            held.enter_context(sole_writer(prepared.out))
+            folder = RunFolder.prepare(prepared.out, prepared.record)
+            made = _generate_all(prepared, folder, engine, progress)
+        except Exception:
+            if request.isolate:
+                _remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
+            raise
+        finally:
+            forget_loaded_methods()  # no program outlives the run, however it ends
+        for dataset in prepared.datasets:
+            _write_notice(prepared, dataset, folder)
+        summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)
     total = sum(len(dataset.plan) for dataset in prepared.datasets)
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
 
@@ -82,6 +86,7 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
     """What a run still has to generate, for whoever makes the batches of several runs at once.
 
     :func:`run_method` finds them where :func:`~prbench.evaluation.generation.run_batch` puts them, and scores them.
+    The caller holds the run folder until the batches are made.
 
     Args:
         request: See :func:`run_method`, whose errors these are.

@@ -18,7 +18,7 @@ from prbench.errors import PrbenchError
 from prbench.evaluation.adapters import load_adapter
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.isolation.training_copy import TrainingCopy
-from prbench.evaluation.motions import is_out_of_memory, own_copy, release_memory, told, well_formed
+from prbench.evaluation.motions import own_copy, release_memory, told, well_formed
 from prbench.evaluation.remote.messages import (
     WIRE_VERSION,
     Header,
@@ -30,6 +30,7 @@ from prbench.evaluation.remote.messages import (
 from prbench.evaluation.threads import computing_threads
 from prbench.evaluation.training_split import FIT_SEED
 from prbench.evaluation.weights import used_weights, weights_digest
+from prbench.workers import is_out_of_memory
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 from prbench.errors import StorageError
+from prbench.locks import sole_writer
 from prbench.readers.parse_cache import limit_bytes
 from prbench.storage import cache_folder, file_digest, text_digest, write_json
 
@@ -36,7 +37,7 @@ def remembered_digest(path: Path) -> str:
     digest = file_digest(path)
     settled = now - max(before["mtime_ns"], before["ctime_ns"]) > _SETTLED_NS  # else it may change within one tick
     if settled and _identity(path) == before:
-        with contextlib.suppress(StorageError):
+        with contextlib.suppress(StorageError), sole_writer(entry):
             write_json(entry, {"identity": before, "sha256": digest})
     return digest
 

@@ -20,8 +20,9 @@ import pyarrow as pa
 import pyarrow.ipc
 
 from prbench.errors import StorageError, UsageError
+from prbench.locks import sole_file
 from prbench.readers.zipped import Source, ZippedFile
-from prbench.storage import atomic_path, cache_folder, text_digest
+from prbench.storage import cache_folder, text_digest
 
 CACHE_VARIABLE = "PRBENCH_PARSE_CACHE"
 _DEFAULT_MEGABYTES = 2048
@@ -81,7 +82,7 @@ def keep_parsed(source: Source, wish: bytes, table: pa.Table) -> None:
     path = _entry(source)
     marked = table.replace_schema_metadata({**(table.schema.metadata or {}), _FINGERPRINT: _fingerprint(source, wish)})
     with contextlib.suppress(StorageError):  # a full or read-only disk makes reading slower, never impossible
-        with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), marked.schema) as writer:
+        with sole_file(path) as temporary, pyarrow.ipc.new_file(str(temporary), marked.schema) as writer:
             writer.write_table(marked)
         _shrink(path.parent, limit)
 
@@ -132,7 +133,7 @@ def _edges(path: Path) -> str:
 def _shrink(folder: Path, limit: int) -> None:
     """Delete the least recently used entries until the others fit; another process may do the same."""
     entries = []
-    for path in folder.glob("*.arrow"):
+    for path in folder.glob("[!.]*.arrow"):  # those with a dot are being written
         with contextlib.suppress(FileNotFoundError):
             entries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
     total = sum(size for _, size, _ in entries)

@@ -17,13 +17,14 @@ import numpy as np
 
 import prbench
 from prbench.errors import UsageError
+from prbench.locks import sole_writer
 from prbench.release.block import Block, pack_arrays
 from prbench.release.known import folder_of
 from prbench.release.layout import EXPORT_RECORD, FURTHER, GAZES, MOTIONS, TARGETS
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import NOTICE_FILE, notice, require_may_pass_on
 from prbench.skeleton import transform_points
-from prbench.storage import atomic_folder, inside, remove_leftovers, require_replaceable, write_json
+from prbench.storage import atomic_folder, inside, require_replaceable, write_json
 
 Frame = Literal["canonical", "world"]
 
@@ -71,8 +72,7 @@ def export_release(
 
 def _export(table: SequenceTable, folder: Path, permitted: Collection[str], frame: Frame) -> ExportReport:
     said = notice(table.info, permitted)
-    remove_leftovers(folder)
-    with atomic_folder(folder) as temporary:
+    with sole_writer(folder), atomic_folder(folder) as temporary:
         for name in (MOTIONS, GAZES, FURTHER):
             (temporary / name).mkdir()
         count = 0

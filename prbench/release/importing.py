@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import InputFileError, RecordingsWouldBeLost
+from prbench.locks import sole_writer
 from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.inferences import Inference
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
@@ -26,7 +27,7 @@ from prbench.release.terms import read_export_record, terms_of
 from prbench.release.writing import ImportedRows
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.write_dataset import write_dataset
-from prbench.storage import remove_leftovers, require_replaceable
+from prbench.storage import require_replaceable
 
 NO_OPTIONS = ImportOptions()
 Progress = Callable[[str, str], None]
@@ -85,11 +86,11 @@ def import_release(
     targets = {name: out if dataset is not None else out / name for name, _ in found}
     for target in targets.values():
         require_replaceable(target, FILE_NAME, kind="dataset")
-        remove_leftovers(target)
     reports, failed = list[ImportReport](), list[FailedDataset]()
     for name, folder in found:
         try:
-            reports.append(_import_dataset(name, folder, targets[name], options, progress))
+            with sole_writer(targets[name]):
+                reports.append(_import_dataset(name, folder, targets[name], options, progress))
         except (InputFileError, RecordingsWouldBeLost) as error:
             if options.on_error == "fail" or len(found) == 1:
                 raise

@@ -19,6 +19,7 @@ from prbench.sequences.corpus_schema import CLIPS, CORPUS_TABLES, check_corpus_s
 from prbench.sequences.digests import ContentDigest, identity_digest
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.rows import is_bulky, naming, open_parquet, read_parquet, stream_chunks, table_parts
+from prbench.sequences.unchanged import digests_of_files, require_unchanged
 from prbench.sequences.write import write_table, write_table_in_parts
 from prbench.storage import atomic_folder, require_replaceable
 
@@ -32,7 +33,7 @@ class CorpusTable:
 
     @classmethod
     def open(cls, folder: Path | str) -> CorpusTable:
-        """Open a corpus folder and check version, columns and that it holds clips.
+        """Open a corpus folder and check version, columns, that it holds clips, and that no file was edited.
 
         Raises:
             TableError: naming the file, what was expected and what was found.
@@ -49,7 +50,23 @@ class CorpusTable:
                 f"{folder}: the corpus has no clips. `{folder / CORPUS_FILE}` holds the counts that say why;"
                 " the table 'annotations' tells it of every text."
             )
+        table.require_unchanged()
         return table
+
+    def require_unchanged(self) -> None:
+        """Hold the files against ``corpus.json``.
+
+        Raises:
+            TableError: if one was edited; names it.
+        """
+        require_unchanged(
+            self.folder,
+            self.folder / CORPUS_FILE,
+            self.info.file_digests,
+            main="clips",
+            others=("annotations", "recordings"),
+            require_same_values=lambda: self.content,
+        )
 
     def chunks(
         self,
@@ -98,7 +115,7 @@ class CorpusTable:
             digest.update(chunk.batch)
         if digest.hexdigest() != self.info.content_digest:
             raise TableError(
-                f"{self.folder}: the clips are not the ones that {CORPUS_FILE} describes"
+                f"{table_parts(self.folder, 'clips')[0]}: the clips are not the ones that {CORPUS_FILE} describes"
                 f" (content digest {digest.hexdigest()[:12]}…, expected {self.info.content_digest[:12]}…)."
                 " A file was changed after the build; build the corpus again."
             )
@@ -124,7 +141,7 @@ def write_corpus(
 
     Args:
         folder: The corpus folder.
-        info: Provenance; its two digests are filled in here.
+        info: Provenance; its digests are filled in here.
         tables: Rows of ``clips`` (sorted by ``sequence_id`` within each recording), ``annotations``, ``recordings``.
         replace: Replace a corpus that holds recordings which this one lacks.
 
@@ -155,6 +172,11 @@ def write_corpus(
             path = temporary / f"{name}.parquet"
             write_table(path, rows, CORPUS_TABLES[name], protocol_version=version)
         identity = identity_digest(*keys.values(), protocol_version=version)
-        info = msgspec.structs.replace(info, identity_digest=identity, content_digest=content.hexdigest())
+        info = msgspec.structs.replace(
+            info,
+            identity_digest=identity,
+            content_digest=content.hexdigest(),
+            file_digests=digests_of_files(temporary, CORPUS_TABLES),
+        )
         info.write(temporary)
     return info

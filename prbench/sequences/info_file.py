@@ -38,6 +38,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     quarantine: tuple[QuarantinedRecording, ...]
     identity_digest: str
     content_digest: str
+    file_digests: dict[str, str] = {}
+    """SHA-256 of each Parquet file beside this one, by relative path; empty in tables of earlier versions."""
     licence: str
     redistribution: str
     homepage: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
@@ -62,12 +63,12 @@ def read_batches(folders: Iterable[Path], table: str) -> Iterator[pa.RecordBatch
                     yield batch
 
 
-def remove_parts(out: Path) -> None:
-    """Delete the parts of a result that stands, all or none: half a part would look finished to the next build."""
-    remove_folder(work_folder(out))
+@contextlib.contextmanager
+def working_in_parts(out: Path) -> Iterator[None]:
+    """Clear away what a build that was killed half wrote, or half removed; delete all parts once the result stands.
 
-
-def remove_half_written(out: Path) -> None:
-    """Clear away what a build that was killed half wrote, or half removed; finished parts stay."""
-    remove_leftovers(out)
+    Finished parts stay when the block fails. They go all or none: half a part would look finished to the next build.
+    """
     remove_leftovers(work_folder(out))
+    yield
+    remove_folder(work_folder(out))

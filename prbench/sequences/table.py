@@ -14,10 +14,11 @@ import pyarrow.compute as pc
 
 from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.dataset_info import DatasetInfo
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import ContentDigest, identity_digest
 from prbench.sequences.rows import is_bulky, naming, open_parquet, read_parquet, stream_chunks, table_parts
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, check_schema, with_later_columns
+from prbench.sequences.unchanged import require_unchanged
 
 SPLITS = ("train", "validation", "test")
 
@@ -31,7 +32,7 @@ class SequenceTable:
 
     @classmethod
     def open(cls, folder: Path | str) -> SequenceTable:
-        """Open a dataset folder and check versions and columns.
+        """Open a dataset folder and check versions, columns, and that no file was edited.
 
         A dataset may hold events alone: HD-EPIC before EgoAllo has estimated bodies is one.
 
@@ -41,6 +42,7 @@ class SequenceTable:
         table = cls(Path(folder), DatasetInfo.read(folder))
         for path in table.part_paths("sequences"):
             check_schema(open_parquet(path).schema_arrow, SEQUENCES, source=str(path))
+        table.require_unchanged()
         return table
 
     def with_sequences(self) -> SequenceTable:
@@ -52,6 +54,21 @@ class SequenceTable:
         if any(open_parquet(path).metadata.num_rows for path in self.part_paths("sequences")):
             return self
         raise TableError(f"{self.folder}: holds no sequences. {why_no_sequences(self.info)}")
+
+    def require_unchanged(self) -> None:
+        """Hold the files against ``dataset.json``.
+
+        Raises:
+            TableError: if one was edited; names it.
+        """
+        require_unchanged(
+            self.folder,
+            self.folder / FILE_NAME,
+            self.info.file_digests,
+            main="sequences",
+            others=("events", "recordings"),
+            require_same_values=lambda: self.content,
+        )
 
     def part_paths(self, name: str) -> list[Path]:
         """The Parquet files of ``sequences``, ``events`` or ``recordings``, in order."""
@@ -116,7 +133,7 @@ class SequenceTable:
             digest.update(chunk.batch)
         if digest.hexdigest() != self.info.content_digest:
             raise TableError(
-                f"{self.folder}: the sequences are not the ones that dataset.json describes"
+                f"{self.part_paths('sequences')[0]}: the sequences are not the ones that dataset.json describes"
                 f" (content digest {digest.hexdigest()[:12]}…, expected {self.info.content_digest[:12]}…)."
                 " A file was changed after the build; build the dataset again."
             )

@@ -13,6 +13,7 @@ from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import ContentDigest, identity_digest
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
+from prbench.sequences.unchanged import digests_of_files
 from prbench.sequences.write import write_table, write_table_in_parts
 from prbench.storage import atomic_folder, require_replaceable
 
@@ -37,7 +38,7 @@ def write_dataset(
 
     Args:
         folder: The dataset folder.
-        info: Provenance; its two digests are filled in here.
+        info: Provenance; its digests are filled in here.
         sequences: Rows in table order (sorted by ``sequence_id``).
         events: Rows of ``events``.
         recordings: Rows of ``recordings``.
@@ -62,9 +63,14 @@ def write_dataset(
         write_table_in_parts(temporary, "sequences", seen.pass_on(sequences), SEQUENCES, protocol_version=version)
         write_table(temporary / "events.parquet", events, EVENTS, protocol_version=version)
         write_table(temporary / "recordings.parquet", recordings, RECORDINGS, protocol_version=version)
-        info = msgspec.structs.replace(info, identity_digest=seen.identity(), content_digest=seen.content.hexdigest())
-        info.write(temporary)
         tables = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
+        info = msgspec.structs.replace(
+            info,
+            identity_digest=seen.identity(),
+            content_digest=seen.content.hexdigest(),
+            file_digests=digests_of_files(temporary, tables),
+        )
+        info.write(temporary)
         write_croissant(temporary, info, tables, _ROWS)
     return info
 

@@ -10,7 +10,8 @@ import prbench
 from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.formats.humanml3d import MIRROR_PREFIX
-from prbench.storage import atomic_folder, remove_leftovers, write_json
+from prbench.locks import sole_writer
+from prbench.storage import atomic_folder, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import narrated_recording
 from prbench.synthetic.defects import defect
@@ -72,9 +73,8 @@ def synthesize_corpus_tree(
     if layout not in CORPUS_LAYOUTS:
         raise UsageError(f"unknown corpus layout '{layout}'; known ones are: {', '.join(CORPUS_LAYOUTS)}.")
     damages = [defect(layout, name) for name in defects]
-    remove_leftovers(out)
     require_free(out)
-    with atomic_folder(out) as root:
+    with sole_writer(out), atomic_folder(out) as root:
         done: list[_Done] = []
         jobs = [_Job(layout, root, seed, index, noise) for index in range(recordings or DEFAULT_RECORDINGS)]
         for result in engine_for(workers).map(_write, jobs):

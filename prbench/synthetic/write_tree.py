@@ -17,7 +17,8 @@ import pyarrow as pa
 import prbench
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.storage import atomic_folder, remove_leftovers, write_json
+from prbench.locks import sole_writer
+from prbench.storage import atomic_folder, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.defects import defect
 from prbench.synthetic.layouts import SHARED_PARTS, EstimatedBodies, layout_for
@@ -113,10 +114,9 @@ def synthesize_tree(
         raise UsageError(f"{preset} has no bodies of its own beside which EgoAllo's estimates could stand.")
     damages = [defect(preset, name) for name in defects]
     amount = _amount(size)
-    remove_leftovers(out)
     require_free(out)
     count = planned_recordings(size, recordings)
-    with atomic_folder(out) as root:
+    with sole_writer(out), atomic_folder(out) as root:
         jobs = [
             _Job(
                 root,

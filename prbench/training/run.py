@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from prbench.errors import TrainingStopped, UsageError
+from prbench.locks import sole_writer
 from prbench.training.card import training_card
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
 from prbench.training.dataset import SequenceDataset
@@ -122,7 +124,19 @@ def run(
     fabric: Fabric,
     report: Callable[[Progress], None] = silent,
 ) -> TrainReport:
-    """Train in this process, which is one of those that Fabric has launched."""
+    """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
+    with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
+        return _run(request, task, stage, configuration, fabric, report)
+
+
+def _run(
+    request: TrainRequest,
+    task: TrainingTask,
+    stage: str,
+    configuration: TrainingConfiguration,
+    fabric: Fabric,
+    report: Callable[[Progress], None],
+) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = training_dataset(request.data, configuration)
         record = _record(request, stage, configuration, data)

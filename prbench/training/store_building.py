@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.ipc
 
 from prbench.errors import InputFileError, TableError
+from prbench.locks import in_turn, sole_writer
 from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
 from prbench.sequences.arrow import column
@@ -73,13 +74,22 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
     path = cache / f"{_key(table, encoding)}.arrow"
     found = _opened(path)
     if found is None:
-        _make(table, encoding, path)
-        found = _opened(path)
-        assert found is not None, "what was just made can be opened"
+        found = _made_once(table, encoding, path)
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
     return TableStore(table, store, notes.left_out)
+
+
+def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, FeatureStore]:
+    """Make the store and its notes, unless another process has made them while this one waited for it."""
+    with in_turn(path), sole_writer(path.with_suffix(".json")):
+        found = _opened(path)
+        if found is None:
+            _make(table, encoding, path)
+            found = _opened(path)
+    assert found is not None, "what was just made can be opened"
+    return found
 
 
 class _Notes(msgspec.Struct, frozen=True):

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from prbench.locks import sole_file
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
-from prbench.storage import atomic_path
 from prbench.synthetic.activities import narrated_recording
 from prbench.viewing.stick_figure import draw_figure
 
@@ -77,7 +77,7 @@ def render_strips(strips: Sequence[Strip], path: Path | str, *, columns: int = 2
         axes.set_axis_off()
     for axes, strip in zip(grid, strips, strict=False):
         _draw(axes, strip)
-    with atomic_path(Path(path)) as draft:
+    with sole_file(Path(path)) as draft:
         figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
 
 

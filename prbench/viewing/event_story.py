@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from prbench.locks import sole_file
 from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import WRISTS, Joint, head_forward
-from prbench.storage import atomic_path
 from prbench.viewing.stick_figure import draw_figure
 from prbench.viewing.story import EventStory, StoryMotion
 
@@ -45,7 +45,7 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     if story.motion is not None:
         _draw_figures(axes[2], story, story.motion)
         _draw_distances(axes[3], story, story.motion)
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+    with sole_file(path) as temporary, open(temporary, "wb") as file:
         FigureCanvasAgg(figure).print_png(file)
 
 

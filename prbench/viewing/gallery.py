@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from prbench.locks import sole_file
 from prbench.skeleton import TOES, Joint
-from prbench.storage import atomic_path
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.viewing.curves import Curves, curves_of
@@ -83,7 +83,7 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
     cells = np.asarray(figure.subfigures(rows, columns, squeeze=False)).ravel()
     for cell, scene in zip(cells, scenes, strict=False):
         draw_scene(cell, scene)
-    with atomic_path(Path(path)) as draft:
+    with sole_file(Path(path)) as draft:
         figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from prbench.locks import sole_file
 from prbench.published import Spread
-from prbench.storage import atomic_path
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import TARGETS, clips_of
 
@@ -47,7 +47,7 @@ def render_histograms(performances: Mapping[str, Sequence[Performance]], path: P
             name, unit, highest = column
             _draw(axes, values, getattr(TARGETS[preset], name), highest)
             axes.set_title(f"{preset}: {name} ({unit}), {len(clips)} synthetic sequences", fontsize=7)
-    with atomic_path(Path(path)) as draft:
+    with sole_file(Path(path)) as draft:
         figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
 
 

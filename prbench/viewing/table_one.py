@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from prbench.errors import UsageError
+from prbench.locks import sole_file
 from prbench.published import Spread, load_table_one
 from prbench.sequences.table_one import TableStatistics
-from prbench.storage import atomic_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
     with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
         figure = _figure(statistics, dpi)
         metadata = {"Software": None} if path.suffix.lower() == ".png" else {"Date": None, "Creator": None}
-        with atomic_path(path) as draft:
+        with sole_file(path) as draft:
             figure.savefig(draft, format=path.suffix[1:].lower(), dpi=dpi, metadata=metadata)
 
 

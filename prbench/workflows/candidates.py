@@ -11,9 +11,9 @@ from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
 from prbench.formats import gimo
+from prbench.locks import sole_file
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.gimo.segments import row_of
-from prbench.storage import atomic_path
 
 DATASETS = ("gimo",)
 """Datasets whose events a person has to annotate."""
@@ -110,7 +110,7 @@ class Proposer:
 
 
 def _write(path: Path, proposals: Iterable[Proposal]) -> None:
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+    with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([row[name] for name in COLUMNS] for row in (proposal.row() for proposal in proposals))

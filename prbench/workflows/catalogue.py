@@ -13,7 +13,7 @@ from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
 from prbench.readers import READER_MODULES, reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover
-from prbench.sequences import DatasetInfo
+from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
 from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
 from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 from prbench.workflows.inspection import missing_files
@@ -106,11 +106,16 @@ def citation_text(folders: Sequence[Path]) -> str:
     """BibTeX of everything in some built datasets, with their terms as comments.
 
     Raises:
-        TableError: if a folder holds no built dataset.
+        TableError: if a folder holds no built dataset, or one of which a file was edited.
     """
     terms, entries = [], []
     for folder in folders:
-        info = CorpusInfo.read(folder) if (folder / CORPUS_FILE).is_file() else DatasetInfo.read(folder)
+        if (folder / CORPUS_FILE).is_file():
+            table = CorpusTable(folder, CorpusInfo.read(folder))
+        else:
+            table = SequenceTable(folder, DatasetInfo.read(folder))
+        table.require_unchanged()
+        info = table.info
         terms.append(f"% {info.dataset}: {info.title}")
         terms.append(f"%   licence: {info.licence}")
         terms.append(f"%   it {_TERMS.get(info.redistribution, info.redistribution)}.")

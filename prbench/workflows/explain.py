@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from prbench.curation.priming import OCCLUSION_STAGE, PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
 from prbench.manifests import BenchmarkProtocol, load_protocol
-from prbench.sequences import DatasetInfo, EventRecord, SequenceChunk, SequenceTable
+from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
@@ -41,8 +41,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
         TableError: if the folder holds no dataset.
         UsageError: if no event fits (with the nearest known ids), or more than one does.
     """
-    folder = Path(folder)
-    table = SequenceTable(folder, DatasetInfo.read(folder))
+    table = SequenceTable.open(folder)
     events = table.events()
     row = find_event(events, event)
     record = _record(events, row)

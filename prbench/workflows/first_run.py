@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,8 +14,10 @@ from prbench.evaluation.cache import cache_folder
 from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
 from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
+from prbench.locks import in_turn
 from prbench.manifests import digest_of, load_manifest, load_protocol
 from prbench.sequences import SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
@@ -46,14 +48,28 @@ def default_table_folder() -> Path:
     return cache_folder() / "tables" / f"synthetic-{PRESET}-{RECORDINGS}-{key[:12]}"
 
 
-def default_table(engine: Engine, progress: Progress) -> SequenceTable:
-    """Open the embedded dataset, building it first where it is not there yet."""
-    folder = default_table_folder()
-    if not (folder / "dataset.json").is_file():
-        from prbench.workflows.synthetic_table import build_synthetic_table  # every later run goes without it
+def default_table(engine: Engine, progress: Progress, tell: Callable[[str], None] = lambda _: None) -> SequenceTable:
+    """Open the embedded dataset, building it first where it is not there yet.
 
-        build_synthetic_table(PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress)
+    Args:
+        engine: Where it is built.
+        progress: Called after each recording.
+        tell: Called with a line that names the process which is building it meanwhile, and is waited for.
+    """
+    folder = default_table_folder()
+    if not (folder / FILE_NAME).is_file():
+        _build_once(folder, engine, progress, tell)
     return SequenceTable.open(folder)
+
+
+def _build_once(folder: Path, engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
+    from prbench.workflows.synthetic_table import build_synthetic_table  # every later run goes without it
+
+    with in_turn(folder.with_name(f"{folder.name}.first-run"), tell):  # the build itself holds the folder
+        if not (folder / FILE_NAME).is_file():
+            build_synthetic_table(
+                PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress
+            )
 
 
 def companions(request: RunRequest) -> Iterator[RunRequest]:

@@ -153,7 +153,9 @@ def validate_build(folder: Path) -> Validation:
             f"{folder}: was built with --priming published, so it does not tell what the rule finds."
             " Give a table built by the rule, or the dataset itself with --root."
         )
-    rows = SequenceTable(folder, info).events().to_pylist()
+    table = SequenceTable(folder, info)
+    table.require_unchanged()
+    rows = table.events().to_pylist()
     if rows and all(row["published_priming"] is None for row in rows):
         raise TableError(
             f"{folder}: no event tells a published priming. Was priming_info.json beside the data when it was built,"

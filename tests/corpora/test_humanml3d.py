@@ -9,6 +9,7 @@ import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus
 from prbench.corpora.humanml3d.motion import read_joints
+from prbench.corpora.humanml3d.source import HumanML3DSource
 from prbench.corpora.humanml3d.texts import read_texts
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
@@ -165,3 +166,23 @@ def test_a_motion_in_two_lists_is_refused(tmp_path):
 def test_there_is_one_rate(humanml3d_tree, tmp_path):
     with pytest.raises(UsageError, match="20 frames a second"):
         build_corpus("humanml3d", humanml3d_tree, tmp_path / "out", options=CorpusOptions(fps=30.0))
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_group_for_which_the_memory_does_not_suffice_is_tried_again_then_told(
+    times, built, humanml3d_tree, tmp_path, monkeypatch
+):
+    read, missing = HumanML3DSource.read, [MemoryError("8 GB wanted")] * times
+
+    def short(recording):
+        if missing:
+            raise missing.pop()
+        return read(recording)
+
+    monkeypatch.setattr(HumanML3DSource, "read", short)
+    report = build_corpus("humanml3d", humanml3d_tree, tmp_path / "c")
+    failed = [record for record in report.records if record.status == "failed"]
+    assert bool(failed) == (times == 2)
+    assert all("does not suffice (8 GB wanted)" in record.message for record in failed)
+    if times == 1:
+        assert (tmp_path / "c/corpus.json").read_bytes() == (built.folder / "corpus.json").read_bytes()

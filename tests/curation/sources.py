@@ -7,6 +7,8 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import pyarrow as pa
+
 from prbench.curation import build_from_sources
 from prbench.engine import engine_for
 from prbench.errors import InputFileError
@@ -29,12 +31,17 @@ class SceneSource:
     split: str | None = None
     seconds: float = 0.0
     """How long reading takes."""
+    short: Path | None = None
+    """Folder that holds a file for each time for which the memory will not suffice."""
 
     def input_digest(self) -> str:
         return text_digest(self.recording_id, str(self.version), self.problem)
 
     def read(self) -> Recording:
         time.sleep(self.seconds)
+        if self.short is not None and any(self.short.iterdir()):
+            next(self.short.iterdir()).unlink()
+            raise pa.lib.ArrowMemoryError("malloc of size 4398046511104 failed")
         if self.problem == "file":
             raise InputFileError("/home/someone/adt/a.csv", "row 3", expected="a number", found="text")
         if self.problem == "defect":

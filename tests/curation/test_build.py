@@ -11,8 +11,8 @@ import pytest
 from prbench.curation import BuildOptions, CurationOptions, Progress, build_from_sources, funnel_rows
 from prbench.curation.provenance import funnel_counts
 from prbench.curation.sources import chosen_ids
-from prbench.engine import ProcessPool
-from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
+from prbench.engine import InProcess, ProcessPool
+from prbench.errors import InputFileError, MemoryFullError, PrbenchError, StorageError, UsageError
 from prbench.sequences import SequenceTable
 from tests.curation.sources import SceneSource, folder_bytes, some_sources
 
@@ -140,3 +140,30 @@ def test_an_unknown_rule_is_answered_with_the_known_ones(tmp_path: Path) -> None
     options = BuildOptions(CurationOptions(in_hand="elbow"), on_error="fail")
     with pytest.raises(UsageError, match="wrist"):
         build_from_sources(some_sources(1), tmp_path / "adt", options=options)
+
+
+def short_of_memory(folder: Path, times: int) -> list[SceneSource]:
+    """Two recordings; for one the memory will not suffice so many times."""
+    folder.mkdir()
+    for index in range(times):
+        (folder / str(index)).touch()
+    return [some_sources(1)[0], replace(some_sources(2)[1], short=folder)]
+
+
+@pytest.mark.parametrize("engine", [InProcess(), ProcessPool(2)], ids=["in process", "pool"])
+def test_a_recording_for_which_the_memory_did_not_suffice_once_changes_no_byte(engine, tmp_path: Path) -> None:
+    build_from_sources(some_sources(2), tmp_path / "undisturbed")
+    build_from_sources(short_of_memory(tmp_path / "times", 1), tmp_path / "adt", engine=engine)
+    assert not list((tmp_path / "times").iterdir())
+    assert folder_bytes(tmp_path / "adt") == folder_bytes(tmp_path / "undisturbed")
+
+
+def test_one_for_which_it_does_not_suffice_alone_either_is_told_and_the_build_goes_on(tmp_path: Path) -> None:
+    report = build_from_sources(short_of_memory(tmp_path / "times", 2), tmp_path / "adt")
+    assert [record.status for record in report.records] == ["read", "failed"]
+    message = report.info.quarantine[0].message
+    assert message.startswith("room_1: the memory of this machine does not suffice (malloc of size 4398046511104")
+    assert "fewer --workers" in message
+    options = BuildOptions(on_error="fail")
+    with pytest.raises(MemoryFullError, match="room_1"):
+        build_from_sources(short_of_memory(tmp_path / "again", 2), tmp_path / "other", options=options)

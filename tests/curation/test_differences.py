@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
+from prbench.sequences import DatasetInfo
 from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
 from prbench.sequences.write_dataset import write_dataset
 from tests.fakes import fake_info, fake_sequence
@@ -30,7 +34,7 @@ def event_of(row, **changes) -> EventRecord:
     )  # fmt: skip
 
 
-def write(folder: Path, rows=ROWS, events=None, *, failed: str = "") -> Path:
+def write(folder: Path, rows=ROWS, events=None, *, failed: str = "", recording: Mapping[str, Any] = {}) -> Path:
     events = [event_of(row) for row in rows] if events is None else events
     names = sorted({row.recording_id for row in ROWS})
     records = [
@@ -40,6 +44,7 @@ def write(folder: Path, rows=ROWS, events=None, *, failed: str = "") -> Path:
         )
         for name in names
     ]  # fmt: skip
+    records[0] = dataclasses.replace(records[0], **recording)
     write_dataset(
         folder,
         fake_info(),
@@ -103,9 +108,58 @@ def test_other_poses_under_the_same_name_are_seen(first, amount) -> None:
     assert [change[0] for change in changes_to(first, [changed, *ROWS[1:]])] == ["values"]
 
 
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("goal_location", np.array([9.0, 1.0, 2.0])),
+        ("hand", None),
+        ("text", "other words"),
+        ("body_movement", 7.5),
+        ("extra", {"note": "another"}),
+        ("prime_time_uncertainty", 0.5),
+        ("gaze_valid", np.zeros(ROWS[0].n_frames, dtype=bool)),
+        ("world_from_canonical", 2 * np.eye(4)),
+    ],
+)
+def test_every_column_of_a_sequence_is_compared(first, column, value) -> None:
+    events = [event_of(row) for row in ROWS]
+    changed = [dataclasses.replace(ROWS[0], **{column: value}), *ROWS[1:]]
+    assert changes_to(first, changed, events) == [("values", "sequence", "sequence", column)]
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("object_name", "Cup"), ("box_max", np.array([9.0, 9.0, 9.0])), ("threshold", 0.3), ("value", None)],
+)
+@pytest.mark.parametrize("outcome", ["sequence", "not_primed"])
+def test_every_column_of_an_event_is_compared(tmp_path, column, value, outcome) -> None:
+    event = event_of(ROWS[0], outcome=outcome)
+    first = write(tmp_path / "first", ROWS, [event, *map(event_of, ROWS[1:])])
+    events = [dataclasses.replace(event, **{column: value}), *map(event_of, ROWS[1:])]
+    assert changes_to(first, ROWS, events) == [("values", outcome, outcome, column)]
+
+
+@pytest.mark.parametrize(("column", "value"), [("duration", 8.0), ("participant_id", "Q"), ("message", "hm")])
+def test_every_column_of_a_recording_is_compared(first, column, value) -> None:
+    second = write(first.with_name("second"), **{"recording": {column: value}})
+    found = [(c.kind, c.event, c.decided_by) for c in compare_builds(first, second).changes]
+    assert found == [("values", "", column)]
+
+
+def test_a_sequence_that_no_event_names_is_seen(first) -> None:
+    assert changes_to(first, ROWS[1:], [event_of(row) for row in ROWS]) == [
+        ("values", "sequence", "sequence", "no row in sequences in one of them")
+    ]
+    second = write(first.with_name("second"), ROWS[1:], [event_of(row) for row in ROWS[1:]])
+    third = write(first.with_name("third"), ROWS, [event_of(row) for row in ROWS[1:]])
+    changes = compare_builds(second, third).changes
+    assert [(c.kind, c.decided_by) for c in changes] == [("appeared", "a sequence that no event names")]
+
+
 def test_what_was_chosen_differently_is_listed(first) -> None:
     second = write(first.with_name("second"))
-    info = msgspec.structs.replace(fake_info(), options={"ray_origin": "camera"}, protocol_digest="q")
+    info = DatasetInfo.read(second)
+    info = msgspec.structs.replace(info, options={"ray_origin": "camera"}, protocol_digest="q")
     info.write(second)
     assert compare_builds(first, second).settings == (
         ("protocol_digest", "p", "q"),
@@ -115,6 +169,6 @@ def test_what_was_chosen_differently_is_listed(first) -> None:
 
 def test_builds_of_different_datasets_are_not_compared(first) -> None:
     second = write(first.with_name("second"))
-    msgspec.structs.replace(fake_info(), dataset="synthetic-gimo").write(second)
+    msgspec.structs.replace(DatasetInfo.read(second), dataset="synthetic-gimo").write(second)
     with pytest.raises(UsageError, match="synthetic-gimo"):
         compare_builds(first, second)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from prbench.evaluation import comparisons
 from prbench.evaluation.comparisons import PairedValues, compare, holm, sign_flip_p_value
 from tests.evaluation.test_intervals import names
 
@@ -36,12 +37,35 @@ def test_agrees_with_scipy_on_recording_totals(recordings: int) -> None:
     assert sign_flip_p_value(rows.ravel(), names(*[4] * recordings)) == pytest.approx(oracle.pvalue)
 
 
-def test_random_signs_agree_with_all_signs() -> None:
-    rng = np.random.default_rng(0)
-    totals = rng.normal(0.4, 1, 18)
-    signs = 1 - 2 * (np.arange(2**18)[:, None] >> np.arange(18) & 1)
+@pytest.mark.parametrize("recordings", [6, 7, 18])
+def test_counted_patterns_are_all_patterns(recordings: int) -> None:
+    totals = np.random.default_rng(recordings).normal(0.4, 1, recordings)
+    signs = 1 - 2 * (np.arange(2**recordings)[:, None] >> np.arange(recordings) & 1)
     exact = (np.abs(signs @ totals) >= abs(totals.sum()) - 1e-9).mean()
-    assert sign_flip_p_value(totals, names(*[1] * 18)) == pytest.approx(exact, abs=0.01)
+    assert sign_flip_p_value(totals, names(*[1] * recordings)) == pytest.approx(exact, abs=1e-12)
+
+
+def test_random_patterns_agree_with_all_patterns(monkeypatch: pytest.MonkeyPatch) -> None:
+    totals = np.random.default_rng(0).normal(0.4, 1, 18)
+    exact = sign_flip_p_value(totals, names(*[1] * 18))
+    monkeypatch.setattr(comparisons, "LARGEST_ENUMERATION", 10)
+    assert sign_flip_p_value(totals, names(*[1] * 18)) == pytest.approx(exact, abs=0.005)
+
+
+@pytest.mark.parametrize("recordings", [8, 30, 50])
+def test_noise_of_a_micrometre_moves_no_p_value(recordings: int) -> None:
+    rng = np.random.default_rng(recordings)
+    ids = names(*[4] * recordings)
+    rows = rng.integers(-1, 2, len(ids)).astype(float) + 0.3  # many patterns are tied
+    order = rng.permutation(len(rows))
+    noise = rng.uniform(-1e-6, 1e-6, len(rows))
+    before = sign_flip_p_value(rows, ids)
+    assert sign_flip_p_value(rows + noise, ids) == pytest.approx(before, abs=1e-4)
+    assert sign_flip_p_value(rows[order], np.array(ids)[order]) == before
+
+
+def test_arithmetic_alone_is_no_difference() -> None:
+    assert sign_flip_p_value(np.full(20, 1e-12), names(*[2] * 10)) == 1.0
 
 
 def test_many_sequences_of_few_different_recordings_are_no_evidence() -> None:

@@ -153,10 +153,76 @@ def test_equal_values_are_marked() -> None:
     assert found.marks == ("all_equal",)
 
 
+def test_what_only_arithmetic_tells_apart_is_equal() -> None:
+    noise = np.random.default_rng(0).uniform(-1e-6, 1e-6, 24)
+    assert mean_interval(1.0 + noise, names(*[2] * 12)).marks == ("all_equal",)
+    found = rate_interval(np.abs(noise), names(*[2] * 12))
+    assert found.method == "clopper-pearson-recordings"
+
+
 def test_a_metric_brings_the_interval_of_its_unit() -> None:
     methods = {info.id: metric_interval(info, values(*[0.0, 1.0] * 12), names(*[2] * 12)).method for info in METRICS}
     assert methods["prime_success"] == methods["location_error"] == "wilson-cluster"
     assert methods["mpjpe"] == methods["foot_skating"] == "bootstrap"
+
+
+REALISTIC = {
+    "metres": lambda rng, n: rng.gamma(2, 0.2, n),
+    "far": lambda rng, n: rng.gamma(40, 0.15, n),
+    "mostly 0": lambda rng, n: (rng.random(n) < 0.3) * rng.gamma(2, 0.1, n),
+    "one outlier": lambda rng, n: 0.1 + 3.0 * (np.arange(n) == 0),
+    "steps": lambda rng, n: rng.integers(0, 3, n) / 2,
+}
+
+
+@pytest.mark.parametrize("kind", REALISTIC)
+@pytest.mark.parametrize("recordings", [5, 11, 40])
+def test_noise_of_a_micrometre_moves_no_bound_by_more_than_ten(kind: str, recordings: int) -> None:
+    rng = np.random.default_rng(recordings)
+    ids = names(*rng.integers(1, 9, recordings))
+    rows = 0.01 + REALISTIC[kind](rng, len(ids))
+    before = mean_interval(rows, ids, nonnegative=True)
+    for _ in range(5):
+        after = mean_interval(rows + rng.uniform(-1e-6, 1e-6, len(rows)), ids, nonnegative=True)
+        assert (after.low, after.high) == pytest.approx((before.low, before.high), abs=1e-5)
+        assert after.marks == before.marks
+
+
+@pytest.mark.parametrize("kind", REALISTIC)
+def test_other_names_of_the_recordings_give_the_same_interval(kind: str) -> None:
+    rng = np.random.default_rng(0)
+    ids = names(*[4] * 12)
+    rows = REALISTIC[kind](rng, len(ids))
+    before = mean_interval(rows, ids)
+    after = mean_interval(rows, [name[::-1] for name in ids])
+    assert (after.low, after.high) == pytest.approx((before.low, before.high), abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", REALISTIC)
+@pytest.mark.parametrize("recordings", [10, 40])
+def test_the_computed_bootstrap_is_that_of_very_many_replicates(kind: str, recordings: int) -> None:
+    rng = np.random.default_rng(recordings)
+    sizes = rng.integers(1, 9, recordings)
+    rows = REALISTIC[kind](rng, int(sizes.sum()))
+    totals = np.add.reduceat(rows, np.cumsum(sizes) - sizes)
+    drawn = rng.multinomial(recordings, np.full(recordings, 1 / recordings), size=100_000).astype(float)
+    tail = stats.norm.cdf(-stats.t.ppf(0.975, recordings - 1) * np.sqrt(recordings / (recordings - 1)))
+    low, high = np.quantile((drawn @ totals) / (drawn @ sizes), [tail, 1 - tail])
+    found = mean_interval(rows, names(*sizes))
+    assert found.low == pytest.approx(low, abs=0.02 * (high - low))
+    assert found.high == pytest.approx(high, abs=0.02 * (high - low))
+
+
+def test_a_recording_with_nearly_all_sequences_does_not_blur_the_others() -> None:
+    rng = np.random.default_rng(1)
+    sizes = np.array([200, *[3] * 11])
+    rows = rng.gamma(2, 0.2, 12)[np.repeat(np.arange(12), sizes)] * rng.gamma(4, 0.25, int(sizes.sum()))
+    totals = np.add.reduceat(rows, np.cumsum(sizes) - sizes)
+    drawn = rng.multinomial(12, np.full(12, 1 / 12), size=100_000).astype(float)
+    tail = stats.norm.cdf(-stats.t.ppf(0.975, 11) * np.sqrt(12 / 11))
+    low, high = np.quantile((drawn @ totals) / (drawn @ sizes), [tail, 1 - tail])
+    found = mean_interval(rows, names(*sizes))
+    assert (found.low, found.high) == pytest.approx((low, high), abs=0.05 * (high - low))
 
 
 def test_wrong_input_is_refused() -> None:
@@ -198,6 +264,7 @@ def test_a_plain_wilson_interval_would_not_cover() -> None:
     assert covered / 300 < 0.80  # the simulation can tell a wrong interval from a right one
 
 
+@pytest.mark.unchecked_shapes
 @pytest.mark.parametrize("recordings", [3, 6, 10, 25])
 def test_mean_intervals_cover_the_true_mean(recordings: int) -> None:
     rng = np.random.default_rng(recordings)

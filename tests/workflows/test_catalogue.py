@@ -10,7 +10,7 @@ from prbench.sequences import SequenceTable
 from prbench.synthetic.corpus_tree import synthesize_corpus_tree
 from prbench.workflows.catalogue import catalogue, citation_text
 from prbench.workflows.inspection import inspect_folder
-from tests.fakes import fake_dataset, fake_info
+from tests.fakes import fake_dataset
 
 
 def test_every_dataset_is_listed_with_its_terms() -> None:
@@ -39,12 +39,12 @@ def test_a_misspelt_name_is_answered_with_the_nearest_one() -> None:
 
 def test_a_citation_holds_terms_dataset_study_and_toolkit_each_once(tmp_path) -> None:
     manifest = load_manifest("adt")
-    info = msgspec.structs.replace(
-        fake_info(), licence=manifest.licence, redistribution="non-commercial", citation=manifest.citation
-    )
     folders = []
     for name in ("one", "two"):
         table = fake_dataset(tmp_path / name, n=3)
+        info = msgspec.structs.replace(
+            table.info, licence=manifest.licence, redistribution="non-commercial", citation=manifest.citation
+        )
         info.write(table.folder)
         folders.append(SequenceTable.open(table.folder).folder)
     text = citation_text(folders)

@@ -19,6 +19,7 @@ from prbench.evaluation.offline.information import ConditionsInfo, fingerprints
 from prbench.evaluation.offline.read import write_conditions
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
+from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.paths import turn_into_paths
 from prbench.sequences import DatasetInfo, SequenceTable
@@ -104,10 +105,11 @@ def export_conditions(request: ExportRequest) -> ExportReport:
     for table in tables:
         _require_may_export(table.info, request)
     conditions = conditions_of(tables, request)
-    write_conditions(conditions.file, request.out)
-    said = _notices(tables, request)
-    if said:
-        write_text(request.out.with_suffix(".NOTICE.txt"), "".join(f"{line}\n" for line in said))
+    said, notices = _notices(tables, request), request.out.with_suffix(".NOTICE.txt")
+    with sole_writer(request.out), sole_writer(notices):
+        if said:  # first, so that a file is never without what its terms ask
+            write_text(notices, "".join(f"{line}\n" for line in said))
+        write_conditions(conditions.file, request.out)
     names = [table.info.dataset for table in tables]
     return ExportReport(
         request.out,

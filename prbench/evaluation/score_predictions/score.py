@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 from prbench.engine import Engine, InProcess
@@ -13,6 +14,7 @@ from prbench.evaluation.score_predictions.board import OFFLINE
 from prbench.evaluation.score_predictions.request import ScoreReport, ScoreRequest
 from prbench.evaluation.score_predictions.scored import Work
 from prbench.evaluation.score_predictions.submission import score_submission
+from prbench.locks import sole_writer
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 
@@ -43,7 +45,8 @@ def score_predictions(
     """
     tables, work = open_tables(request.data), Work(engine or InProcess(), progress)
     run = _run_of(request.predictions)
-    return score_submission(tables, request, work) if run is None else score_run(run, tables, request, work)
+    with nullcontext() if request.out is None else sole_writer(request.out):
+        return score_submission(tables, request, work) if run is None else score_run(run, tables, request, work)
 
 
 def _run_of(path: Path) -> RunFolder | None:

@@ -14,10 +14,11 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError, StorageError
 from prbench.formats import egoallo as ego
+from prbench.locks import sole_file
 from prbench.readers.egoallo.model import HOW_TO_GET, model_digest, read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
 from prbench.recording.from_egoallo import window_joints
-from prbench.storage import atomic_path, bytes_digest, cache_folder
+from prbench.storage import bytes_digest, cache_folder
 
 _GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
 _OPTIONS_BYTES = 65536
@@ -100,5 +101,5 @@ def _forget(kept: Path) -> None:
 
 
 def _keep(kept: Path, joints: np.ndarray, model: str) -> None:
-    with contextlib.suppress(StorageError), atomic_path(kept) as temporary:  # a full cache costs time, not the build
+    with contextlib.suppress(StorageError), sole_file(kept) as temporary:  # a full cache costs time, not the build
         np.savez(temporary, version=_VERSION, model=model, joints=joints)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import MissingExtraError, StorageError
-from prbench.storage import atomic_path
+from prbench.locks import sole_file
 from prbench.viewing.replay.film_stage import FilmStage
 from prbench.viewing.replay.scene import Scene
 
@@ -38,7 +38,7 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
         import imageio_ffmpeg
     except ModuleNotFoundError as error:
         raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4") from error
-    with atomic_path(path) as temporary:
+    with sole_file(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
             SIZE,

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.errors import MissingExtraError
+from prbench.locks import sole_writer
 from prbench.storage import write_text
 from prbench.viewing.replay.page_overlay import with_overlay
 from prbench.viewing.replay.page_stage import PageStage, set_up_room
@@ -54,7 +55,9 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
             recording.insert_sleep(HOLD)
             stage.show(False)
         page = recording.as_html()
-    write_text(path, with_overlay(page, scenes, hold=HOLD))
+    content = with_overlay(page, scenes, hold=HOLD)
+    with sole_writer(path):
+        write_text(path, content)
 
 
 @contextmanager

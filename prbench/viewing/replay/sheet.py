@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int
 
-from prbench.storage import atomic_path
+from prbench.locks import sole_file
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.curves import draw_curves
 from prbench.viewing.replay.layout import Block, block_height
@@ -58,7 +58,7 @@ def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress:
         if progress is not None:
             progress(done, len(scenes), scene.sequence_id)
     _write_notices(figure, scenes)
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+    with sole_file(path) as temporary, open(temporary, "wb") as file:
         FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
 
 

@@ -10,9 +10,10 @@ from typing import Literal
 
 from prbench.errors import InputFileError, PrbenchError
 from prbench.formats import egoallo as ego
+from prbench.locks import sole_writer
 from prbench.readers.egoallo import find_model
 from prbench.readers.egoallo.joints import read_window
-from prbench.storage import atomic_folder, remove_leftovers
+from prbench.storage import atomic_folder
 from prbench.workflows.poses.config import PosesConfig
 from prbench.workflows.poses.coverage import coverage
 from prbench.workflows.poses.inputs import Inputs
@@ -97,14 +98,15 @@ def _make(state: PoseState, config: PosesConfig, model: Path | None, keep_inputs
     if lacking:
         return Outcome(name, "failed", lacking)
     work = state.target.parent / _WORK
-    _clear(work)
-    try:
-        return _run(state, state.inputs, config, model, work)
-    except InputFileError as error:
-        return Outcome(name, "failed", str(error))
-    finally:
-        if not keep_inputs:
-            _clear(work)
+    with sole_writer(state.target):
+        _clear(work)
+        try:
+            return _run(state, state.inputs, config, model, work)
+        except InputFileError as error:
+            return Outcome(name, "failed", str(error))
+        finally:
+            if not keep_inputs:
+                _clear(work)
 
 
 def _run(state: PoseState, inputs: Inputs, config: PosesConfig, model: Path | None, work: Path) -> Outcome:
@@ -147,7 +149,6 @@ def _values(name: str, prepared: Prepared, model: Path | None) -> dict[str, str]
 
 def _place(outputs: Path, target: Path) -> None:
     """Move whole outputs to where readers look, at once; what was there before keeps a name of its own."""
-    remove_leftovers(target)
     replaced = target.with_name(f"{target.name}{_REPLACED}")
     with atomic_folder(target) as folder:
         for path in sorted(outputs.iterdir()):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from prbench.errors import InputFileError, StorageError
 from prbench.formats import aria_mps as mps
+from prbench.locks import sole_writer
 from prbench.readers.egoallo import poses_folder
 from prbench.workflows.poses.prepare import guidance_mode, prepare
 from prbench.workflows.poses.states import PoseState
@@ -34,8 +35,9 @@ def prepare_by_hand(
         lacks = state.inputs.lacking(frozenset(("vrs", "points")))
         folder = poses_folder(root.expanduser().resolve(), name, poses_root).parent
         try:
-            _clear(folder)
-            prepared = prepare(state.inputs, folder)
+            with sole_writer(folder):
+                _clear(folder)
+                prepared = prepare(state.inputs, folder)
         except InputFileError as error:
             yield name, str(error), False
             continue

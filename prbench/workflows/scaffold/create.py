@@ -9,7 +9,8 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
-from prbench.storage import atomic_folder, remove_leftovers
+from prbench.locks import sole_writer
+from prbench.storage import atomic_folder
 from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
 from prbench.workflows.scaffold.templating import filled, read_template
 from prbench.workflows.scaffold.values import command_lines, template_flags, template_values
@@ -52,8 +53,7 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
     folder = request.out or Path(names.method if request.program else names.distribution)
     _require_new(folder)
     contents = _program(names, request) if request.program else _package(names, request)
-    remove_leftovers(folder)
-    with atomic_folder(folder) as temporary:
+    with sole_writer(folder), atomic_folder(folder) as temporary:
         for path, text in contents.items():
             target = temporary / path
             target.parent.mkdir(parents=True, exist_ok=True)

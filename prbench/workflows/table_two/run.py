@@ -18,13 +18,13 @@ from prbench.errors import StorageError
 from prbench.evaluation.progress import ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
+from prbench.locks import sole_writer
 from prbench.sequences import SequenceTable
 from prbench.storage import remove_leftovers, write_json, write_text
 from prbench.workflows.table_two.as_json import as_builtins
 from prbench.workflows.table_two.as_markdown import as_markdown
 from prbench.workflows.table_two.budget import DatasetSize, even_batch_size
 from prbench.workflows.table_two.layout import RowOutcome, TableLayout, lay_out
-from prbench.workflows.table_two.lock import working_alone
 from prbench.workflows.table_two.measuring import kind
 from prbench.workflows.table_two.plan import PlannedRow, plan_rows
 from prbench.workflows.table_two.request import TableRequest
@@ -77,8 +77,8 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
 
     Raises:
         AdapterError: if a method refuses its options.
-        RunError: if the folder belongs to another request, or another process is working on it.
-        StorageError: if a file cannot be written.
+        RunError: if the folder belongs to another request.
+        StorageError: if a file cannot be written, or another process is working on the folder.
         TableError: if a table is missing, empty, changed or of an unknown version.
         UsageError: if the request does not fit together.
     """
@@ -87,7 +87,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
     folder = request.folder()
     sizes = [dataset_size(table, request.split) for table in tables]
     planned = plan_rows(request, tuple(table.folder for table in tables), folder)
-    with working_alone(folder):
+    with sole_writer(folder):
         plan = open_plan(folder, request.deciding(tables), limit=request.limit, minutes=request.minutes)
         for row in planned:
             if row.skipped is not None:

@@ -5,6 +5,7 @@ Every batch is the one that the run would make by itself, in the place where the
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -17,8 +18,10 @@ from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.methods import forget_loaded_methods
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import missing_batches
+from prbench.locks import sole_writer
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import FILE_NAME as RECORD
+from prbench.workers import is_out_of_memory
 
 Counting = Callable[[int, int, str], None]
 """Called with finished items, all items, and the next or last one's name."""
@@ -68,11 +71,13 @@ def generate_side_by_side(
     begun: list[str] = []
     broken = None
     try:
-        for tried in engine.map(_try, _tasks(requests, engine, begun, failed, until)):
-            if tried.reason is not None:
-                failed.setdefault(tried.name, tried.reason)
-            counting(begun.index(tried.name), len(requests), tried.name)
-        counting(len(begun), len(requests), "")
+        with contextlib.ExitStack() as held:  # until the last batch is made
+            tasks = _tasks(requests, engine, begun, failed, until, held)
+            for tried in engine.map(_try, tasks, if_full=lambda named, error: _Tried(named.name, str(error))):
+                if tried.reason is not None:
+                    failed.setdefault(tried.name, tried.reason)
+                counting(begun.index(tried.name), len(requests), tried.name)
+            counting(len(begun), len(requests), "")
     except StorageError:
         raise
     except PrbenchError as error:
@@ -85,13 +90,20 @@ def generate_side_by_side(
 
 
 def _tasks(
-    requests: Mapping[str, RunRequest], engine: Engine, begun: list[str], failed: dict[str, str], until: float
+    requests: Mapping[str, RunRequest],
+    engine: Engine,
+    begun: list[str],
+    failed: dict[str, str],
+    until: float,
+    held: contextlib.ExitStack,
 ) -> Iterator[_NamedTask]:
     for name, request in requests.items():
         if time.monotonic() > until:
             return
         begun.append(name)
         try:
+            if request.out is not None:
+                held.enter_context(sole_writer(request.out))
             for task in missing_batches(request, engine=engine):
                 if name in failed:
                     break
@@ -115,6 +127,8 @@ def _try(named: _NamedTask) -> _Tried:
     except StorageError:
         raise
     except Exception as error:  # a defect of a method, which must not cost the other rows
+        if is_out_of_memory(error):
+            raise  # the engine tries again when nothing else is done beside it
         return _Tried(named.name, why(error))
     return _Tried(named.name, None)
 

@@ -48,6 +48,8 @@ def open_plan(folder: Path, asked: Mapping[str, str], *, limit: int | None, minu
         StorageError: if the folder holds something else.
     """
     path = folder / FILE_NAME
+    if folder.is_file():
+        raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
     remove_leftovers(path)
     if not path.is_file():
         if folder.is_dir() and any(folder.iterdir()):

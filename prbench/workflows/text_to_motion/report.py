@@ -10,6 +10,7 @@ import numpy as np
 
 from prbench.evaluation.text_to_motion import Repeated
 from prbench.evaluation.text_to_motion.measure import METRICS, Measured
+from prbench.locks import sole_writer
 from prbench.storage import write_json
 from prbench.workflows.text_to_motion.generated import Generator
 
@@ -109,7 +110,8 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
 
     def write(self, path: Path) -> None:
         """Write it as JSON."""
-        write_json(path, msgspec.to_builtins(self))
+        with sole_writer(path):
+            write_json(path, msgspec.to_builtins(self))
 
     @classmethod
     def read(cls, path: Path) -> TextEvaluation:

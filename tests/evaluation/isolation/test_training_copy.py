@@ -45,7 +45,7 @@ def test_no_byte_of_another_split_is_in_the_copy(table, tmp_path):
     files = sorted((tmp_path / "copy").rglob("*.parquet"))
     for file in files:
         assert not others & set(pq.read_table(file).to_pydict().get("sequence_id", []))
-    splits = SequenceTable.open(tmp_path / "copy").scalars()["split"].to_pylist()
+    splits = SequenceTable(tmp_path / "copy", table.info).scalars()["split"].to_pylist()
     assert set(splits) == {"train"}
     copy = TrainingCopy.open(tmp_path / "copy")
     assert set(copy.recordings()["split"].to_pylist()) == {"train"}
@@ -69,7 +69,7 @@ def _without_training(table: SequenceTable, tmp_path: Path) -> SequenceTable:
         (tmp_path / "none" / file.name).write_bytes(file.read_bytes())
     kept = rows.filter([split != "train" for split in rows["split"].to_pylist()])
     pq.write_table(kept, tmp_path / "none/sequences.parquet")
-    return SequenceTable.open(tmp_path / "none")
+    return SequenceTable(tmp_path / "none", table.info)
 
 
 def test_a_temporary_copy_vanishes_and_those_of_killed_processes_are_cleared_away(table, tmp_path, monkeypatch):

@@ -137,7 +137,7 @@ def test_workers_and_small_windows_change_nothing(table, tmp_path, monkeypatch):
 class Elsewhere:
     """Hands everything over as to another process."""
 
-    def map(self, function, items):
+    def map(self, function, items, *, if_full=None):
         return (pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(item))) for item in items)
 
 

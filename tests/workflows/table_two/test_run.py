@@ -12,9 +12,9 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
+from prbench.locks import sole_writer
 from prbench.workflows.table_two import TableRequest, plan, run, run_table, subset
 from prbench.workflows.table_two.budget import RowCost
-from prbench.workflows.table_two.lock import working_alone
 from prbench.workflows.table_two.request import CONTROLS
 from prbench.workflows.table_two.run import Say
 from prbench.workflows.table_two.state import TablePlan
@@ -87,7 +87,7 @@ class DiesOnce:
     def __init__(self) -> None:
         self.dies = True
 
-    def map(self, function, items):
+    def map(self, function, items, *, if_full=None):
         for item in items:
             yield function(item)
             if self.dies:
@@ -319,7 +319,7 @@ def test_another_request_is_refused_in_the_same_folder(small_tables, tmp_path):
     with pytest.raises(StorageError, match=r"holds no plan\.json"):
         run_table(request(small_tables[0], out=tmp_path / "full"))
     (tmp_path / "file").touch()
-    with pytest.raises(StorageError, match=r"file: cannot be written"):
+    with pytest.raises(StorageError, match=r"file: is a file"):
         run_table(request(small_tables[0], out=tmp_path / "file"))
 
 
@@ -334,7 +334,7 @@ def test_a_table_that_was_built_anew_is_refused(tmp_path):
 
 def test_one_process_at_a_time_works_on_a_table(small_tables, tmp_path):
     asked = request(small_tables[0], out=tmp_path / "t", method="reacher")
-    with working_alone(tmp_path / "t"), pytest.raises(RunError, match="another process is working on this table"):
+    with sole_writer(tmp_path / "t"), pytest.raises(StorageError, match=r"process \d+ on \S+ is writing there"):
         run_table(asked)
     run_table(asked)
 
