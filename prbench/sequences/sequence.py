@@ -117,9 +117,6 @@ class RecordingRecord:
     lacks: tuple[str, ...] = ()
     """What it lacks to have events or sequences at all; stands in ``message``, too."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "duration", float(self.duration))  # receipts are JSON, which knows no NumPy numbers
-
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:
     """Arrow rows of sequences, in the order given."""
