@@ -19,3 +19,6 @@ FARTHEST_COORDINATE = 100.0
 
 LARGEST_UNPACKED_FOR_ITS_END = 32 * 2**20
 """Bytes of an archived file that `prbench inspect` unpacks to see its last line."""
+
+LARGEST_PICKLE = 2**20
+"""Bytes of one pickled pose, and of all storages that it unpacks; GIMO's have a few thousand."""

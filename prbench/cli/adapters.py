@@ -1,4 +1,4 @@
-"""``prbench adapters``: the installed methods, from package metadata alone; beside it ``new`` and ``check``."""
+"""``prbench adapters``: the installed methods, from metadata alone; beside it ``new``, ``check`` and ``converters``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from prbench.cli import adapters_check, adapters_new
+from prbench.cli import adapters_check, adapters_converters, adapters_new
 from prbench.cli.adapters_details import print_details
 from prbench.cli.arguments import command, positive
 from prbench.cli.columns import print_columns
@@ -27,6 +27,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     _add_list(group)
     adapters_new.add_parser(group)
     adapters_check.add_parser(group)
+    adapters_converters.add_parser(group)
 
 
 def _add_list(group: argparse._SubParsersAction) -> None:

@@ -3,6 +3,7 @@
 from prbench.contract.adapter import ENTRY_POINT_GROUP, Adapter, LoadAdapter, Trainable
 from prbench.contract.conditions import GIVEN, Condition, ConditionBatch
 from prbench.contract.motions import Cost, Motions
+from prbench.contract.noise import batch_noise, sequence_noise
 from prbench.contract.training_run import TrainingRun
 
 __all__ = [
@@ -16,4 +17,6 @@ __all__ = [
     "Motions",
     "Trainable",
     "TrainingRun",
+    "batch_noise",
+    "sequence_noise",
 ]

@@ -7,12 +7,15 @@ import gc
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
-from prbench.errors import AdapterError, PrbenchError
+from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.evaluation.declared import Declared
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
@@ -50,9 +53,13 @@ def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str]
 ) -> tuple[Motions, int]:
     try:
-        motions = adapter.generate(own_copy(batch), seed=seed)
+        with _named_warnings(batch, ids):
+            motions = adapter.generate(own_copy(batch), seed=seed)
     except AdapterError as error:
         raise AdapterError(_with_names(str(error), batch, ids)) from error
+    except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
+        told_of = _with_names(str(error), batch, ids)
+        raise AdapterError(f"method '{method}' failed: {told_of}{_asked_for(ids)}") from error
     except PrbenchError:
         raise
     except (Exception, SystemExit) as error:
@@ -135,6 +142,22 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
     return dataclasses.replace(
         batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
     )
+
+
+@contextmanager
+def _named_warnings(batch: ConditionBatch, ids: Sequence[str]) -> Iterator[None]:
+    """Give warnings of a method, which knows opaque ids alone, the names that a user knows."""
+    show = warnings.showwarning
+
+    def show_with_names(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        text = _with_names(str(message), batch, ids)
+        show(message if text == str(message) else category(text), category, *place, **more)
+
+    warnings.showwarning = show_with_names
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
 
 
 def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:

@@ -129,7 +129,7 @@ NAME_TABLES: tuple[NameTable, ...] = (
 def normalised(name: str) -> str:
     """A joint's name without prefix, case and separators: ``Character1:Left_Up-Leg``, ``L_UpLeg`` → ``leftupleg``."""
     plain = re.sub(r"[ _\-.]", "", re.sub(r"^(l|r)(?=[ _\-.])", _side, name.rsplit(":", 1)[-1].lower()))
-    return plain.removeprefix("mixamorig")
+    return re.sub(r"^mixamorig", "", plain)
 
 
 def _side(match: re.Match[str]) -> str:
@@ -158,7 +158,8 @@ def match_names(joints: tuple[BvhJoint, ...]) -> Matched:
 
 
 def _lookup(known: dict[str, int], table: NameTable) -> Matched:
-    columns, taken = [], set[int]()
+    columns: list[int] = []
+    taken: set[int] = set()
     for names in table.names:
         index = next((known[name] for name in names if name in known and known[name] not in taken), -1)
         columns.append(index)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, overload
 
 from prbench.errors import InputFileError
 
@@ -25,6 +27,45 @@ class InputFile:
     """Name inside the zip archive ``path``; empty for a plain file."""
 
 
+class FilesOnDemand(Sequence[InputFile]):
+    """The files of one recording, listed when somebody asks for them first.
+
+    A recording of many thousand files takes long to list; most commands ask about a few of a dataset's recordings.
+
+    Args:
+        list_files: Lists them.
+    """
+
+    def __init__(self, list_files: Callable[[], Iterable[InputFile]]) -> None:
+        self._list_files = list_files
+
+    @cached_property
+    def _files(self) -> tuple[InputFile, ...]:
+        return tuple(self._list_files())
+
+    @overload
+    def __getitem__(self, index: int) -> InputFile: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[InputFile]: ...
+
+    def __getitem__(self, index: int | slice) -> InputFile | Sequence[InputFile]:
+        """One of the files, or some, in the order of the listing."""
+        return self._files[index]
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self._files)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether these are the same files in the same order."""
+        return isinstance(other, Sequence) and self._files == tuple(other)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Another process gets the list itself."""
+        return tuple, (self._files,)
+
+
 @dataclass(frozen=True)
 class RecordingFiles:
     """One recording that was found, not yet read."""
@@ -33,7 +74,7 @@ class RecordingFiles:
     """Name that the recording will carry: the reader's, or ``synthetic-`` before it."""
     recording_id: str
     folder: Path
-    files: tuple[InputFile, ...]
+    files: Sequence[InputFile]
     """Every input that was found; a missing required one is reported by reading, not by searching."""
     split: Literal["train", "validation", "test"] | None = None
     """The dataset's official split, where its files tell it; None = by the split rule."""

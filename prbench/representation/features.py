@@ -5,7 +5,6 @@ A row describes frame t and the step from t to t + 1, both seen from the body's 
 
 from __future__ import annotations
 
-from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
@@ -87,8 +86,8 @@ def _rotation_parents() -> tuple[int, ...]:
     """Joint whose rotation each joint's rotation is relative to; the two arm chains start again from the root."""
     parents = [0] * N_JOINTS
     for chain in CHAINS:
-        for parent, child in pairwise(chain[1:]):
-            parents[child] = parent
+        for place in range(2, len(chain)):
+            parents[chain[place]] = chain[place - 1]
     return tuple(parents)
 
 

@@ -14,7 +14,8 @@ import prbench
 from prbench.training.record import TrainingRecord
 from prbench.training.state import Row, TrainingState
 
-CARD_VERSION = 1
+CARD_VERSION = 2
+"""2: times stand in ``timing.json``, so that the same training has the same card."""
 _CURVE_POINTS = 100
 _PACKAGES = ("numpy", "pyarrow", "torch", "lightning-fabric", "safetensors", "transformers")
 
@@ -24,7 +25,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
 
     Args:
         record: What decides the result.
-        state: Its steps, times, learning curve and validations.
+        state: Its steps, learning curve and validations.
         device: Where it was trained.
         threads: Torch's threads, on which the last bits depend on a CPU.
     """
@@ -36,8 +37,6 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "stage": record.stage,
         "finished": state.step >= steps,
         "steps": state.step,
-        "seconds": round(state.seconds, 1),
-        "waiting_fraction": round(state.waiting, 4),
         "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
         "averaged": record.configuration.training.ema > 0,
         "device": device_in_words(device),
@@ -50,6 +49,16 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "learned_from": list(state.module.learned_from()),
         "learning_curve": thinned(state.rows, _CURVE_POINTS),
         "validation": state.validations,
+    }
+
+
+def training_times(state: TrainingState) -> dict[str, Any]:
+    """How long a training took, which no two trainings have in common."""
+    return {
+        "steps": state.step,
+        "seconds": round(state.seconds, 1),
+        "waiting_fraction": round(state.waiting, 4),
+        "timings": thinned(state.timings, _CURVE_POINTS),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import safetensors.torch
 from safetensors import SafetensorError
@@ -14,7 +15,7 @@ from prbench.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.training.state import Tally, TrainingState
 
 KEPT = 2
-_TENSORS, _STATE = "tensors.safetensors", "state.json"
+_TENSORS, _STATE, _TIMING = "tensors.safetensors", "state.json", "timing.json"
 _NAME = re.compile(r"step-(\d{9})")
 
 
@@ -39,6 +40,7 @@ class Checkpoints:
         with atomic_folder(self._path(state.step)) as temporary:
             safetensors.torch.save_file(tensors, temporary / _TENSORS)
             write_json(temporary / _STATE, _described(state))
+            write_json(temporary / _TIMING, _timing(state))
         for step in self.steps()[:-KEPT]:
             remove_folder(self._path(step))
 
@@ -65,7 +67,10 @@ class Checkpoints:
                 found=str(error),
                 remedy=f"Delete the folder {folder}; the one before it is used then.",
             ) from error
-        _restore_described(state, read_json(folder / _STATE), folder)
+        described = read_json(folder / _STATE)
+        _restore_described(state, described, folder)
+        # Up to version 0.5.0 the times stood in the state.
+        _restore_timing(state, read_json(folder / _TIMING) if (folder / _TIMING).is_file() else described)
         state.load_tensors(tensors)
         return True
 
@@ -76,8 +81,6 @@ class Checkpoints:
 def _described(state: TrainingState) -> dict[str, object]:
     return {
         "step": state.step,
-        "seconds": state.seconds,
-        "waited": state.waited,
         "tally": {
             "losses": {name: float(total) for name, total in state.tally.losses.items()},
             "batches": state.tally.batches,
@@ -87,10 +90,20 @@ def _described(state: TrainingState) -> dict[str, object]:
     }
 
 
+def _timing(state: TrainingState) -> dict[str, object]:
+    """What differs between two trainings that are the same in all else."""
+    return {"seconds": state.seconds, "waited": state.waited, "timings": state.timings}
+
+
 def _restore_described(state: TrainingState, described: object, folder: Path) -> None:
     if not isinstance(described, dict) or "step" not in described:
         raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
     state.step = described["step"]
-    state.seconds, state.waited = described["seconds"], described["waited"]
     state.tally = Tally(**described["tally"])
     state.rows, state.validations = described["rows"], described["validations"]
+
+
+def _restore_timing(state: TrainingState, timing: Any) -> None:
+    state.seconds = timing["seconds"]
+    state.waited = timing["waited"]
+    state.timings = timing.get("timings", [])

@@ -12,8 +12,8 @@ from prbench.training.state import Row, TrainingState
 
 CURVES = "curves.png"
 _SECONDS_BETWEEN_PICTURES = 120.0  # drawing takes a second
-_NOT_DRAWN = ("step", "seconds")
-_LINEAR = ("learning_rate", "waiting")
+_NOT_DRAWN = ("step", "seconds", "waiting")  # times differ between equal trainings; TensorBoard shows them
+_LINEAR = ("learning_rate",)
 
 
 class TrainingLog:

@@ -222,12 +222,14 @@ class _Session:
         state = self.state
         state.tally = Tally()
         rate = self._learning_rate(state.step - 1)
-        clock = {"learning_rate": rate, "seconds": state.seconds, "waiting": state.waiting}
-        row: Row = {"step": state.step, **means, **clock}
+        row: Row = {"step": state.step, **means, "learning_rate": rate}
+        timing: Row = {"step": state.step, "seconds": state.seconds, "waiting": state.waiting}
         state.rows.append(row)
+        state.timings.append(timing)
+        shown = {**row, **timing}
         if self.outputs is not None:
-            self.outputs.add(row, group="train")
-        return row
+            self.outputs.add(shown, group="train")
+        return shown
 
     def _validated(self) -> Row | None:
         """Validate the averaged weights if it is time; only the first process does, and the others wait."""

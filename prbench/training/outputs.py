@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from prbench.storage import remove_leftovers
+from prbench.storage import remove_leftovers, write_json
+from prbench.training.card import training_times
 from prbench.training.checkpoints import Checkpoints
 from prbench.training.log import CURVES, TrainingLog
 from prbench.training.state import Row, TrainingState
@@ -14,6 +15,7 @@ from prbench.training.weights import write_weights
 
 WEIGHTS = "weights.safetensors"
 CARD = "weights.json"
+TIMES = "timing.json"
 
 Describe = Callable[[TrainingState], dict[str, Any]]
 """From a state to its card."""
@@ -39,7 +41,7 @@ class Outputs:
         dtype: Literal["float32", "float16"],
         resumed_at: int,
     ) -> None:
-        for name in (WEIGHTS, CARD, CURVES):
+        for name in (WEIGHTS, CARD, TIMES, CURVES):
             remove_leftovers(out / name)
         self.out, self.checkpoints, self.describe = out, checkpoints, describe
         self.dtype: Literal["float32", "float16"] = dtype
@@ -55,7 +57,7 @@ class Outputs:
         self.write_results(state)
 
     def write_results(self, state: TrainingState) -> None:
-        """Write the averaged weights and their card, and now and then the curves.
+        """Write the averaged weights with their card, the times, and now and then the curves.
 
         Raises:
             StorageError: if a file cannot be written.
@@ -63,6 +65,7 @@ class Outputs:
         with state.average.applied():
             tensors, metadata = state.module.weights()
             write_weights(self.out / WEIGHTS, tensors, metadata, self.describe(state), dtype=self.dtype)
+        write_json(self.out / TIMES, training_times(state))
         self.log.draw_now_and_then(state)
 
     def close(self, state: TrainingState) -> None:

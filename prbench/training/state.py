@@ -49,7 +49,9 @@ class TrainingState:
     """Of these, seconds without a batch to work on."""
     tally: Tally = field(default_factory=Tally)
     rows: list[Row] = field(default_factory=list)
-    """The log so far."""
+    """The log so far; holds no times, so that two undisturbed trainings have the same."""
+    timings: list[Row] = field(default_factory=list)
+    """Seconds and waiting at each line of the log."""
     validations: list[Row] = field(default_factory=list)
 
     @classmethod

@@ -14,11 +14,14 @@ import pytest
 
 from prbench.cli import main
 from prbench.storage import file_digest, read_json
+from prbench.training import installed
+from prbench.training.log import draw_curves
 from prbench.training.weights import read_weights
 from tests.fakes import fake_dataset
 from tests.training.toy import SIGNAL_VARIABLE, entry_points_of
 
 ROOT = Path(__file__).parents[2]
+INSTALLED = installed.entry_points_of
 VALIDATED = ["--set", "validation.every=4", "--set", "validation.condition=goal-loc", "--set", "validation.sequences=3"]
 SCRIPT = """
 import sys
@@ -82,7 +85,9 @@ def test_a_training_leaves_a_card_curves_and_a_log(trained, data):
     assert card["parameters"] == 263 * 6 + 6 + 6 * 263 + 263
     assert card["learned_from"] == ["nothing much"]
     assert [row["step"] for row in card["learning_curve"]] == [2, 4, 6, 8]
-    assert 0 <= card["waiting_fraction"] <= 1
+    times = read_json(out / "timing.json")
+    assert 0 <= times["waiting_fraction"] <= 1
+    assert [row["step"] for row in times["timings"]] == [2, 4, 6, 8]
     assert {"python", "torch", "lightning-fabric"} <= card["packages"].keys()
     assert card["device"].startswith("cpu")
     (table,) = card["data"]
@@ -94,6 +99,25 @@ def test_a_training_leaves_a_card_curves_and_a_log(trained, data):
     assert (out / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert list((out / "tensorboard").glob("events.out.tfevents.*"))
     assert read_weights(out / "weights.safetensors", kind="toy").metadata["configuration"] == '{"width":6}'
+
+
+NOT_THE_SAME = ("timing.json", "tensorboard/")
+"""What docs/models.md says differs between two trainings that nothing disturbed."""
+
+
+def test_two_smoke_trainings_have_the_same_bytes_but_for_their_times(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("prbench.training.log.draw_curves", draw_curves)
+    monkeypatch.setattr("prbench.training.installed.entry_points_of", INSTALLED)
+    folders = [tmp_path / "one", tmp_path / "other"]
+    for out in folders:
+        assert main(["train", "--method", "pr", "--config", "smoke", "--data", str(data), "--out", str(out)]) == 0
+    one, other = ({path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
+                  for out in folders)  # fmt: skip
+    compared = [name for name in one if not any(part in name for part in NOT_THE_SAME)]
+    assert {"weights.json", "curves.png", "weights.safetensors", "training.json"} <= set(compared)
+    assert sum(name.endswith("state.json") for name in compared) == 2
+    assert sorted(compared) == sorted(name for name in other if not any(part in name for part in NOT_THE_SAME))
+    assert [name for name in compared if one[name].read_bytes() != other[name].read_bytes()] == []
 
 
 def test_a_killed_training_goes_on_by_the_same_command_to_the_same_weights(trained, data, tmp_path, capsys):

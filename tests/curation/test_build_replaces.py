@@ -162,7 +162,7 @@ def test_a_readers_numpy_numbers_end_as_plain_ones(tmp_path: Path) -> None:
         def read(self) -> Recording:
             recording = super().read()
             start, end = recording.span
-            return replace(recording, span=(np.float64(start), np.float32(end)))
+            return replace(recording, span=(np.float64(start), np.float64(end)))
 
     span = Measured("room_a").read().span
     assert [type(time) for time in span] == [float, float]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import warnings
+
 import numpy as np
 import pytest
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
-from prbench.errors import AdapterError
+from prbench.errors import AdapterError, InputFileError
 from prbench.evaluation.motions import generate_checked
 from prbench.evaluation.native_rate import at_native_rate, at_table_rate, native_frames
 
@@ -159,6 +162,36 @@ def test_an_exception_of_the_method_is_named_with_the_batch():
         AdapterError, match=r"failed: KeyError: 'weights' \(.*test_motions\.py, line \d+\)\. .* rec/a to rec/c\.$"
     ):
         run(Method(fail))
+
+
+class Converts(Method):
+    """A converter inside knows opaque ids alone."""
+
+    def __init__(self, convert):
+        super().__init__()
+        self.convert = convert
+
+    def generate(self, batch, *, seed):
+        self.convert(f"row 1 (sequence {batch.opaque_id[1]})")
+        return super().generate(batch, seed=seed)
+
+
+def refuse(where):
+    raise InputFileError("features", where, expected="263 numbers", found="251")
+
+
+def opaque():
+    return dataclasses.replace(batch(), opaque_id=("f00a", "f00b", "f00c"))
+
+
+def test_what_a_converter_refuses_names_the_method_and_the_sequence_of_the_table():
+    with pytest.raises(AdapterError, match=r"method 'm' failed: features, row 1 \(sequence rec/b\): expected 263"):
+        run(Converts(refuse), opaque())
+
+
+def test_what_a_converter_warns_of_names_the_sequence_of_the_table():
+    with pytest.warns(UserWarning, match=r"^row 1 \(sequence rec/b\)$"):
+        run(Converts(warnings.warn), opaque())
 
 
 def test_a_method_that_ends_the_process_is_an_error_like_any_other():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from dataclasses import replace
 
@@ -11,10 +12,12 @@ import pytest
 
 from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
+from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError
 from prbench.formats import gimo
 from prbench.manifests import load_manifest
 from prbench.readers import reader_for
+from prbench.readers.gimo import segments
 from prbench.recording.from_gimo import recording_from_gimo
 from prbench.skeleton import Joint, transform_points
 from prbench.synthetic.layouts.gimo import write_events
@@ -32,6 +35,26 @@ def only(root, **options: str):
     reader = reader_for("gimo", options)
     (found,) = reader.find(root)
     return reader, found
+
+
+@pytest.mark.unchecked_shapes  # the check itself would look into the list
+def test_only_recordings_that_are_taken_are_listed(root, monkeypatch) -> None:
+    other = sample.readings(sequence="2022-01-23-090000")
+    sample.write_root(root, other, table=[sample.readings().segment, other.segment])
+    listed = []
+    names_of = segments.names_of
+    monkeypatch.setattr(segments, "names_of", lambda folder: listed.append(folder) or names_of(folder))
+    (source,) = native_sources("gimo", root, BuildOptions(limit=1))
+    assert listed == []
+    assert sum(file.role.startswith("pose:") for file in source.found.files) == sample.N_FRAMES
+    assert {folder.parent.name for folder in listed} == {sample.readings().segment.sequence}
+
+
+def test_the_files_of_a_recording_travel_to_another_process(root) -> None:
+    _, found = only(root)
+    there = pickle.loads(pickle.dumps(found))
+    assert there == found
+    assert len(there.files) == 4 + 3 * sample.N_FRAMES + 1
 
 
 def test_files_and_memory_give_the_same_recording_bit_for_bit(root) -> None:
@@ -155,7 +178,7 @@ def test_a_segment_without_event_is_skipped_and_counted(tmp_path) -> None:
 def test_a_damaged_file_is_named(root, where) -> None:
     folder = root / "room1" / "2022-01-23-080759"
     says = {
-        "pose": r"101\.pkl: expected a pickled dictionary",
+        "pose": r"101\.pkl, byte \d+: expected a pickled dictionary",
         "latent": r"101\.pkl, latent: expected 32 numbers, found 16",
         "scale": r"transform_info_0\.json.*scale",
         "norm": r"transform_norm\.txt: expected a 4x4 matrix, found 12 numbers",

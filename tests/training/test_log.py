@@ -12,7 +12,7 @@ from prbench.training.log import TrainingLog, draw_curves
 from prbench.training.state import TrainingState
 from tests.training.toy import toy
 
-ROWS = [{"step": step, "loss": 1 / step, "waiting": 0.0, "seconds": 2.0 * step} for step in range(1, 9)]
+ROWS = [{"step": step, "loss": 1 / step, "learning_rate": 0.1, "seconds": 2.0 * step} for step in range(1, 9)]
 
 
 def state():

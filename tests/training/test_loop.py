@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from prbench.errors import TrainingError, TrainingStopped
-from prbench.storage import read_json
+from prbench.storage import read_json, write_json
 from prbench.training.configuration import (
     OptimisationConfiguration,
     TrainingConfiguration,
@@ -49,11 +49,22 @@ def signalled_in(step: int, number: signal.Signals):
 
 
 def final_files(out):
-    """Everything that a training is about, except times."""
+    """Everything that a training is about; times stand in files of their own."""
     checkpoint = sorted((out / "checkpoints").iterdir())[-1]
-    state = read_json(checkpoint / "state.json")
-    rows = [{key: value for key, value in row.items() if key not in ("seconds", "waiting")} for row in state["rows"]]
+    rows = read_json(checkpoint / "state.json")["rows"]
     return (out / "weights.safetensors").read_bytes(), (checkpoint / "tensors.safetensors").read_bytes(), rows
+
+
+def test_a_checkpoint_of_version_0_5_0_with_times_in_its_state_goes_on(tmp_path):
+    with pytest.raises(TrainingStopped):
+        fit(toy(), signalled_in(5, signal.SIGTERM), configuration(), tmp_path)
+    checkpoint = tmp_path / "checkpoints" / "step-000000005"
+    times = read_json(checkpoint / "timing.json")
+    write_json(checkpoint / "state.json", {**read_json(checkpoint / "state.json"), "seconds": 40.0, "waited": 10.0})
+    (checkpoint / "timing.json").unlink()
+    state = fit(toy(), random_batches, configuration(), tmp_path)
+    assert 40.0 < state.seconds < 50.0
+    assert times["seconds"] < 40.0
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 
 from prbench.errors import InputFileError
 from prbench.formats import gimo
-from prbench.readers.gimo.restricted_unpickling import load_tensors
+from prbench.readers.gimo.pickled_tensors import load_tensors
 
 _SIZES = {"orient": 3, "trans": 3, "latent": gimo.N_LATENT}
 _SHAPE_KEYS = ("beta", "expression")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +11,7 @@ from typing import Literal
 
 from prbench.errors import InputFileError
 from prbench.formats import gimo
-from prbench.readers.found import InputFile, RecordingFiles, input_file, names_in
+from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, names_in
 from prbench.readers.gimo.dataset_csv import Row, read_segments
 from prbench.readers.gimo.events import (
     EventRow,
@@ -122,17 +123,38 @@ class _Folder:
 def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
     """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
     found: dict[str, dict[int, Path]] = {}
-    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        stem = path.stem.removesuffix(gimo.GAZE_CENTRE_SUFFIX)
-        if stem.isdigit():
-            found.setdefault(path.name.removeprefix(stem), {})[int(stem)] = path
+    for name in names_of(folder):
+        stem = _frame_of(name)
+        if _is_number(stem):
+            files = found.setdefault(name.removeprefix(stem), {})
+            frame = int(stem)
+            # Of "7.pkl" and "07.pkl" always the same one, in whatever order the disk lists them.
+            if frame not in files or name > files[frame].name:
+                files[frame] = folder / name
     return found
+
+
+def names_of(folder: Path) -> list[str]:
+    """Names of all that lies in a folder, in no order; none if there is no such folder."""
+    if not folder.is_dir():
+        return []
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in entries]
 
 
 def unnumbered(folder: Path) -> list[str]:
     """Names of files that have no frame number and so are left out."""
-    paths = sorted(folder.iterdir()) if folder.is_dir() else []
-    return [path.name for path in paths if not path.stem.removesuffix(gimo.GAZE_CENTRE_SUFFIX).isdigit()]
+    return sorted(name for name in names_of(folder) if not _is_number(_frame_of(name)))
+
+
+def _is_number(stem: str) -> bool:
+    return stem.isascii() and stem.isdigit()
+
+
+def _frame_of(name: str) -> str:
+    """What stands in the place of the frame number in a file's name."""
+    stem, dot, _ = name.rpartition(".")
+    return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
 
 class _Search:
@@ -164,7 +186,7 @@ class _Search:
             dataset="gimo" if self._tree is None else f"{SYNTHETIC_PREFIX}gimo",
             recording_id=segment.sequence if in_tree else segment.name,
             folder=folder.path,
-            files=tuple(self._files(segment, folder)),
+            files=FilesOnDemand(lambda: self._files(segment, folder)),
             split="test" if segment.training == gimo.TEST else "train",
             skip_reason=self._skip_reason(row),
         )

@@ -7,10 +7,11 @@ NumPy; nothing here imports torch except :class:`SmplxModel`.
 from __future__ import annotations
 
 from prbench.representation.converters.axes import to_y_up
+from prbench.representation.converters.feature_checks import FeatureWarning, check_features
 from prbench.representation.converters.features import (
-    check_features,
     feature_rows,
     joints_from_features,
+    motions_from_features,
     read_feature_statistics,
     relative_root,
 )
@@ -34,6 +35,7 @@ from prbench.representation.converters.timing import at_rate, at_times, frames_n
 
 __all__ = [
     "JOINT_MAPS",
+    "FeatureWarning",
     "JointMap",
     "RestJoints",
     "RotationForm",
@@ -51,6 +53,7 @@ __all__ = [
     "joint_map",
     "joint_map_by_names",
     "joints_from_features",
+    "motions_from_features",
     "on_body_of",
     "on_floor",
     "padded",

@@ -2,24 +2,25 @@
 
 Sources: ``formats/humanml3d.md`` sections 3 and 4.
 
-The steps, each a function: :func:`feature_rows`, :meth:`Statistics.restore`, :func:`joints_from_features`, and then
+The steps, each a function: :func:`feature_rows`, :meth:`Statistics.restore`, :func:`motions_from_features`, and then
 :func:`prbench.representation.converters.placed_on`. No torch: tensors come as ``tensor.detach().cpu().numpy()``.
 """
 
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
+from prbench.representation.converters.feature_checks import FEATURES, check_features
 from prbench.representation.decoding import decode, decode_rotations
 from prbench.representation.encoding import yaw_matrices
 from prbench.representation.features import (
-    FOOT_CONTACTS,
     JOINT_VELOCITIES,
     N_FEATURES,
     REST_OFFSETS,
@@ -29,14 +30,10 @@ from prbench.representation.features import (
 from prbench.representation.statistics import Statistics
 from prbench.skeleton import N_JOINTS
 
-FEATURES = "features"
-"""What messages call an array that comes from no file."""
+Root = Literal["relative", "absolute"]
+Bones = Literal["positions", "rotations"]
 
 _TINIEST_STD = 1e-8
-_WALKS = 0.005  # metres a frame; slower pelvises say nothing about their scale
-_SAME_SCALE = 3.0  # factor between the two ways in which the step of the pelvis is written
-_FARTHEST_CONTACT = 4.0
-_FASTEST = 0.15  # metres a frame, mean over joints and frames: 3 m/s
 
 
 def read_feature_statistics(mean: Path, std: Path) -> Statistics:
@@ -109,12 +106,62 @@ def feature_rows(output: np.ndarray, *, source: str = FEATURES) -> Float[np.ndar
     )
 
 
+def motions_from_features(
+    features: Float[np.ndarray, "batch rows 263"] | Sequence[Float[np.ndarray, "_ 263"]],
+    n_frames: Sequence[int] | Int[np.ndarray, " batch"],
+    *,
+    root: Root = "relative",
+    bones: Bones = "positions",
+    offsets: Float[np.ndarray, "*batch 22 3"] = REST_OFFSETS,
+    check: bool = True,
+    source: str = FEATURES,
+    sequences: Sequence[str] | np.ndarray | None = None,
+) -> list[Float[np.ndarray, "_ 22 3"]]:
+    """Joints of a batch of motions from raw features; each starts over the origin, facing +Z.
+
+    Decodes as :func:`joints_from_features`. What it adds: whether the statistics were the model's own is judged over
+    the batch, so that a single odd motion stops nothing.
+
+    Args:
+        features: Raw (restored with the model's statistics), one motion a row (:func:`feature_rows`).
+        n_frames: Frames wanted of each: ``batch.n_frames``.
+        root: As in :func:`joints_from_features`.
+        bones: Likewise.
+        offsets: Likewise; of one body, or of each (batch, 22, 3).
+        check: Refuse a batch that was restored with foreign statistics (:func:`check_features`).
+        source: Name of the method, with which messages begin.
+        sequences: Name of each motion, for messages: ``batch.opaque_id``.
+
+    Returns:
+        Metres, float32; the floor is where the model has it.
+
+    Raises:
+        InputFileError: if there are too few rows, a number is not finite, or the check fails.
+    """
+    if len(features) != len(n_frames):
+        raise InputFileError(
+            source,
+            "",
+            expected=f"features of {len(n_frames)} motions, one for each of n_frames",
+            found=str(len(features)),
+        )
+    names = [f"{source}, row {row}" for row in range(len(features))]
+    if sequences is not None:
+        names = [f"{name} (sequence {sequence})" for name, sequence in zip(names, sequences)]
+    wanted = [int(count) for count in n_frames]
+    used = [_used_rows(features[row], wanted[row], root, names[row]) for row in range(len(names))]
+    if check:
+        check_features(used, source=source, sequences=sequences)
+    bodies = np.broadcast_to(offsets, (len(used), N_JOINTS, 3))
+    return [_decoded(rows, frames, bones, body) for rows, frames, body in zip(used, wanted, bodies)]
+
+
 def joints_from_features(
     features: Float[np.ndarray, "rows 263"],
     n_frames: int | None = None,
     *,
-    root: Literal["relative", "absolute"] = "relative",
-    bones: Literal["positions", "rotations"] = "positions",
+    root: Root = "relative",
+    bones: Bones = "positions",
     offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS,
     check: bool = True,
     source: str = FEATURES,
@@ -122,7 +169,8 @@ def joints_from_features(
     """Joints of one motion from raw features; it starts over the origin, facing +Z.
 
     A row holds a frame and the step to the next one, so N frames encode to N - 1 rows, and N - 1 rows decode to N - 1
-    frames. Where one frame more is asked for, it is taken from the joint velocities of the last row.
+    frames. Where one frame more is asked for, it is taken from the joint velocities of the last row. For several
+    motions of one model :func:`motions_from_features` knows more.
 
     Args:
         features: Raw (restored with the model's statistics).
@@ -142,8 +190,16 @@ def joints_from_features(
     Raises:
         InputFileError: if there are too few rows, a number is not finite, or the check fails.
     """
+    wanted = len(features) if n_frames is None else n_frames
+    used = _used_rows(features, wanted, root, source)
+    if check:
+        check_features(used, source=source)
+    return _decoded(used, wanted, bones, offsets)
+
+
+def _used_rows(features: np.ndarray, wanted: int, root: Root, source: str) -> np.ndarray:
+    """The rows that the frames wanted come from, float64, relative root."""
     rows = len(features)
-    wanted = rows if n_frames is None else n_frames
     if not 1 <= wanted <= rows + 1 or rows == 0:
         raise InputFileError(
             source,
@@ -157,12 +213,12 @@ def joints_from_features(
     if bad.size:
         row, column = bad[0]
         raise InputFileError(source, f"row {row}, column {column}", expected="a finite number", found="NaN or infinity")
-    if root == "absolute":
-        used = relative_root(used)
-    if check:
-        check_features(used, source=source)
+    return relative_root(used) if root == "absolute" else used
+
+
+def _decoded(used: np.ndarray, wanted: int, bones: Bones, offsets: np.ndarray) -> np.ndarray:
     joints = decode(used) if bones == "positions" else decode_rotations(used, offsets)
-    if wanted > rows:
+    if wanted > len(used):
         joints = np.concatenate([joints, _frame_after(used, joints[-1])[None]])
     return joints
 
@@ -186,60 +242,6 @@ def relative_root(features: Float[np.ndarray, "rows 263"]) -> Float[np.ndarray, 
     seen = yaw_matrices(np.cos(2 * heading[1:]), np.sin(2 * heading[1:])) @ walked[..., None]
     steps[:-1, ROOT_LINEAR_VELOCITY], steps[-1, ROOT_LINEAR_VELOCITY] = seen[:, ::2, 0], 0.0
     return steps
-
-
-def check_features(features: Float[np.ndarray, "rows 263"], *, source: str = FEATURES) -> None:
-    """Refuse features that were not restored, or with the statistics of another model.
-
-    The step of the pelvis stands in a row twice, in the root block and among the joint velocities. Statistics of an
-    evaluator scale the one about 25 times as small as those of a generator, and leave the other. Numbers that were
-    never restored are near 1 and move joints by half a metre a frame.
-
-    Args:
-        features: Raw, relative root.
-        source: Name that the message begins with.
-
-    Raises:
-        InputFileError: if the two differ by more than a factor of three in a motion that walks, if the foot contacts,
-            which are 0 or 1, lie nowhere near, or if joints move by more than 3 m/s in the mean.
-    """
-    pelvis = features[:, JOINT_VELOCITIES.start : JOINT_VELOCITIES.start + 3 : 2]
-    walked = float(np.linalg.norm(pelvis, axis=1).mean())
-    stepped = float(np.linalg.norm(features[:, ROOT_LINEAR_VELOCITY], axis=1).mean())
-    ratio = stepped / max(walked, 1e-12)
-    if max(walked, stepped) > _WALKS and not 1 / _SAME_SCALE < ratio < _SAME_SCALE:
-        raise InputFileError(
-            source,
-            "columns 1 and 2",
-            expected=f"steps of the pelvis as long as those in columns 193 and 195 ({walked * 1000:.1f} mm a frame)",
-            found=f"{stepped * 1000:.1f} mm ({ratio:.2g} times as long)",
-            remedy=_OTHER_STATISTICS,
-        )
-    contacts = features[:, FOOT_CONTACTS]
-    if np.abs(contacts).max() > _FARTHEST_CONTACT:
-        raise InputFileError(
-            source,
-            "columns 259 to 262",
-            expected="foot contacts near 0 or 1",
-            found=f"{contacts.min():.1f} to {contacts.max():.1f}",
-            remedy=_OTHER_STATISTICS,
-        )
-    speed = float(np.linalg.norm(np.diff(decode(features), axis=0), axis=-1).mean()) if len(features) > 1 else 0.0
-    if speed > _FASTEST:
-        raise InputFileError(
-            source,
-            "",
-            expected=f"joints that move less than {_FASTEST * 100:.0f} cm a frame in the mean",
-            found=f"{speed * 100:.0f} cm",
-            remedy=_OTHER_STATISTICS,
-        )
-
-
-_OTHER_STATISTICS = (
-    "The features were never restored, or with the statistics of another model: take the Mean.npy and Std.npy that this"
-    " one was trained with (those of text-to-motion evaluators have root and contacts about 25 times smaller). If the"
-    " first three columns are absolute, say root='absolute'."
-)
 
 
 def _frame_after(features: np.ndarray, last: np.ndarray) -> np.ndarray:

@@ -152,7 +152,7 @@ def padded(motions: Sequence[Float[np.ndarray, "_ 22 3"]]) -> Float[np.ndarray, 
     """
     longest = max(len(motion) for motion in motions)
     held = np.empty((len(motions), longest, N_JOINTS, 3), dtype=np.float32)
-    for row, motion in zip(held, motions, strict=True):
+    for row, motion in zip(held, motions):
         row[: len(motion)] = motion
         row[len(motion) :] = motion[-1]
     return held

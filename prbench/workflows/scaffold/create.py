@@ -12,6 +12,7 @@ from prbench.errors import StorageError, UsageError
 from prbench.locks import sole_writer
 from prbench.storage import atomic_folder
 from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
+from prbench.workflows.scaffold.one_file import ONE_FILE, converters_file
 from prbench.workflows.scaffold.templating import filled, read_template
 from prbench.workflows.scaffold.values import command_lines, template_flags, template_values
 
@@ -117,7 +118,7 @@ def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
         f"{names.program}.py": "program.py",
         f"{names.program}.toml": "method.toml",
     }
-    return _filled(templates, names, request)
+    return _filled(templates, names, request) | {ONE_FILE: converters_file()}
 
 
 def _filled(templates: dict[str, str], names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:

@@ -14,6 +14,7 @@ from prbench.evaluation.installed import list_adapters
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40
 _OURS = frozenset({"adapters", "benchmarks", "data-manifests"})  # prbench_NAME is a package of prbench itself
+_MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a program, or imported by it
 _WORDS = frozenset({"cmd", "prbench", "all", "test", "tests"})
 _WINDOWS = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
 _IN_TEMPLATES = frozenset(
@@ -49,7 +50,7 @@ class MethodNames:
     def program(self) -> str:
         """File name of the program, without its suffix; it must not hide a module that the program imports."""
         name = self.method.replace("-", "_")
-        return f"{name}_method" if name in sys.stdlib_module_names or name in ("numpy", "pyarrow") else name
+        return f"{name}_method" if name in _MODULES or name in sys.stdlib_module_names else name
 
 
 def method_names(name: str) -> MethodNames:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
 from prbench.representation import Statistics, canonicalise, encode, rest_offsets
 from prbench.representation.converters import (
+    FeatureWarning,
     check_features,
+    feature_checks,
     feature_rows,
     joints_from_features,
+    motions_from_features,
     on_body_of,
     placed_on,
     read_feature_statistics,
@@ -186,3 +191,81 @@ def test_features_that_were_never_restored_are_noticed(released) -> None:
 def test_a_body_that_stands_still_is_no_reason_to_complain() -> None:
     still = np.repeat(person()[:1], 40, axis=0)
     assert np.allclose(joints_from_features(encode(still), 40), still, atol=1e-5)
+
+
+def unlike(features: np.ndarray, *, times: float) -> np.ndarray:
+    """The same motion with root steps that do not belong to it; contacts say nothing."""
+    changed = features.copy()
+    changed[:, 1:3] *= times
+    return changed
+
+
+WALKING = encode(person(120, 700))
+
+
+@pytest.fixture
+def untold(monkeypatch) -> None:
+    """As in a new process, in which nothing was warned of."""
+    monkeypatch.setattr(feature_checks, "_warned", set())
+
+
+@pytest.mark.usefixtures("untold")
+def test_a_single_motion_whose_steps_disagree_is_kept_and_told_once_with_method_and_sequence() -> None:
+    batch = np.stack([WALKING] * 15 + [unlike(WALKING, times=4.0)])
+    names = [f"s{row:02}" for row in range(16)]
+    frames = [len(WALKING)] * 16
+    with warnings.catch_warnings(record=True) as told:
+        motions = motions_from_features(batch, frames, source="glide", sequences=names)
+        motions_from_features(batch, frames, source="glide", sequences=names)
+    assert [warning.category for warning in told] == [FeatureWarning]
+    assert "glide, row 15 (sequence s15), columns 1 and 2: expected" in str(told[0].message)
+    assert "odd in 1 of the 16 motions" in str(told[0].message)
+    assert np.array_equal(motions[0], joints_from_features(WALKING))
+    assert np.array_equal(motions[15], joints_from_features(unlike(WALKING, times=4.0), check=False))
+
+
+@pytest.mark.usefixtures("untold")
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_motions_whose_steps_alone_disagree_are_kept(count) -> None:
+    with pytest.warns(FeatureWarning, match="glide"):
+        motions_from_features([unlike(WALKING, times=0.3)] * count, [50] * count, source="glide")
+
+
+def test_a_batch_whose_steps_disagree_is_refused_with_the_way_on() -> None:
+    batch = [unlike(WALKING, times=4.0)] * 9 + [WALKING] * 7
+    with pytest.raises(InputFileError, match=r"glide, row 0 \(sequence a\), columns 1 and 2: .*check=False") as refused:
+        motions_from_features(batch, [50] * 16, source="glide", sequences=["a", *"bcdefghijklmnop"])
+    assert "likewise in 9 of 16 motions" in str(refused.value)
+    assert len(motions_from_features(batch, [50] * 16, source="glide", check=False)) == 16
+
+
+@pytest.mark.usefixtures("untold")
+def test_people_who_stand_have_no_vote() -> None:
+    standing = encode(np.repeat(person()[:1], len(person()), axis=0))
+    batch = [standing] * 20 + [unlike(WALKING, times=4.0)] * 4
+    with pytest.raises(InputFileError, match="likewise in 4 of 4 motions"):
+        motions_from_features(batch, [50] * 24)
+
+
+@pytest.mark.usefixtures("untold")
+def test_one_motion_of_many_that_flies_or_has_odd_contacts_is_kept() -> None:
+    flying, odd = WALKING.copy(), WALKING.copy()
+    flying[:, 4:67] += np.random.default_rng(0).normal(size=(len(WALKING), 63))
+    odd[:, 259:] *= 9
+    with pytest.warns(FeatureWarning):
+        motions_from_features([flying, odd, *[WALKING] * 3], [50] * 5, source="glide")
+
+
+def test_a_row_too_few_names_method_and_sequence() -> None:
+    with pytest.raises(InputFileError, match=r"glide, row 1 \(sequence b\): expected 99 rows"):
+        motions_from_features([WALKING, WALKING[:50]], [99, 99], source="glide", sequences="ab")
+    with pytest.raises(InputFileError, match="glide: expected features of 2 motions"):
+        motions_from_features([WALKING], [99, 99], source="glide")
+
+
+def test_each_motion_can_have_bones_of_its_own() -> None:
+    own = rest_offsets(person()[0].astype(np.float64))
+    both = motions_from_features([WALKING] * 2, [50, 40], bones="rotations", offsets=np.stack([own, 1.1 * own]))
+    for joints, offsets in zip(both, (own, 1.1 * own), strict=True):
+        expected = joints_from_features(WALKING, len(joints), bones="rotations", offsets=offsets)
+        assert np.array_equal(joints, expected)

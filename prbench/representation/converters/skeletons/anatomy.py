@@ -66,7 +66,7 @@ def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.n
     ahead = np.stack([-left[..., 2], np.zeros(left.shape[:-1]), left[..., 0]], axis=-1)
     above = np.broadcast_to(np.array([0.0, 1.0, 0.0]), up.shape)
     directions = (up, np.cross(left, up), left, _unit(ahead), above)
-    return {name: direction * length for name, direction in zip(AXES, directions, strict=True)}
+    return {name: direction * length for name, direction in zip(AXES, directions)}
 
 
 def complete(joints: Float[np.ndarray, "frames 22 3"], missing: tuple[Joint, ...]) -> Float[np.ndarray, "frames 22 3"]:
@@ -79,7 +79,7 @@ def complete(joints: Float[np.ndarray, "frames 22 3"], missing: tuple[Joint, ...
     filled = joints.copy()
     axes = trunk_axes(joints)
     for joint in (joint for joint in COMPLETIONS if joint in missing):
-        filled[:, joint] = placed(COMPLETIONS[joint], dict(zip(NAMES, range(N_JOINTS), strict=True)), filled, axes)
+        filled[:, joint] = placed(COMPLETIONS[joint], dict(zip(NAMES, range(N_JOINTS))), filled, axes)
     return filled
 
 

@@ -63,9 +63,7 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
 
 def _signed_terms(text: str) -> list[tuple[float, str]]:
     parts = re.split(r"\s+([+-])\s+", text.strip())
-    return [(1.0, parts[0])] + [
-        (1.0 if sign == "+" else -1.0, term) for sign, term in zip(parts[1::2], parts[2::2], strict=True)
-    ]
+    return [(1.0, parts[0])] + [(1.0 if sign == "+" else -1.0, term) for sign, term in zip(parts[1::2], parts[2::2])]
 
 
 def _weighted(joints: list[tuple[str, float | None]], text: str, where: str) -> tuple[tuple[str, float], ...]:

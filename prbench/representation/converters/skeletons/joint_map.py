@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,6 +74,8 @@ class JointMap:
             InputFileError: if the file is missing, no TOML, or lacks a key.
             UsageError: as :meth:`of`.
         """
+        import tomllib  # here, because Python before 3.11 has none, and programs of such a Python use this class
+
         try:
             content = tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError as error:

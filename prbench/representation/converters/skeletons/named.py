@@ -41,7 +41,7 @@ def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
     return JointMap.of(
         name,
         names,
-        {target: names[column] for target, column in zip(NAMES, matched.columns, strict=True) if column >= 0},
+        {target: names[column] for target, column in zip(NAMES, matched.columns) if column >= 0},
     )
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.formats.egoallo import forward_kinematics
 from prbench.representation.converters.smpl.body_model import RestJoints
 from prbench.representation.converters.smpl.parameters import SmplParameters
-from prbench.skeleton import Joint
+from prbench.representation.converters.smpl.quaternions import to_matrices
+from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
 
 def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarray, "frames 22 3"]:
@@ -28,5 +28,11 @@ def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarra
         InputFileError: if there are more shape numbers than the model knows.
     """
     body = rest.of(parameters.betas)
-    pelvis = parameters.transl + body[Joint.PELVIS]
-    return forward_kinematics(body, pelvis, parameters.rotations[:, Joint.PELVIS], parameters.rotations[:, 1:])
+    local = to_matrices(parameters.rotations)
+    world = [local[:, Joint.PELVIS]]
+    joints = [parameters.transl + body[Joint.PELVIS]]
+    for joint in range(1, N_JOINTS):
+        parent = PARENTS[joint]
+        joints.append(joints[parent] + world[parent] @ (body[joint] - body[parent]))
+        world.append(world[parent] @ local[:, joint])
+    return np.stack(joints, axis=1)

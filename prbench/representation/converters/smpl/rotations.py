@@ -9,9 +9,9 @@ from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.representation.converters.smpl.quaternions import from_axis_angle, from_matrices
 
 RotationForm = Literal[
     "axis-angle", "matrix", "quaternion-wxyz", "quaternion-xyzw", "6d-columns", "6d-rows", "6d-interleaved"
@@ -66,10 +66,10 @@ def quaternions_of(
         frame = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise InputFileError(source, f"frame {frame}", expected="finite numbers", found="NaN or infinity")
     each = values.astype(np.float64).reshape(-1, size)
-    return _READ[form](each, source).as_quat(scalar_first=True).reshape(len(values), -1, 4)
+    return _READ[form](each, source).reshape(len(values), -1, 4)
 
 
-def _axis_angle(values: np.ndarray, source: Path | str) -> Rotation:
+def _axis_angle(values: np.ndarray, source: Path | str) -> np.ndarray:
     largest = float(np.linalg.norm(values, axis=-1).max(initial=0.0))
     if largest > 4 * np.pi:
         raise InputFileError(
@@ -79,18 +79,19 @@ def _axis_angle(values: np.ndarray, source: Path | str) -> Rotation:
             found=f"an angle of {largest:.0f}",
             remedy="These look like degrees, or like another form of rotations.",
         )
-    return Rotation.from_rotvec(values)
+    return from_axis_angle(values)
 
 
-def _quaternion(values: np.ndarray, source: Path | str, *, scalar_first: bool) -> Rotation:
+def _quaternion(values: np.ndarray, source: Path | str) -> np.ndarray:
+    """Unit quaternions from such that a network has put out, w first."""
     lengths = np.linalg.norm(values, axis=-1)
     if np.abs(lengths - 1).max(initial=0.0) > _UNIT_TOLERANCE:
         wrong = float(lengths[np.abs(lengths - 1).argmax()])
         raise InputFileError(source, "", expected="unit quaternions", found=f"one of the length {wrong:.3g}")
-    return Rotation.from_quat(values, scalar_first=scalar_first)
+    return values / lengths[:, None]
 
 
-def _matrix(values: np.ndarray, source: Path | str) -> Rotation:
+def _matrix(values: np.ndarray, source: Path | str) -> np.ndarray:
     matrices = values.reshape(-1, 3, 3)
     determinants = np.linalg.det(matrices)
     if np.abs(determinants - 1).max(initial=0.0) > 3 * _UNIT_TOLERANCE:
@@ -98,11 +99,11 @@ def _matrix(values: np.ndarray, source: Path | str) -> Rotation:
         raise InputFileError(
             source, "", expected="rotation matrices", found=f"a matrix whose determinant is {wrong:.3g}"
         )
-    return _orthonormal(matrices[..., 0], matrices[..., 1], source)
+    return from_matrices(_orthonormal(matrices[..., 0], matrices[..., 1], source))
 
 
-def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> Rotation:
-    """Rotations whose first two columns span the given ones (Gram-Schmidt)."""
+def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> np.ndarray:
+    """Rotation matrices whose first two columns span the given ones (Gram-Schmidt)."""
     length = np.linalg.norm(first, axis=-1, keepdims=True)
     first = first / np.maximum(length, 1e-12)
     across = second - (first * second).sum(axis=-1, keepdims=True) * first
@@ -116,17 +117,19 @@ def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> R
             remedy="Is it another of the 6d forms?",
         )
     across = across / width
-    return Rotation.from_matrix(np.stack([first, across, np.cross(first, across)], axis=-1))
+    return np.stack([first, across, np.cross(first, across)], axis=-1)
 
 
-_READ: Mapping[str, Callable[[np.ndarray, Path | str], Rotation]] = MappingProxyType(
+_READ: Mapping[str, Callable[[np.ndarray, Path | str], np.ndarray]] = MappingProxyType(
     {
         "axis-angle": _axis_angle,
         "matrix": _matrix,
-        "quaternion-wxyz": lambda values, source: _quaternion(values, source, scalar_first=True),
-        "quaternion-xyzw": lambda values, source: _quaternion(values, source, scalar_first=False),
-        "6d-columns": lambda values, source: _orthonormal(values[:, :3], values[:, 3:], source),
-        "6d-rows": lambda values, source: _orthonormal(values[:, :3], values[:, 3:], source).inv(),
-        "6d-interleaved": lambda values, source: _orthonormal(values[:, ::2], values[:, 1::2], source),
+        "quaternion-wxyz": _quaternion,
+        "quaternion-xyzw": lambda values, source: _quaternion(values[:, [3, 0, 1, 2]], source),
+        "6d-columns": lambda values, source: from_matrices(_orthonormal(values[:, :3], values[:, 3:], source)),
+        "6d-rows": lambda values, source: from_matrices(
+            np.swapaxes(_orthonormal(values[:, :3], values[:, 3:], source), -1, -2)
+        ),
+        "6d-interleaved": lambda values, source: from_matrices(_orthonormal(values[:, ::2], values[:, 1::2], source)),
     }
 )

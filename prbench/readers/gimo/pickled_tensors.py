@@ -1,0 +1,335 @@
+"""Dictionaries of torch tensors, read without torch and without running what a pickle might hold.
+
+GIMO's poses are plain pickles (``formats/gimo.md`` section 3) in which every tensor carries its numbers as a file of
+``torch.save`` in its older form. Dictionaries that ``torch.save`` wrote itself, in either form, hold the same opcodes
+and names and are read too. Arrays are views of the file's bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import re
+import struct
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prbench.errors import InputFileError
+from prbench.limits import LARGEST_PICKLE
+from prbench.readers.files import missing_file
+from prbench.readers.gimo.pickle_machine import Name, PickleMachine, PickleRefused, Unfinished
+
+_EXPECTED = "a pickled dictionary of torch tensors"
+_MAGIC_NUMBER = 0x1950A86A20F9469CFC6C
+_FORM_VERSION = 1001
+_MACHINE = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"short": 2, "int": 4, "long": 4}}
+_STREAM_START = b"".join(pickle.dumps(part, protocol=2) for part in (_MAGIC_NUMBER, _FORM_VERSION, _MACHINE))
+"""What the older form of ``torch.save`` begins with: three pickles, which are the same before every storage."""
+_USUAL_STORAGE = re.compile(
+    re.escape(_STREAM_START)
+    + rb"\x80\x02\(X\x07\0\0\0storageq\0ctorch\n(?P<kind>\w+)\nq\x01"
+    + rb"X(?P<length>.)\0\0\0(?P<key>\d+)q\x02X\x03\0\0\0cpuq\x03(?:K(?P<size>.)|M(?P<longer>..))Ntq\x04Q\."
+    + rb"\x80\x02\]q\0X(?P=length)\0\0\0(?P=key)q\x01a\.",
+    re.DOTALL,
+)
+"""All that torch writes before the numbers of one storage of up to 65,535. The machine understands it just as well, but
+these are nine tenths of a pose's opcodes, and a segment has some thousand poses."""
+_ZIP_START = b"PK\x03\x04"
+_MOST_AXES = 8
+_ITEM_TYPES = {
+    b"FloatStorage": np.dtype("<f4"),
+    b"DoubleStorage": np.dtype("<f8"),
+    b"HalfStorage": np.dtype("<f2"),
+    b"LongStorage": np.dtype("<i8"),
+    b"IntStorage": np.dtype("<i4"),
+    b"ShortStorage": np.dtype("<i2"),
+    b"CharStorage": np.dtype("<i1"),
+    b"ByteStorage": np.dtype("<u1"),
+}
+"""Both forms of ``torch.save`` hold numbers with their least significant byte first."""
+
+
+def load_tensors(path: Path) -> dict[str, np.ndarray]:
+    """Read the named tensors of a pickled dictionary.
+
+    Returns:
+        One array a name, of the tensor's shape and type (whole or floating-point numbers); read-only.
+
+    Raises:
+        InputFileError: if the file is missing, too large or damaged, holds an opcode or a name that tensors do not need
+            (nothing of it is imported or run), or holds anything but a dictionary of tensors.
+    """
+    try:
+        if path.stat().st_size > LARGEST_PICKLE:
+            raise _refused(path, "", f"{path.stat().st_size:,} bytes", "This is no pose of one frame.")
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+    try:
+        loaded = _loaded(content, _NAMES | {_LOAD_STORAGE: Name("torch.storage._load_from_bytes", _StorageLoader())})
+    except PickleRefused as error:
+        remedy = "Nothing of it was run; do not open it with other programs." if error.foreign else "Copy it again."
+        raise _refused(path, f"byte {error.position}", error.found, remedy) from error
+    if not isinstance(loaded, dict):
+        raise _refused(path, "", f"a {type(loaded).__name__}", "")
+    return {str(name): _array(path, str(name), value) for name, value in loaded.items()}
+
+
+def _refused(path: Path, where: str, found: str, remedy: str) -> InputFileError:
+    return InputFileError(path, where, expected=_EXPECTED, found=found, remedy=remedy)
+
+
+def _array(path: Path, name: str, value: Any) -> np.ndarray:
+    array = value.array() if isinstance(value, _Tensor | _NumpyArray) else None
+    if array is None:
+        raise _refused(path, name, f"a {type(value).__name__}", "")
+    return array
+
+
+def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
+    """What some bytes hold: a plain pickle, or either form of ``torch.save``."""
+    if content.startswith(_ZIP_START):
+        return _loaded_from_zip(content, names)
+    machine = PickleMachine(content, names)
+    loaded = machine.run()
+    if loaded != _MAGIC_NUMBER:
+        return loaded
+    if machine.run(machine.position) != _FORM_VERSION:
+        raise PickleRefused("another version of torch's files", machine.position)
+    machine.run(machine.position)  # sizes of types on the machine that wrote the file, which torch does not use either
+    return _loaded_from_stream(content, machine.position, names)
+
+
+def _loaded_from_stream(content: bytes, position: int, names: Mapping[str, Name]) -> Any:
+    """Read what follows the start of the older form: the pickle, the keys of its storages, and their numbers."""
+    storages = _Storages()
+    machine = PickleMachine(content, names, persistent=storages)
+    loaded = machine.run(position)
+    keys = machine.run(machine.position)
+    position = machine.position
+    named = {key for key in keys if isinstance(key, str)} if isinstance(keys, list) else set()
+    if named != storages.by_key.keys() or len(keys) != len(named):
+        raise PickleRefused("other storages than those that the tensors name", position)
+    for key in keys:
+        position = storages.by_key[key].take_counted(content, position)
+    return loaded
+
+
+def _usual_storage(content: bytes) -> _Storage | None:
+    """The storage in some bytes that hold it in the usual form; None for all others."""
+    usual = _USUAL_STORAGE.match(content)
+    if usual is None or usual["length"][0] != len(usual["key"]) or usual["kind"] not in _ITEM_TYPES:
+        return None
+    storage = _Storage(_ITEM_TYPES[usual["kind"]], int.from_bytes(usual["size"] or usual["longer"], "little"))
+    storage.take_counted(content, usual.end())
+    return storage
+
+
+def _loaded_from_zip(content: bytes, names: Mapping[str, Name]) -> Any:
+    """Read the newer form: an archive of a pickle and one uncompressed file a storage."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            files = _stored_files(archive, len(content))
+    except (zipfile.BadZipFile, ValueError, RuntimeError, EOFError, OSError, struct.error) as error:
+        raise PickleRefused(f"a damaged archive: {error}") from error
+    if "data.pkl" not in files or files.get("byteorder", b"little") != b"little":
+        raise PickleRefused("an archive of another kind")
+    storages = _Storages()
+    loaded = PickleMachine(files["data.pkl"], names, persistent=storages).run()
+    for key, storage in storages.by_key.items():
+        storage.take(files.get(f"data/{key}", b""), 0)
+    return loaded
+
+
+def _stored_files(archive: zipfile.ZipFile, most: int) -> dict[str, bytes]:
+    """Maps names, without the folder that all lie in, to contents; as nothing is compressed, these fit the archive."""
+    entries = archive.infolist()
+    compressed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
+    if compressed or sum(entry.file_size for entry in entries) > most:
+        raise PickleRefused("compressed files in the archive", foreign=True)
+    return {entry.filename.partition("/")[2]: archive.read(entry) for entry in entries}
+
+
+@dataclass
+class _Storage:
+    """The numbers behind tensors; in the files of ``torch.save`` they lie behind the pickle."""
+
+    item_type: np.dtype
+    size: int
+    numbers: np.ndarray | None = None
+
+    def take(self, content: bytes, position: int) -> int:
+        """Take the numbers from the bytes at a position; return the position behind them."""
+        end = position + self.size * self.item_type.itemsize
+        if end > len(content):
+            raise PickleRefused(f"{max(len(content) - position, 0)} bytes for {self.size} numbers", position)
+        self.numbers = np.frombuffer(content, self.item_type, self.size, position)
+        return end
+
+    def take_counted(self, content: bytes, position: int) -> int:
+        """The same where the number of numbers stands before them."""
+        size = int.from_bytes(content[position : position + 8], "little")
+        if size != self.size:
+            raise PickleRefused(f"{size} numbers in a storage of {self.size}", position)
+        return self.take(content, position + 8)
+
+
+class _Storages:
+    """All storages of one file by key: what its persistent ids stand for."""
+
+    def __init__(self) -> None:
+        self.by_key: dict[str, _Storage] = {}
+
+    def __call__(self, identity: Any) -> _Storage:
+        """Return the storage of one persistent id: ("storage", its class, key, device, how many numbers[, None])."""
+        if type(identity) is not tuple or len(identity) not in (5, 6) or identity[0] != "storage":
+            raise PickleRefused("a persistent id of something else than a storage", foreign=True)
+        kind, key, size = identity[1], identity[2], identity[4]
+        item_type = _ITEM_TYPES.get(kind.text.encode()) if isinstance(kind, Name) else None
+        if item_type is None or not isinstance(key, str) or identity[5:] not in ((), (None,)):
+            raise PickleRefused("a storage of another kind", foreign=True)
+        if type(size) is not int or size < 0:
+            raise PickleRefused(f"a storage of {size} numbers")
+        return self.by_key.setdefault(key, _Storage(item_type, size))
+
+
+@dataclass
+class _Tensor:
+    """A view of a storage, made once the storage has its numbers."""
+
+    storage: _Storage
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    """In numbers, not in bytes."""
+
+    def array(self) -> np.ndarray:
+        """The tensor's numbers, which the storage holds by now."""
+        assert self.storage.numbers is not None, "every way that makes tensors fills their storages or raises"
+        item = self.storage.item_type.itemsize
+        strides = tuple(stride * item for stride in self.strides)
+        return np.ndarray(self.shape, self.storage.item_type, self.storage.numbers, self.offset * item, strides)
+
+
+def _rebuild_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *_: Any) -> _Tensor:
+    """``torch._utils._rebuild_tensor_v2``; what follows the strides (gradient, hooks) concerns training."""
+    if not isinstance(storage, _Storage):
+        raise PickleRefused(f"a tensor of a {type(storage).__name__}", foreign=True)
+    shape, strides = _whole_numbers(shape), _whole_numbers(strides)
+    if type(offset) is not int or offset < 0 or len(shape) != len(strides):
+        raise PickleRefused("a tensor without place in its storage")
+    last = offset + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
+    # A stride of 0 shows one number many times: no format needs it, and a small file would unpack to any size.
+    size = math.prod(shape)
+    if size > storage.size or (size > 0 and last >= storage.size) or offset > storage.size:
+        raise PickleRefused(f"a tensor of {size} numbers in a storage of {storage.size}")
+    return _Tensor(storage, offset, shape, strides)
+
+
+def _whole_numbers(values: Any) -> tuple[int, ...]:
+    if type(values) is not tuple or not all(type(value) is int and 0 <= value <= LARGEST_PICKLE for value in values):
+        raise PickleRefused("sizes that are no whole numbers from 0")
+    if len(values) > _MOST_AXES:
+        raise PickleRefused(f"{len(values)} axes")
+    return values
+
+
+def _rebuild_parameter(tensor: Any, *_: Any) -> _Tensor:
+    """``torch._utils._rebuild_parameter``: the tensor itself."""
+    if not isinstance(tensor, _Tensor):
+        raise PickleRefused(f"a parameter of a {type(tensor).__name__}", foreign=True)
+    return tensor
+
+
+class _NumpyType(Unfinished):
+    """``numpy.dtype``: its code first, the order of bytes by BUILD."""
+
+    def __init__(self, code: Any, *_: Any) -> None:
+        if code not in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"):
+            raise PickleRefused("an array of other things than numbers", foreign=True)
+        self.type = np.dtype(code)
+
+    def fill(self, state: Any) -> None:
+        """See :class:`Unfinished`: (version, order of bytes, and parts that plain numbers do not have)."""
+        if type(state) is not tuple or len(state) < 2 or state[1] not in ("<", ">", "|"):
+            raise PickleRefused("an array of other things than numbers", foreign=True)
+        self.type = self.type.newbyteorder(state[1])
+
+
+class _NumpyArray(Unfinished):
+    """``numpy.ndarray``: empty first, everything else by BUILD."""
+
+    def __init__(self, *_: Any) -> None:
+        self._array: np.ndarray | None = None
+
+    def fill(self, state: Any) -> None:
+        """See :class:`Unfinished`: (version, shape, type, whether the first axis runs fastest, bytes)."""
+        if type(state) is not tuple or len(state) != 5:
+            raise PickleRefused("an array of another kind", foreign=True)
+        shape, kind, by_column, raw = _whole_numbers(state[1]), state[2], state[3], state[4]
+        if not isinstance(kind, _NumpyType) or not isinstance(raw, bytes):
+            raise PickleRefused("an array of another kind", foreign=True)
+        self._array = np.frombuffer(raw, kind.type).reshape(shape, order="F" if by_column is True else "C")
+
+    def array(self) -> np.ndarray | None:
+        """The array; None if the pickle never filled it."""
+        return self._array
+
+
+def _latin_bytes(text: Any, encoding: Any = "latin1") -> bytes:
+    """``_codecs.encode``: how old protocols hold bytes; no other codec is looked up."""
+    if encoding not in ("latin1", "latin-1") or not isinstance(text, str):
+        raise PickleRefused(f"the name '_codecs.encode' with '{encoding}'", foreign=True)
+    return text.encode("latin-1")
+
+
+def _ordered_dict(*items: Any) -> dict:
+    """``collections.OrderedDict``, whose items come afterwards."""
+    if items:
+        raise PickleRefused("the name 'collections.OrderedDict' with other things than items", foreign=True)
+    return {}
+
+
+_NAMES = {
+    "torch._utils _rebuild_tensor_v2": Name("torch._utils._rebuild_tensor_v2", _rebuild_tensor),
+    "torch._utils _rebuild_parameter": Name("torch._utils._rebuild_parameter", _rebuild_parameter),
+    "collections OrderedDict": Name("collections.OrderedDict", _ordered_dict),
+    "_codecs encode": Name("_codecs.encode", _latin_bytes),
+    "numpy ndarray": Name("numpy.ndarray"),
+    "numpy dtype": Name("numpy.dtype", _NumpyType),
+    "numpy.core.multiarray _reconstruct": Name("numpy.core.multiarray._reconstruct", _NumpyArray),
+    "numpy._core.multiarray _reconstruct": Name("numpy._core.multiarray._reconstruct", _NumpyArray),
+    **{f"torch {kind.decode()}": Name(kind.decode()) for kind in _ITEM_TYPES},
+}
+
+
+_LOAD_STORAGE = "torch.storage _load_from_bytes"
+
+
+class _StorageLoader:
+    """``torch.storage._load_from_bytes``: in a plain pickle a storage is a file of its own, which holds no others."""
+
+    def __init__(self) -> None:
+        self._left = LARGEST_PICKLE
+
+    def __call__(self, raw: Any) -> _Storage:
+        """Read one storage; a program may hand the same bytes in again and again, which is counted."""
+        if not isinstance(raw, bytes):
+            raise PickleRefused(f"a storage of the type {type(raw).__name__}", foreign=True)
+        self._left -= len(raw)
+        if self._left < 0:
+            raise PickleRefused(f"storages of more than {LARGEST_PICKLE:,} bytes")
+        try:
+            storage = _usual_storage(raw) or _loaded(raw, _NAMES)
+        except PickleRefused as error:
+            found = f"{error.found} (byte {error.position} of a storage)"
+            raise PickleRefused(found, foreign=error.foreign) from error
+        if not isinstance(storage, _Storage):
+            raise PickleRefused(f"a {type(storage).__name__} in the place of a storage", foreign=True)
+        return storage

@@ -1,0 +1,291 @@
+"""The doors through which foreign files come in: for each, how its files are made and how prbench looks at them."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from prbench.cli import main
+from prbench.corpora.options import CorpusOptions
+from prbench.corpora.sources import corpus_for, find_groups
+from prbench.errors import PrbenchError, UnforeseenInput
+from prbench.evaluation.offline import ConditionsFile, read_conditions, read_conditions_file
+from prbench.evaluation.programs.description import read_description
+from prbench.readers import reader_for
+from prbench.synthetic.corpus_tree import synthesize_corpus_tree
+from prbench.synthetic.write_tree import synthesize_tree
+from prbench.training.configuration import load_configuration
+from prbench.training.weights import read_weights
+from prbench.workflows.inspection import inspect_folder
+from tests.evaluation.offline import method
+from tests.fakes import fake_dataset
+from tests.fuzz.judging import Seen
+from tests.release.releases import rows, write_release
+
+UNFORESEEN_WORDS = "expected content that prbench can read, found what ends in"
+"""What the message of the boundary around readers says where a command prints it."""
+
+
+_RESULTS = ("sequences", "events", "scores", "clips")
+
+
+@dataclass(frozen=True)
+class Door:
+    """One way in."""
+
+    name: str
+    make: Callable[[Path], object]
+    """Writes the files that will be damaged into ``input`` of the folder, and what stands beside them."""
+    look: Callable[[Path], Seen]
+    knows_whole: bool = True
+    """False where a person writes the files, and a shorter one is simply another one."""
+
+
+class CommandFailed(PrbenchError):
+    """A command ended with an exit code other than 0."""
+
+
+def digest_of(value: object) -> str:
+    """Return a digest of any tree of data classes, containers, arrays and plain values."""
+    digest = hashlib.sha256()
+    for part in _parts(value):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _parts(value: object) -> Iterator[bytes]:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            if field.name != "messages":
+                yield from _parts(getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        yield f"{value.dtype}{value.shape}".encode()
+        yield np.ascontiguousarray(value).tobytes() if value.dtype != object else repr(value.tolist()).encode()
+    elif isinstance(value, dict):
+        for key, held in value.items():
+            yield repr(key).encode()
+            yield from _parts(held)
+    elif isinstance(value, tuple | list):
+        yield f"({len(value)}".encode()
+        for held in value:
+            yield from _parts(held)
+    else:
+        yield repr(value).encode()
+
+
+def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
+    def make(folder: Path) -> None:
+        synthesize_tree(
+            layout, folder / "input", recordings=1, seed=3, n_events=1, bystander_objects=1, estimates=estimates
+        )
+
+    def look(folder: Path) -> Seen:
+        root = folder / "input"
+        inspection = inspect_folder(root)
+        told = [
+            f"{recording.recording_id} {recording.state} {recording.remarks}"
+            for dataset in inspection.datasets
+            for recording in dataset.recordings
+        ]
+        told += [broken.message for broken in inspection.broken]
+        places = {name: str(value).replace("INPUT", str(root)) for name, value in options.items()}
+        reader = reader_for(layout, places)
+        recordings = [reader.read(found) for found in reader.find(root)]
+        told += [message for recording in recordings for message in recording.messages]
+        return Seen(digest_of(recordings), tuple(told))
+
+    return Door("adt-egoallo" if estimates else layout, make, look)
+
+
+def _corpus(name: str) -> Door:
+    def make(folder: Path) -> None:
+        synthesize_corpus_tree(name, folder / "input", recordings=1, seed=3)
+
+    def look(folder: Path) -> Seen:
+        groups = find_groups(corpus_for(name), folder / "input", CorpusOptions())
+        members = [member for group in groups for member in group.recordings]
+        told = [f"{member.belonging.recording_id} {member.skip_reason}" for member in members]
+        made = [member.read() for member in members if not member.skip_reason]
+        told += [recording.message for recording in made]
+        values = [(recording.clips, recording.annotations, recording.duration) for recording in made]
+        return Seen(digest_of(values), tuple(told))
+
+    return Door(name, make, look)
+
+
+def _ran(folder: Path, *words: str, out: str = "") -> Seen:
+    """Run a command; its values are the tables that it wrote, or what it printed where it wrote none."""
+    printed = io.StringIO()
+    said = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+        try:
+            code = main([word.replace("FOLDER", str(folder)) for word in words])
+        except SystemExit as error:  # wrong arguments
+            code = int(error.code or 0)
+    left = [path.name for path in folder.rglob("*") if ".partial" in path.name or ".replaced" in path.name]
+    if left:
+        raise AssertionError(f"left behind: {left}")
+    text = printed.getvalue() + said.getvalue()
+    if "Traceback" in text:
+        raise AssertionError(text[-1500:])
+    if UNFORESEEN_WORDS in text:
+        raise UnforeseenInput(folder, "", expected="", found=said.getvalue())
+    if code != 0:
+        raise CommandFailed(said.getvalue() or printed.getvalue()[-1000:])
+    if not out:
+        return Seen(digest_of(printed.getvalue()), tuple(said.getvalue().splitlines()))
+    written = sorted(
+        path for path in (folder / out).rglob("*.parquet") if path.stem in ("sequences", "events", "scores")
+    )
+    return Seen(digest_of([path.read_bytes() for path in written]), tuple(text.splitlines()))
+
+
+def _command(name: str, make: Callable[[Path], object], *words: str, out: str = "") -> Door:
+    return Door(name, make, lambda folder: _ran(folder, *words, out=out))
+
+
+def _table(folder: Path, name: str = "input") -> None:
+    fake_dataset(folder / name, 12)
+
+
+def _two_tables(folder: Path) -> None:
+    _table(folder)
+    _table(folder, "other")
+
+
+def _run(folder: Path) -> None:
+    _table(folder, "table")
+    _ran(folder, "run", "--method", "static", "--condition", "none", "--data", "FOLDER/table", "--out", "FOLDER/input")
+
+
+def _release(folder: Path) -> None:
+    write_release(folder / "input" / "adt", rows(6))
+
+
+def _conditions(suffix: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        _table(folder, "table")
+        (folder / "input").mkdir()
+        where = f"FOLDER/input/conditions{suffix}"
+        _ran(folder, "export-conditions", "--data", "FOLDER/table", "--condition", "goal-loc", "--out", where)
+
+    return make
+
+
+def _conditions_door(suffix: str) -> Door:
+    def look(folder: Path) -> Seen:
+        return Seen(digest_of(read_conditions(folder / "input" / f"conditions{suffix}")))
+
+    return Door(f"conditions-{suffix[1:]}", _conditions(suffix), look)
+
+
+def _predictions(write: Callable[[Path, ConditionsFile, list[np.ndarray]], object], name: str) -> Door:
+    def make(folder: Path) -> None:
+        _table(folder, "table")
+        (folder / "input").mkdir()
+        where = "FOLDER/conditions.npz"
+        _ran(folder, "export-conditions", "--data", "FOLDER/table", "--condition", "goal-loc", "--out", where)
+        conditions = read_conditions_file(folder / "conditions.npz")
+        write(folder / "input" / name, conditions, method.generated(conditions))
+
+    words = ("score", f"FOLDER/input/{name}", "--data", "FOLDER/table", "--conditions", "FOLDER/conditions.npz")
+    return _command(f"score-{write.__name__.split('_')[-1]}", make, *words)
+
+
+def _write_flat(path: Path, conditions: ConditionsFile, motions: list[np.ndarray]) -> None:
+    method.write_parquet(path, conditions, motions, flat=True)
+
+
+def _weights(folder: Path) -> None:
+    shipped = resources.files("prbench_adapters.pr") / "weights" / "pr-small-goal-loc.safetensors"
+    (folder / "input").mkdir()
+    (folder / "input" / "weights.safetensors").write_bytes(shipped.read_bytes())
+
+
+def _look_at_weights(folder: Path) -> Seen:
+    read = read_weights(folder / "input" / "weights.safetensors")
+    tensors = {name: tensor.float().numpy() for name, tensor in read.tensors.items()}
+    return Seen(digest_of((tensors, repr(read.metadata))))
+
+
+def _configuration(folder: Path) -> None:
+    (folder / "input").mkdir()
+    shipped = resources.files("prbench_adapters.pr") / "pr-smoke.toml"
+    (folder / "input" / "mine.toml").write_bytes(shipped.read_bytes())
+
+
+def _look_at_configuration(folder: Path) -> Seen:
+    path = str(folder / "input" / "mine.toml")
+    return Seen(digest_of(repr(load_configuration(path, package="prbench_adapters.pr", task="pr", stage="finetune"))))
+
+
+_DESCRIPTION = """\
+[method]
+name = "glide"
+command = ["python", "glide.py"]
+
+[environment]
+virtual-environment = "venv"
+variables = { OMP_NUM_THREADS = "1" }
+
+[limits]
+start_s = 60
+batch_s = 600.0
+"""
+
+
+def _description(folder: Path) -> None:
+    (folder / "input").mkdir()
+    (folder / "input" / "method.toml").write_text(_DESCRIPTION, encoding="utf-8")
+
+
+def _look_at_description(folder: Path) -> Seen:
+    return Seen(digest_of(repr(read_description(folder / "input" / "method.toml"))))
+
+
+def _built(layout: str) -> Door:
+    door = _dataset(layout)
+    words = ("build-dataset", layout, "--root", "FOLDER/input", "--out", "FOLDER/table")
+    return _command(f"build-{layout}", door.make, *words, out="table")
+
+
+LAYOUTS = ("adt", "gimo", "hd-epic", "hot3d", "mogaze")
+
+READERS = (
+    *(_dataset(layout) for layout in LAYOUTS),
+    _dataset("adt", estimates=True, poses="egoallo", smplh_model="INPUT/smplh/neutral/model.npz"),
+    _corpus("nymeria"),
+    _corpus("humanml3d"),
+    _conditions_door(".npz"),
+    _conditions_door(".parquet"),
+    Door("weights", _weights, _look_at_weights),
+    Door("configuration", _configuration, _look_at_configuration, knows_whole=False),
+    Door("method-description", _description, _look_at_description, knows_whole=False),
+)
+"""Functions that read."""
+
+COMMANDS = (
+    *(_built(layout) for layout in LAYOUTS),
+    _command("build-corpus", _corpus("humanml3d").make, "build-corpus", "humanml3d", "--root", "FOLDER/input", "--out",
+             "FOLDER/corpus", out="corpus"),
+    _command("diff", _two_tables, "diff", "FOLDER/input", "FOLDER/other"),
+    _command("stats", _table, "stats", "FOLDER/input"),
+    _command("run", _table, "run", "--method", "static", "--condition", "none", "--data", "FOLDER/input", "--out",
+             "FOLDER/run", out="run"),
+    _command("board", _run, "leaderboard", "export", "FOLDER/input", "--format", "md"),
+    _command("import-release", _release, "import-release", "FOLDER/input", "--out", "FOLDER/tables", out="tables"),
+    _predictions(_write_flat, "motions.parquet"),
+    _predictions(method.write_padded, "motions.npz"),
+    _predictions(method.write_ragged, "motions.npz"),
+    _predictions(method.write_named, "motions.npz"),
+    _predictions(method.write_numbered, "motions"),
+)  # fmt: skip
+"""Commands that read, or read and write."""
