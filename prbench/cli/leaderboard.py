@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import command
+from prbench.cli.arguments import add_workers, command
 from prbench.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from prbench.evaluation.verification import RunChecker
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
 
@@ -32,6 +36,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     export.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders, or folders that hold some")
     export.add_argument("--format", choices=["md", "csv", "json"], default="md", help="default: md")
     export.add_argument("--out", type=Path, metavar="FILE", help="write it there instead of printing it")
+    _add_tables(export)
     comparison = command(
         group,
         "compare",
@@ -41,13 +46,28 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     comparison.add_argument("first", type=Path, metavar="RUN", help="a finished run folder")
     comparison.add_argument("second", type=Path, metavar="RUN", help="another one, of the same sequences")
+    _add_tables(comparison)
+
+
+def _add_tables(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--data",
+        type=Path,
+        nargs="+",
+        default=(),
+        metavar="DIR",
+        help="the tables of the runs: scores are held against the motions on them, and called unverified without;"
+        " the embedded tables need not be named",
+    )
+    add_workers(parser)
 
 
 def _compare(arguments: argparse.Namespace) -> int:
     from prbench.leaderboard import compare_runs
 
     rows = []
-    for row in compare_runs(arguments.first, arguments.second):
+    compared = compare_runs(arguments.first, arguments.second, checker=_checker(arguments))
+    for row in compared.metrics:
         difference, p = row.comparison.difference, row.comparison.adjusted_p_value
         scale, unit = (100.0, " points") if row.info.unit == "rate" else (1.0, " m" if row.info.unit == "m" else "")
         if "all_equal" in difference.marks:
@@ -66,7 +86,18 @@ def _compare(arguments: argparse.Namespace) -> int:
         rows,
         numbers=(2, 3, 4),
     )
+    for reason in compared.unverified:
+        print(f"unverified: {reason}")
     return 0
+
+
+def _checker(arguments: argparse.Namespace) -> RunChecker:
+    """Scores again on the named tables and the embedded ones."""
+    from prbench.engine import engine_for
+    from prbench.evaluation.verification import RunChecker
+    from prbench.workflows.tables_of_runs import table_finder
+
+    return RunChecker(table_finder(arguments.data), engine_for(arguments.workers))
 
 
 def _export(arguments: argparse.Namespace) -> int:
@@ -74,9 +105,12 @@ def _export(arguments: argparse.Namespace) -> int:
     from prbench.locks import sole_writer
     from prbench.storage import write_text
 
-    collected = collect_runs(arguments.runs)
+    collected = collect_runs(arguments.runs, check=_checker(arguments).check)
     for reason in collected.left_out:
         print(f"left out: {reason}", file=sys.stderr)
+    for row in collected.rows:
+        if row.unverified:
+            print(f"unverified: {row.run}: {row.unverified}", file=sys.stderr)
     text = export(make_leaderboard(collected), arguments.format)
     if arguments.out is None:
         print(text, end="")

@@ -187,9 +187,8 @@ def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> N
 
     rows = []
     with progress("comparing curation with the truth") as show:
-        rows.append(
-            _verification_row("these files", verify_tree(arguments.out, dataset=arguments.layout, engine=engine))
-        )
+        files = verify_tree(arguments.out, dataset=arguments.layout, engine=engine)
+        rows.append(_verification_row("these files", files))
         for done, level in enumerate(LEVELS, start=1):
             show(done, len(LEVELS), level.name)
             result = verify_level(
@@ -204,12 +203,15 @@ def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> N
         "what curation finds, against what was acted out",
         (
             "sensors", "recordings", "events", "recall", "precision", "timing bias", "median", "p95", "priming recall",
-            "false primes", "prime median", "p5 … p95",
+            "false primes", "prime median", "p5 … p95", "hands", "sequences",
         ),
         rows,
-        numbers=range(1, 12),
+        numbers=range(1, 14),
     )  # fmt: skip
     print("times in ms; events within the sensors' resolution of a threshold and lost tracks are not counted")
+    print("hands: right / wrong / unknown of all located events; sequences: found of those that were acted out")
+    for miss in files.missed_sequences:
+        print(f"no sequence in these files: {miss.text}")
 
 
 def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
@@ -227,6 +229,8 @@ def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
         f"{result.false_primes:.3f} of {result.unprimed}",
         f"{result.prime.median * 1e3:.0f}",
         f"{low * 1e3:+.0f} … {high * 1e3:+.0f}",
+        f"{result.hands.right} / {result.hands.wrong} / {result.hands.unknown}",
+        f"{result.expected_sequences - len(result.missed_sequences)} of {result.expected_sequences}",
     )
 
 

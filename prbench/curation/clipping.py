@@ -39,9 +39,9 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
 
     Returns:
         The clip, or why there is none: ``no_body`` (also for a first frame without a heading), or ``too_short``
-        because the recording does not cover the span (stage ``clipping``; value and threshold: seconds available and
-        needed) or the body has a gap in it (stage ``body``; value and threshold: longest gap and longest that is
-        interpolated, seconds).
+        because the recording or its body does not cover the span (stage ``clipping``; value and threshold: seconds
+        available and needed) or the body has a gap in it (stage ``body``; value and threshold: longest gap and longest
+        that is interpolated, seconds).
     """
     constants = protocol.curation
     grid = SequenceGrid.ending_at(event_time, prime_time=prime_time, lead=constants.lead, fps=protocol.fps)
@@ -99,14 +99,19 @@ def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decisi
 def _body_gap(body: BodyStream, grid: SequenceGrid, max_gap: float) -> Decision | None:
     if covered(body.times, body.valid, grid.times, max_gap=max_gap).all():
         return None
-    start, end = grid.start_time, grid.times[-1]
+    start = grid.start_time
+    end = float(grid.times[-1])
     usable = body.times[body.valid]
-    first, stop = np.searchsorted(usable, start), np.searchsorted(usable, end)
+    if len(usable) == 0:
+        return Decision("too_short", "clipping", 0.0, end - start)
+    # Estimated bodies begin some frames after the glasses. Nothing is extrapolated, however little is missing.
+    beyond = _outside((float(usable[0]), float(usable[-1])), (start, end))
+    if beyond is not None:
+        return beyond
+    first = int(np.searchsorted(usable, start))
+    stop = int(np.searchsorted(usable, end))
     around = usable[max(first - 1, 0) : stop + 1]  # with the nearest sample on either side
-    before = [start] if len(around) == 0 or around[0] > start else []
-    after = [end] if len(around) == 0 or around[-1] < end else []
-    longest = float(np.diff(np.concatenate((before, around, after))).max())
-    return Decision("too_short", "body", longest, max_gap)
+    return Decision("too_short", "body", float(np.diff(around).max()), max_gap)
 
 
 def _joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22 3"]:

@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
@@ -19,14 +18,10 @@ from prbench.curation.split import split_of
 from prbench.errors import RecordingUnusable
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
-from prbench.recording.streams import Side
+from prbench.recording.reaching_hand import wrists_at
 from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
-from prbench.timelines import covered, interpolate
-
-LONGEST_WRIST_GAP = 0.15
-"""Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz."""
 
 
 @dataclass(frozen=True)
@@ -194,8 +189,10 @@ def _sequence(
 
 
 def _extra(event: PickPutEvent, prime: Prime) -> dict[str, str]:
-    """What is worth telling about few sequences only."""
-    extra = {} if event.tracking_gap is None else {"placed_in_tracking_gap_of_s": f"{event.tracking_gap:.3f}"}
+    """What told the hand, and what is worth telling about few sequences only."""
+    extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
+    if event.tracking_gap is not None:
+        extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
     return extra | ({"primed_through": prime.through} if prime.through else {})
 
 
@@ -213,6 +210,7 @@ def _reaching_wrist(event: PickPutEvent, place: Place, piece: Clip) -> int:
 
 def _event_record(recording: Recording, story: _Story) -> EventRecord:
     event, place, prime, published = story.event, story.event.place, story.prime, story.event.published_priming
+    wrists = {wrist.side: wrist.position for wrist in wrists_at(recording.hands, recording.body, event.event_time)}
     return EventRecord(
         event_id=event.event_id,
         recording_id=recording.recording_id,
@@ -231,29 +229,12 @@ def _event_record(recording: Recording, story: _Story) -> EventRecord:
         stage=story.decision.stage,
         value=story.decision.value,
         threshold=story.decision.threshold,
-        left_wrist=_wrist_at(recording, "left", event.event_time),
-        right_wrist=_wrist_at(recording, "right", event.event_time),
+        left_wrist=wrists.get("left"),
+        right_wrist=wrists.get("right"),
+        hand_source=event.hand_source,
         published_priming=None if published is None else published.outcome,
         published_prime_time=None if published is None else published.prime_time,
     )
-
-
-def _wrist_at(recording: Recording, side: Side, time: float) -> Float[np.ndarray, "3"] | None:
-    """Where a wrist was: from the hands where these were measured, else from the body; None if neither says."""
-    sources = [
-        (stream.times, stream.points[:, 0], stream.valid)
-        for stream in recording.hand_streams("wrist")
-        if stream.side == side
-    ]
-    if recording.body is not None:
-        wrist = Joint.LEFT_WRIST if side == "left" else Joint.RIGHT_WRIST
-        sources.append((recording.body.times, recording.body.joints[:, wrist], recording.body.valid))
-    instant = np.array([time])
-    for times, points, valid in sources:
-        near = slice(*np.searchsorted(times, [time - LONGEST_WRIST_GAP, time + LONGEST_WRIST_GAP]))
-        if covered(times[near], valid[near], instant, max_gap=LONGEST_WRIST_GAP).all():
-            return interpolate(times[near][valid[near]], points[near][valid[near]], instant)[0]
-    return None
 
 
 def _require_published_priming(recording: Recording) -> None:

@@ -13,7 +13,8 @@ from prbench.curation.in_hand import Holding, find_holdings
 from prbench.curation.rest import Departure
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
-from prbench.recording.streams import Action, Side
+from prbench.recording.reaching_hand import ReachingHand, reaching_hand, wrists_at
+from prbench.recording.streams import Action, HandSource, Side
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class PickPutEvent:
     event_time: float
     place: Place | None
     hand: Side | None
+    hand_source: HandSource | None
+    """What told the hand; None where it is unknown."""
     displacement: float | None
     """How far the object moved away from its rest, metres; None where nobody measured it."""
     tracking_gap: float | None = None
@@ -96,6 +99,7 @@ def _annotated(recording: Recording, event: AnnotatedEvent) -> PickPutEvent:
         event_time=event.event_time,
         place=place,
         hand=event.hand,
+        hand_source=event.hand_source,
         displacement=None,
         published_priming=event.published_priming,
         rejected=Decision("no_location", "location") if place is None else None,
@@ -127,18 +131,41 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
     elif not rest.placed:
         rejected = Decision("tracking_lost", "location", rest.gap_length, LONGEST_SURE_GAP)
     low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
+    place = Place((low[0] + high[0]) / 2, low[0], high[0])
+    reaching = None
+    if rejected is None or rejected.outcome != "other_wearer":
+        reaching = _reaching_hand(recording, hand, distance, rule, rest.time, place)
     return PickPutEvent(
         event_id=event_id(recording, holding.track.object_id, action, rest.time),
         object_id=holding.track.object_id,
         object_name=holding.track.name,
         action=action,
         event_time=rest.time,
-        place=Place((low[0] + high[0]) / 2, low[0], high[0]),
-        hand=None if rejected is not None and rejected.outcome == "other_wearer" else hand,
+        place=place,
+        hand=None if reaching is None else reaching.side,
+        hand_source=None if reaching is None else reaching.source,
         displacement=holding.displacement,
         tracking_gap=rest.gap_length if rest.gap_length > LONGEST_SURE_GAP else None,
         rejected=rejected,
     )
+
+
+def _reaching_hand(
+    recording: Recording, hand: Side | None, distance: float, rule: InHandRule, time: float, place: Place
+) -> ReachingHand | None:
+    """The hand in contact; where none is, because contact points were lost, the wrists tell.
+
+    Args:
+        recording: For its wrists.
+        hand: Nearest of the hands whose contact points were measured.
+        distance: From its contact points to the object, metres.
+        rule: Up to which distance they touch.
+        time: Of the event, seconds.
+        place: Where the object rests then.
+    """
+    if hand is not None and distance <= rule.distance:
+        return ReachingHand(hand, "contact")
+    return reaching_hand(wrists_at(recording.hands, recording.body, time), place.location)
 
 
 def _put_without_place(recording: Recording, holding: Holding, time: float) -> PickPutEvent:
@@ -151,6 +178,7 @@ def _put_without_place(recording: Recording, holding: Holding, time: float) -> P
         event_time=time,
         place=None,
         hand=None,
+        hand_source=None,
         displacement=holding.displacement,
         rejected=Decision("no_location", "location"),
     )

@@ -24,6 +24,7 @@ from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.evaluation.verification import require_scores, require_summary
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.runs.cost import read_batch_costs, total_cost
@@ -57,7 +58,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
 
     Raises:
         AdapterError: if the method is unknown, does not take the condition, or breaks its contract.
-        RunError: if the run folder belongs to other inputs.
+        RunError: if the run folder belongs to other inputs, or its scores do not follow from its motions.
         TableError: if a table is missing, empty, changed or of an unknown version.
         StorageError: if a file cannot be written, or another process works in the run folder.
         UsageError: if the request does not fit together.
@@ -192,10 +193,14 @@ def _scored(
     engine: Engine,
     progress: ProgressCallback,
 ) -> DatasetSummary:
-    """Score what was generated, unless an earlier call has."""
+    """Score what was generated; what an earlier call wrote has to be what follows from the motions and the table."""
     files = folder.dataset(dataset.name)
-    if not (files.finished and files.has_scores()):
-        _write_scores(prepared, dataset, files, engine, progress)
+    if files.finished and files.has_scores():
+        stored = read_scores(files.scores)
+        require_scores(files, stored, pa.concat_tables(_windows(prepared, dataset, files, engine, progress)))
+        require_summary(files, summarise(stored, _scored_set(prepared, dataset)))
+    else:
+        write_scores(files.scores, _windows(prepared, dataset, files, engine, progress))
         measured = files.batch_costs()
         if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
             total_cost(read_batch_costs(measured), batches=len(dataset.plan)).write(files.cost)
@@ -218,13 +223,14 @@ def _scored_set(prepared: PreparedRun, dataset: PreparedDataset) -> ScoredSet:
     )
 
 
-def _write_scores(
+def _windows(
     prepared: PreparedRun,
     dataset: PreparedDataset,
     files: DatasetFolder,
     engine: Engine,
     progress: ProgressCallback,
-) -> None:
+) -> Iterator[pa.Table]:
+    """The scores of what was generated, a window of sequences at a time."""
     rules = ScoringRules(
         load_protocol().metrics,
         recorded_motion=prepared.request.method in RECORDED_MOTION,
@@ -232,7 +238,7 @@ def _write_scores(
     )
     samples = range(prepared.request.samples)
     windows = score_selection(dataset.selection, files.predictions, samples=samples, rules=rules, engine=engine)
-    write_scores(files.scores, _counted(windows, dataset, progress))
+    return _counted(windows, dataset, progress)
 
 
 def _counted(windows: Iterator[pa.Table], dataset: PreparedDataset, progress: ProgressCallback) -> Iterator[pa.Table]:

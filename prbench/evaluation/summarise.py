@@ -12,6 +12,7 @@ import pyarrow as pa
 from prbench.evaluation.intervals import CONFIDENCE, metric_interval
 from prbench.metrics import METRICS, MetricInfo
 from prbench.metrics.scoring import LENGTH_MISMATCH
+from prbench.runs.record import TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.sequences import DatasetInfo
 
@@ -20,7 +21,7 @@ from prbench.sequences import DatasetInfo
 class ScoredSet:
     """What the scores are of."""
 
-    info: DatasetInfo
+    info: DatasetInfo | TableRecord
     recording_of: Mapping[str, str]
     """Recording of each scored sequence."""
     chosen: int

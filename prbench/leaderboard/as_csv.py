@@ -24,6 +24,7 @@ COLUMNS: tuple[str, ...] = (
     "sequences",
     "recordings",
     "rank",
+    "verified",
     "note",
 )
 _INFOS = {info.id: info for info in METRICS}
@@ -66,6 +67,7 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
                 "sequences": str(metric.sequences),
                 "recordings": str(metric.recordings),
                 "rank": str(row.ranks.get(metric.metric, "")),
+                "verified": "unverified" if row.entry.unverified else "verified",
                 "note": "; ".join(notes),
             }
 
@@ -85,6 +87,7 @@ def _macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "unit": _UNITS[info.unit],
                 "higher_is_better": _direction(metric),
                 "rank": str(row.ranks.get(metric, "")),
+                "verified": "unverified" if row.unverified else "verified",
                 "note": "mean over datasets" + ("; synthetic" if macro.synthetic else ""),
             }
 

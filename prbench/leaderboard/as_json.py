@@ -55,6 +55,8 @@ def _row(row: TableRow) -> dict[str, object]:
         "seed": entry.record.seed,
         "samples": entry.record.samples,
         "scored": entry.scored,
+        "verified": not entry.unverified,
+        "why_unverified": entry.unverified,
         "unsupported": entry.summary.unsupported,
         "ranks": row.ranks,
         "metrics": msgspec.to_builtins(entry.summary.metrics),
@@ -73,6 +75,7 @@ def _macro(macro: MacroTable) -> dict[str, object]:
                 "variant": row.variant,
                 "means": row.means,
                 "ranks": row.ranks,
+                "verified": not row.unverified,
                 "missing": list(row.missing),
             }
             for row in macro.rows

@@ -43,12 +43,16 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
         [
             "control" if row.entry.record.method.kind == "control" else row.entry.record.condition,
             row.entry.method,
-            row.variant,
+            _variant(row.variant, unverified=bool(row.entry.unverified)),
             *(_cell(row, info) for info in MAIN_METRICS),
         ]
         for row in table.rows
     ]
     return [title, _grid(header, rows), "\n".join(f"- {line}" for line in _legend(table))]
+
+
+def _variant(text: str, *, unverified: bool) -> str:
+    return "; ".join(part for part in (text, "unverified" if unverified else "") if part)
 
 
 def _cell(row: TableRow, info: MetricInfo) -> str:
@@ -82,6 +86,9 @@ def _legend(table: DatasetTable) -> Iterable[str]:
                 f"{_plain(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
                 " generate and were left out; not ranked."
             )
+    reasons = dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified)
+    for reason in reasons:
+        yield f"Unverified: scores that were not held against the motions, because {_plain(reason)}."
     if table.redistribution == "non-commercial":
         yield "The data may be used for non-commercial purposes only."
     elif table.redistribution == "none":
@@ -96,7 +103,7 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
         [
             "control" if row.is_control else row.condition,
             row.method,
-            row.variant,
+            _variant(row.variant, unverified=row.unverified),
             *(_macro_cell(row, info) for info in MAIN_METRICS),
             _missing(row),
         ]

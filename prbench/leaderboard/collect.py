@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import RunError
+from prbench.evaluation.verification import CheckedSummary, RunChecker
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
@@ -22,6 +23,8 @@ class LeaderboardRow:
     record: RunRecord
     table: TableRecord
     summary: DatasetSummary
+    unverified: str = ""
+    """Why its scores could not be held against its motions; empty where they were."""
 
     @property
     def method(self) -> str:
@@ -61,14 +64,19 @@ class CollectedRuns:
     left_out: tuple[str, ...]
 
 
-def collect_runs(paths: Iterable[Path]) -> CollectedRuns:
+Check = Callable[[RunFolder, TableRecord], CheckedSummary]
+"""Reads the summary of one dataset of a run, and says whether it could be verified."""
+
+
+def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> CollectedRuns:
     """Read run folders, or all run folders below a folder.
 
     Args:
         paths: In any order; a run that is named twice counts once.
+        check: By default a checker without tables, which leaves all runs unverified.
 
     Raises:
-        RunError: if a path holds no run, or a run is damaged.
+        RunError: if a path holds no run, or a run is damaged, or its files do not follow from one another.
     """
     folders: dict[Path, None] = {}
     for path in paths:
@@ -86,10 +94,9 @@ def collect_runs(paths: Iterable[Path]) -> CollectedRuns:
         if unfinished:
             left_out.append(f"{folder.name}: not finished on {', '.join(unfinished)}; run it again, it resumes")
             continue
-        rows += [
-            LeaderboardRow(folder.name, run.record, table, DatasetSummary.read(run.dataset(table.dataset).path))
-            for table in run.record.tables
-        ]
+        for table in run.record.tables:
+            checked = (check or RunChecker().check)(run, table)
+            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified))
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 

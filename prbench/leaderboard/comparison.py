@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 
 from prbench.errors import RunError
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
+from prbench.evaluation.verification import RunChecker, recording_key
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.scores import read_scores
@@ -25,7 +26,16 @@ class ComparedMetric:
     comparison: Comparison
 
 
-def compare_runs(first: Path | str, second: Path | str) -> list[ComparedMetric]:
+@dataclass(frozen=True)
+class RunComparison:
+    """All metrics of two runs, and what could not be verified of them."""
+
+    metrics: tuple[ComparedMetric, ...]
+    unverified: tuple[str, ...]
+    """A line for each run and dataset whose scores could not be held against the motions, with the reason."""
+
+
+def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
     Signs are flipped by recording, and p-values corrected after Holm for everything compared here (design, section 3).
@@ -33,9 +43,11 @@ def compare_runs(first: Path | str, second: Path | str) -> list[ComparedMetric]:
     Args:
         first: A finished run folder.
         second: Another one, of the same sequences under the same protocol.
+        checker: Holds the tables that are at hand, on which the motions of both are scored again; by default none.
 
     Raises:
-        RunError: if a run is unfinished, or the two are not of the same protocol, tables and sequences.
+        RunError: if a run is unfinished, its scores do not follow from its motions, or the two are not of the same
+            protocol, tables and sequences.
     """
     first = Path(first)
     second = Path(second)
@@ -46,13 +58,22 @@ def compare_runs(first: Path | str, second: Path | str) -> list[ComparedMetric]:
     shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
+    unverified = tuple(_unverified(run, name, checker or RunChecker()) for run in runs for name in shared)
     scores = {name: paired_scores(*runs, name) for name in shared}
     found = compare({key: pair for name in shared for key, pair in scores[name].items()})
     infos = {info.id: info for info in METRICS}
-    return [
+    metrics = [
         ComparedMetric(dataset, infos[metric], comparison)
         for (dataset, metric), comparison in ((key.split("\n"), comparison) for key, comparison in found.items())
     ]
+    return RunComparison(tuple(metrics), tuple(filter(None, unverified)))
+
+
+def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
+    """Why the scores of a run are unverified; empty if they are not."""
+    record = next(table for table in run.record.tables if table.dataset == dataset)
+    why = checker.check(run, record).unverified
+    return f"{run.path}: {why}" if why else ""
 
 
 def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str, PairedValues]:
@@ -83,8 +104,3 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
 
 def _sequence_means(scores: pa.Table) -> pa.Table:
     return scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
-
-
-def recording_key(sequence_id: str) -> str:
-    """Dataset and recording of a sequence: its id without object, action, event and pose source."""
-    return sequence_id.rsplit("/", 4)[0]

@@ -66,6 +66,8 @@ class MacroRow:
     means: dict[str, float]
     ranks: dict[str, int]
     missing: tuple[str, ...]
+    unverified: bool
+    """On one of the datasets or more."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,8 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
         condition, method, variant = key
         missing = tuple(name for name in names if name not in found[key])
         is_control = any(entry.record.method.kind == "control" for entry in found[key].values())
-        yield MacroRow(method, is_control, condition, variant, means[key], ranks[key], missing)
+        unverified = any(entry.unverified for entry in found[key].values())
+        yield MacroRow(method, is_control, condition, variant, means[key], ranks[key], missing, unverified)
 
 
 def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, float]:

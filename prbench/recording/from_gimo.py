@@ -214,6 +214,7 @@ def _events(
                 box_min=None if place is None else place - half,
                 box_max=None if place is None else place + half,
                 hand=hand,
+                hand_source="annotated" if event.hand is not None else "movement",
             )
         )
     return tuple(events), remarks

@@ -52,7 +52,7 @@ def recording_from_hd_epic(
     if body is not None:
         ranges["body"] = _range(body.times)
     require_overlap(ranges, recording=readings.video)
-    events, remarks = annotated_events(readings, streams, thresholds, boxes=boxes)
+    events, remarks = annotated_events(readings, streams, body, thresholds, boxes=boxes)
     return Recording(
         dataset=dataset,
         recording_id=readings.video,

@@ -16,14 +16,12 @@ from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.formats import hd_epic
 from prbench.recording.from_mps import MpsStreams
 from prbench.recording.hd_epic_priming import MaskedEvent, published_priming
-from prbench.recording.streams import AnnotatedEvent, HandStream, PublishedPriming, Side
+from prbench.recording.reaching_hand import reaching_hand, wrists_at
+from prbench.recording.streams import AnnotatedEvent, BodyStream, PublishedPriming
 from prbench.skeleton import transform_points
-from prbench.timelines import covered, interpolate
+from prbench.timelines import interpolate
 
 BoxKind = Literal["point", "cube"]
-
-LONGEST_WRIST_GAP = 0.15
-"""Seconds between two sightings of a wrist that tell where it was in between: hands are tracked at 10 Hz."""
 
 _NO_MASK, _FAR_MASK, _NO_POINT, _OUTSIDE = "no mask", "mask too far", "no point", "outside"
 _WHY_UNPLACED = {
@@ -48,13 +46,19 @@ class _Side:
 
 
 def annotated_events(
-    readings: hd_epic.HdEpicReadings, streams: MpsStreams, thresholds: hd_epic.Thresholds, *, boxes: BoxKind
+    readings: hd_epic.HdEpicReadings,
+    streams: MpsStreams,
+    body: BodyStream | None,
+    thresholds: hd_epic.Thresholds,
+    *,
+    boxes: BoxKind,
 ) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
     """Pick (lift) and put (release) of every movement, in the order of time, and remarks.
 
     Args:
         readings: Tracks with masks, the video's clock, and the published priming.
         streams: Of the same video, in the recording's world.
+        body: Of the same video: its wrists tell the hand where tracked ones do not.
         thresholds: Of the dataset.
         boxes: Zero-size boxes at the annotated points, or cubes as large as the 2D boxes say.
     """
@@ -62,7 +66,7 @@ def annotated_events(
     times = readings.clock.device_seconds(np.array([side.frame for side in sides], dtype=np.float64))
     published, remarks = _published(readings, sides, thresholds)
     events = [
-        _event(side, float(time), priming, readings, streams, boxes)
+        _event(side, float(time), priming, readings, streams, body, boxes)
         for side, time, priming in zip(sides, times, published, strict=True)
     ]
     events.sort(key=lambda event: (event.event_time, event.native_key))
@@ -130,6 +134,7 @@ def _event(
     priming: PublishedPriming | None,
     readings: hd_epic.HdEpicReadings,
     streams: MpsStreams,
+    body: BodyStream | None,
     boxes: BoxKind,
 ) -> AnnotatedEvent:
     location = None
@@ -137,6 +142,7 @@ def _event(
         location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
     edge = None if location is None or boxes == "point" else _cube_edge(side, location, readings, streams)
     half = None if edge is None else np.full(3, edge / 2)
+    hand = None if location is None else reaching_hand(wrists_at(streams.wrists, body, time), location)
     return AnnotatedEvent(
         native_key=f"{side.track.object_id}/{side.track.track_id}/{'start' if side.is_start else 'end'}",
         action="pick" if side.is_start else "put",
@@ -146,27 +152,10 @@ def _event(
         location=location,
         box_min=None if location is None or half is None else location - half,
         box_max=None if location is None or half is None else location + half,
-        hand=None if location is None else nearest_wrist(streams.wrists, time, location),
+        hand=None if hand is None else hand.side,
+        hand_source=None if hand is None else hand.source,
         published_priming=priming,
     )
-
-
-def nearest_wrist(wrists: Sequence[HandStream], time: float, location: Float[np.ndarray, "3"]) -> Side | None:
-    """The hand whose wrist is nearest to a place at that time; None where no wrist is surely tracked.
-
-    Args:
-        wrists: Valid where their confidence suffices.
-        time: Seconds.
-        location: World, metres.
-    """
-    instant, distances = np.array([time]), {}
-    for stream in wrists:
-        near = slice(*np.searchsorted(stream.times, [time - LONGEST_WRIST_GAP, time + LONGEST_WRIST_GAP]))
-        times, valid = stream.times[near], stream.valid[near]
-        if covered(times, valid, instant, max_gap=LONGEST_WRIST_GAP).all():
-            wrist = interpolate(times[valid], stream.points[near, 0][valid], instant)[0]
-            distances[stream.side] = float(np.linalg.norm(wrist - location))
-    return min(distances, key=lambda side: distances[side], default=None)
 
 
 def _cube_edge(

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.formats.mogaze import NULL_LABEL, RATE, Segment
-from prbench.recording.streams import Action, AnnotatedEvent, BodyStream, ObjectTrack, Side
-from prbench.skeleton import WRISTS
+from prbench.recording.reaching_hand import reaching_hand, wrists_at
+from prbench.recording.streams import Action, AnnotatedEvent, BodyStream, ObjectTrack
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def annotated_events(
     Args:
         segments: In the order of the file.
         tracks: Every object, one sample a frame.
-        body: The wearer, one sample a frame: the nearer wrist is the hand of an event.
+        body: The wearer, one sample a frame, whose wrists tell the hand of an event.
         rest_window: Frames.
 
     Returns:
@@ -133,6 +133,7 @@ def _event(
 ) -> AnnotatedEvent:
     low, high = track.world_box(place[0][None], place[1][None])
     centre = (low[0] + high[0]) / 2
+    hand = reaching_hand(wrists_at((), body, frame / RATE), centre)
     return AnnotatedEvent(
         native_key=key,
         action=action,
@@ -142,12 +143,6 @@ def _event(
         location=centre,
         box_min=low[0],
         box_max=high[0],
-        hand=_nearer_hand(body, frame, centre),
+        hand=None if hand is None else hand.side,
+        hand_source=None if hand is None else hand.source,
     )
-
-
-def _nearer_hand(body: BodyStream, frame: int, point: Float[np.ndarray, "3"]) -> Side | None:
-    if not body.valid[frame]:
-        return None
-    left, right = np.linalg.norm(body.joints[frame, WRISTS] - point, axis=1)
-    return "left" if left < right else "right"

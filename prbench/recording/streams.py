@@ -19,6 +19,9 @@ from prbench.timelines import interpolate, slerp
 Side = Literal["left", "right"]
 Action = Literal["pick", "put"]
 ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
+HandSource = Literal["annotated", "contact", "tracked", "body", "movement"]
+"""What told the hand of an event: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, or
+which wrist moved more before the event."""
 
 
 def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
@@ -172,6 +175,8 @@ class AnnotatedEvent:
     hand: Side | None = None
     published_priming: PublishedPriming | None = None
     """None where the dataset publishes no priming."""
+    hand_source: HandSource | None = None
+    """None where the hand is unknown."""
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ import pyarrow as pa
 from prbench.errors import TableError
 from prbench.skeleton import JOINT_SET, N_JOINTS
 
-SCHEMA_VERSION = 2
-"""2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes."""
-READABLE_VERSIONS = (1, 2)
+SCHEMA_VERSION = 3
+"""2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
+the hand."""
+READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
 """Of the columns of ``sequences`` alone, which enters the identity of a table: it outlives changes of the others."""
 
@@ -108,6 +109,7 @@ EVENTS = pa.schema(
         _field("right_wrist", _PRECISE_POINT, nullable=True),
         _field("published_priming", pa.string(), nullable=True),
         _field("published_prime_time", pa.float64(), nullable=True),
+        _field("hand_source", pa.string(), nullable=True),
     ]
 )
 
@@ -124,17 +126,15 @@ RECORDINGS = pa.schema(
     ]
 )
 
-_SINCE_VERSION = dict.fromkeys(
-    (
-        "left_wrist",
-        "right_wrist",
-        "published_priming",
-        "published_prime_time",
-        "excluded_by_dataset",
-        "not_published",
-    ),
-    2,
-)
+_SINCE_VERSION = {
+    "left_wrist": 2,
+    "right_wrist": 2,
+    "published_priming": 2,
+    "published_prime_time": 2,
+    "excluded_by_dataset": 2,
+    "not_published": 2,
+    "hand_source": 3,
+}
 """Version of the tables in which a column was added; the others are there from the beginning."""
 
 UNITS = {

@@ -93,6 +93,8 @@ class EventRecord:
     published_priming: str | None = None
     """``primed``, ``not_primed`` or ``excluded`` where the dataset itself says so."""
     published_prime_time: float | None = None
+    hand_source: str | None = None
+    """What told the hand (:data:`prbench.recording.streams.HandSource`); None where it is unknown."""
 
     def __post_init__(self) -> None:
         assert self.outcome in OUTCOMES, self.outcome

@@ -23,6 +23,13 @@ STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
 """In the order in which curation asks."""
 _PART_OF_PRIMING = (OCCLUSION_STAGE, PUBLISHED_STAGE)
 """Stages that stand for priming where an option asks otherwise."""
+_TOLD_BY = {
+    "annotated": " (annotated)",
+    "contact": " (by its contact points)",
+    "tracked": " (by the tracked wrist)",
+    "body": " (by the body's wrist)",
+    "movement": " (it moved more before)",
+}
 _AROUND = 2  # events before and after that are shown
 _SHOWN = 8  # candidates that an error message lists
 
@@ -157,7 +164,9 @@ def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
         return f"somebody else's hand was nearer: {_cm(event.threshold)} away, the wearer's {nearest}"
     if event.outcome == "excluded_category":
         return "a door, drawer or the like: turned or slid in its place, not picked up"
-    hand = f"nearest at the event: the {event.hand} hand" if event.hand else "no hand was measured at the event"
+    hand = "neither hand is surely the one that reached"
+    if event.hand is not None:
+        hand = f"nearest at the event: the {event.hand} hand{_TOLD_BY.get(event.hand_source or '', '')}"
     return f"{hand} (rule: {options.get('in_hand_rule', 'default')})"
 
 
@@ -200,7 +209,8 @@ def _clipping(event: EventRecord, chunk: SequenceChunk | None, protocol: Benchma
     interval = f"from {protocol.curation.lead:g} s before the prime"
     if event.stage == "clipping" and event.value is not None and event.threshold is not None:
         missing = event.threshold - event.value
-        return f"the recording lacks {missing:.2f} s of the {event.threshold:.2f} s {interval} to the event"
+        needed = f"the {event.threshold:.2f} s {interval} to the event"
+        return f"the recording, or the body in it, lacks {missing:.2f} s of {needed}"
     if chunk is None:
         return f"the recording covers it {interval}"
     n, start = int(chunk.n_frames[0]), float(chunk.numbers("start_time")[0])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prbench.recording.reaching_hand import LEAST_DIFFERENCE
 from prbench.sequences.sequence import EventRecord
 from prbench.synthetic.performance import TrueEvent
 
@@ -15,6 +16,7 @@ LARGEST_DIFFERENCE = 0.5
 """Seconds between a found and a true event that may be the same."""
 NOT_AN_EVENT = "not_an_event"
 LOST = "lost"
+_SEQUENCE = "sequence"
 PRIMED_STAGES = ("priming", "clipping", "body", "filters")
 """Stages at which it is known whether an event was primed."""
 
@@ -90,10 +92,43 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Verification:
-    """How well curation found what was acted out; ``thin`` events are left out of every number but their own count.
+class HandCounts:
+    """Whether located events name the hand that truly reached."""
 
-    Events that are tagged ``lost`` (not tracked around the event) are counted apart.
+    right: int
+    wrong: int
+    unknown: int
+    contradicted: int
+    """Events of which the table's own wrists say that the other hand was nearer."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """An event that should have become a sequence and did not: which stage said no, and by which number."""
+
+    event_id: str
+    """Of the truth."""
+    action: str
+    outcome: str
+    stage: str
+    """Empty for an event that was not found at all."""
+    value: float | None
+    threshold: float | None
+
+    @property
+    def text(self) -> str:
+        """One line for a terminal."""
+        decided = f" at {self.stage}" if self.stage else ""
+        numbers = "" if self.value is None or self.threshold is None else f": {self.value:.3f} / {self.threshold:.3f}"
+        return f"{self.event_id} ({self.action}): {self.outcome}{decided}{numbers}"
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How well curation found what was acted out.
+
+    Events that are ``thin`` are left out of every number but their own count and the hands. Events that are tagged
+    ``lost`` (not tracked around the event) are counted apart.
     """
 
     recordings: int
@@ -120,6 +155,10 @@ class Verification:
     """5th, 50th and 95th percentile of the same."""
     prime_first: Spread
     """Found minus true first instant of looking there at all, seconds."""
+    hands: HandCounts
+    expected_sequences: int
+    missed_sequences: tuple[Miss, ...]
+    """Those of the expected ones that did not become sequences."""
     lost: dict[str, int]
     """What became of events around which the object was not tracked: found, reported or missed."""
     confusion: dict[tuple[str, str], int]
@@ -155,8 +194,46 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
         prime=Spread.of(errors),
         prime_quantiles=_quantiles(errors),
         prime_first=Spread.of(late),
+        hands=_hand_counts(matches),
+        expected_sequences=sum(m.expected == _SEQUENCE for m in real),
+        missed_sequences=_missed(real),
         lost=_lost_counts(lost),
         confusion=dict(sorted(Counter((m.expected, m.outcome) for m in counted).items())),
+    )
+
+
+def _hand_counts(matches: Sequence[Match]) -> HandCounts:
+    """Of all events of the wearer at a known place: being ``thin`` says nothing of the hand."""
+    pairs = [(m.true, m.found) for m in matches if m.true is not None and m.found is not None]
+    located = [(t, f) for t, f in pairs if f.location is not None and f.outcome != "other_wearer"]
+    return HandCounts(
+        right=sum(f.hand == t.hand for t, f in located),
+        wrong=sum(f.hand is not None and f.hand != t.hand for t, f in located),
+        unknown=sum(f.hand is None for _, f in located),
+        contradicted=sum(_is_contradicted(f) for _, f in located),
+    )
+
+
+def _is_contradicted(event: EventRecord) -> bool:
+    if event.hand is None or event.location is None or event.left_wrist is None or event.right_wrist is None:
+        return False
+    left, right = (float(np.linalg.norm(wrist - event.location)) for wrist in (event.left_wrist, event.right_wrist))
+    farther = left - right if event.hand == "left" else right - left
+    return farther > LEAST_DIFFERENCE
+
+
+def _missed(real: Sequence[Match]) -> tuple[Miss, ...]:
+    return tuple(
+        Miss(
+            event_id=m.true.event_id,
+            action=m.true.action,
+            outcome=m.outcome,
+            stage="" if m.found is None else m.found.stage,
+            value=None if m.found is None else m.found.value,
+            threshold=None if m.found is None else m.found.threshold,
+        )
+        for m in real
+        if m.true is not None and m.expected == _SEQUENCE and m.outcome != _SEQUENCE
     )
 
 

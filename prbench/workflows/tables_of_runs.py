@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from prbench.errors import RunError, TableError, UsageError
 from prbench.runs import RunFolder
 from prbench.runs.record import TableRecord
-from prbench.sequences import SequenceTable
+from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.viewing.replay.run_motions import RunMotions
 from prbench.workflows.first_run import default_table_folder
 
@@ -50,6 +50,35 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
     return tables
 
 
+def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable | None]:
+    """A function that finds the table of a run among the named ones and those in prbench's own cache.
+
+    Raises:
+        TableError: if a named one cannot be opened; the function raises it for one in the cache.
+    """
+    opened = [SequenceTable.open(folder) for folder in data]
+
+    def find(record: TableRecord) -> SequenceTable | None:
+        for table in opened:
+            if _is_table_of(record, table):
+                return table
+        for folder in _embedded():
+            if DatasetInfo.read(folder).content_digest == record.content_digest:
+                opened.append(SequenceTable.open(folder))
+                return opened[-1]
+        return None
+
+    return find
+
+
+def _embedded() -> Iterator[Path]:
+    """Folders of the embedded default table, and of other ones that an earlier version left beside it."""
+    default = default_table_folder()
+    for folder in dict.fromkeys([default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]):
+        if (folder / "dataset.json").is_file():
+            yield folder
+
+
 def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
     record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
     if not _is_table_of(record, table):
@@ -66,12 +95,10 @@ def _is_table_of(record: TableRecord, table: SequenceTable) -> bool:
 
 def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
     """The embedded default table, or another one that an earlier version left beside it."""
-    default = default_table_folder()
-    for folder in [default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]:
-        if (folder / "dataset.json").is_file():
-            table = SequenceTable.open(folder).with_sequences()
-            if table.info.dataset == record.dataset and _is_table_of(record, table):
-                return table
+    for folder in _embedded():
+        table = SequenceTable.open(folder)
+        if table.info.dataset == record.dataset and _is_table_of(record, table):
+            return table
     raise TableError(
         f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
         " which is not among the embedded ones. Name its folder with --data DIR."

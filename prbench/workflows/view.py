@@ -8,6 +8,7 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH
+from prbench.evaluation.verification import RunChecker
 from prbench.paths import turn_into_paths
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
@@ -84,7 +85,7 @@ def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
 
     Raises:
         UsageError: if the file's suffix is unknown, or a sequence is unknown or left out by a run.
-        RunError: if a run has no predictions, or was made on another table.
+        RunError: if a run has no predictions, was made on another table, or its scores are not those of its motions.
         TableError: if a table cannot be found or read.
         RedistributionError: if nothing is left that the licence lets be shown.
         MissingExtraError: if MP4 or HTML is asked for without the extra `view`.
@@ -104,12 +105,22 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
         tables = tables_of_runs(runs, request.data)
     else:
         tables = [SequenceTable.open(path).with_sequences() for path in request.data]
+    for table in tables:
+        _require_genuine_scores(runs, table)
     shown = [Shown(table, _opened(runs, labels, table, request.sample)) for table in tables]
     scenes: list[Scene] = []
     for part, ids in zip(shown, _chosen(request, shown), strict=True):
         if ids:
             scenes += read_scenes(part.table, ids, part.generated, permitted=request.permitted)
     return tuple(scenes)
+
+
+def _require_genuine_scores(runs: Sequence[RunFolder], table: SequenceTable) -> None:
+    """Refuse runs whose scores, which stand beside the motions, are not those of the motions."""
+    for run in runs:
+        record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+        if run.dataset(record.dataset).finished:
+            RunChecker(lambda _: table).check(run, record)
 
 
 @dataclass(frozen=True)

@@ -142,6 +142,15 @@ def test_a_gap_in_the_body_is_too_short_and_a_small_one_is_bridged() -> None:
     assert event.value == pytest.approx(0.3, abs=0.02)
 
 
+def test_a_body_that_begins_after_the_sequence_should_is_told_as_missing_time_and_not_as_a_gap() -> None:
+    start = curate(scene()).sequences[0].start_time
+    event = curate(scene(body=body(FAST[start + 0.02 < FAST]))).events[0]
+    assert (event.outcome, event.stage) == ("too_short", "clipping")
+    assert event.threshold is not None
+    assert event.value is not None
+    assert event.threshold - event.value == pytest.approx(0.02, abs=1 / 120), "less than the gap that is bridged"
+
+
 def test_without_a_body_events_are_kept_as_no_body() -> None:
     assert outcomes(curate(scene(body=None))) == ["no_body", "no_body"]
 

@@ -148,6 +148,18 @@ def test_a_door_is_excluded_by_category_and_kept_by_option() -> None:
     assert [event.rejected for event in events(door, kept)] == [None, None]
 
 
+def test_where_the_contact_points_were_lost_the_wrists_tell_the_hand() -> None:
+    """The other hand is still measured, half a metre away: it is not the one that put the cup down."""
+    fingers = finger_path(FAST)
+    away = np.tile([0.6, 0.9, 0.1], (len(FAST), 1))
+    lost = (FAST > PUT - 0.7) & (FAST < PUT + 0.7)
+    right = dataclasses.replace(hand("right", FAST, fingers), valid=~lost)
+    wrists = (hand("left", FAST, away, "wrist"), hand("right", FAST, fingers - [0, 0, 0.08], "wrist"))
+    pick, put = events(scene(hands=(hand("left", FAST, away), right, *wrists)))
+    assert (pick.hand, pick.hand_source) == ("right", "contact")
+    assert (put.hand, put.hand_source) == ("right", "tracked")
+
+
 def test_an_object_already_in_hand_has_no_pick_and_one_still_in_hand_no_put() -> None:
     late = scene(objects=(track(SLOW[SLOW > PICK + 1], cup_centre(SLOW)[SLOW > PICK + 1]),))
     early = scene(objects=(track(SLOW[SLOW < PUT - 1], cup_centre(SLOW)[SLOW < PUT - 1]),))

@@ -8,8 +8,8 @@ from prbench.cli import main
 from prbench.errors import RunError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
+from prbench.evaluation.verification import recording_key
 from prbench.leaderboard import compare_runs
-from prbench.leaderboard.comparison import recording_key
 from tests.fakes import fake_dataset
 
 
@@ -30,8 +30,8 @@ def folder(tmp_path_factory):
 
 
 def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
-    rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted")}
-    back = {row.info.id: row.comparison for row in compare_runs(folder / "scripted", folder / "truth")}
+    rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
+    back = {row.info.id: row.comparison for row in compare_runs(folder / "scripted", folder / "truth").metrics}
     assert set(rows) == {
         "prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating",
     }  # fmt: skip
@@ -44,7 +44,7 @@ def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
 
 
 def test_a_run_does_not_differ_from_itself(folder):
-    for row in compare_runs(folder / "scripted", folder / "scripted"):
+    for row in compare_runs(folder / "scripted", folder / "scripted").metrics:
         assert row.comparison.difference.mean == 0
         assert row.comparison.conclusion == "not supported by the data"
 

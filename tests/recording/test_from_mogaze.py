@@ -66,7 +66,19 @@ def test_pick_at_the_start_and_put_at_the_end_of_a_segment() -> None:
     assert (put.action, put.event_time, put.object_id) == ("put", PUT / 120, str(CUP))
     assert pick.location == pytest.approx([0.0, 0.8, 0.5])
     assert put.location == pytest.approx([0.5, 0.8, 0.5]), "where it will rest, not where it is"
-    assert (pick.hand, put.hand) == ("left", "left")
+    assert (pick.hand, put.hand) == (None, None), "the person stands still, half a metre away"
+
+
+def test_the_body_tells_the_hand_of_an_object_that_it_holds() -> None:
+    body = _recording(still_life()).body
+    assert body is not None
+    beside = np.linalg.inv(_recording(still_life()).world_from_source) @ [
+        *(body.joints[0, Joint.RIGHT_WRIST] + (0.0, 0.0, 0.1)),
+        1.0,
+    ]
+    held = _with_body(still_life(), CUP, position=np.tile(beside[:3], (N, 1)))
+    for event in _recording(held).annotated_events:
+        assert (event.hand, event.hand_source) == ("right", "body")
 
 
 def test_a_put_takes_the_median_place_of_the_next_twelve_frames() -> None:

@@ -11,9 +11,10 @@ from prbench.formats import hd_epic
 from prbench.formats.hd_epic import ObjectMask, ObjectTrack, PublishedSide
 from prbench.manifests import load_manifest
 from prbench.recording.from_mps import MpsStreams
-from prbench.recording.hd_epic_events import annotated_events, masks_of_sides, nearest_wrist
+from prbench.recording.hd_epic_events import annotated_events, masks_of_sides
 from prbench.recording.hd_epic_priming import MaskedEvent, published_priming
-from prbench.recording.streams import GazeStream, HandStream, PoseStream
+from prbench.recording.streams import BodyStream, GazeStream, HandStream, PoseStream
+from prbench.skeleton import N_JOINTS, WRISTS
 
 THRESHOLDS = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
 CLOCK = hd_epic.VideoClock(50_000_000_000 + np.rint(np.arange(600) * 1e9 / 30).astype(np.int64))  # 20 s from 50 s on
@@ -69,8 +70,8 @@ def _readings(*tracks: ObjectTrack, priming=None, clock=CLOCK) -> hd_epic.HdEpic
     return hd_epic.HdEpicReadings("P09-x", "P09", clock, tracks, priming, frames, None)
 
 
-def _events(*tracks: ObjectTrack, boxes="point", streams=None, **readings):
-    return annotated_events(_readings(*tracks, **readings), streams or _streams(), THRESHOLDS, boxes=boxes)
+def _events(*tracks: ObjectTrack, boxes="point", streams=None, body=None, **readings):
+    return annotated_events(_readings(*tracks, **readings), streams or _streams(), body, THRESHOLDS, boxes=boxes)
 
 
 def test_pick_is_the_start_and_put_the_end_on_the_device_clock() -> None:
@@ -120,24 +121,31 @@ def test_a_cube_has_the_size_of_the_2d_box_at_its_distance() -> None:
     assert "boxes: cubes as large as the 2D boxes say at the distance of the point" in remarks
 
 
-def _wrist(side: str, place, valid=True) -> HandStream:
+def _wrist(side: str, place) -> HandStream:
     times = 50 + np.arange(0, 20, 0.1)
     points = np.tile(np.array(place, dtype=np.float64), (len(times), 1, 1))
-    return HandStream(side, "wrist", times, points, np.full(len(times), valid))  # type: ignore[arg-type]
+    return HandStream(side, "wrist", times, points, np.ones(len(times), dtype=bool))  # type: ignore[arg-type]
 
 
-def test_the_nearest_surely_tracked_wrist_is_the_hand() -> None:
-    far, near = _wrist("left", (0.0, 0.0, 0.0)), _wrist("right", (1.0, 3.0, -1.8))
-    place = np.array([1.0, 3.0, -2.0])
-    assert nearest_wrist((far, near), 52.03, place) == "right"
-    assert nearest_wrist((far, dataclasses.replace(near, valid=np.zeros(200, dtype=bool))), 52.03, place) == "left"
-    assert nearest_wrist((), 52.03, place) is None
+def _body(left, right) -> BodyStream:
+    times = 50 + np.arange(0, 20, 0.033)
+    joints = np.zeros((len(times), N_JOINTS, 3))
+    joints[:, WRISTS] = [left, right]
+    return BodyStream(times, joints, np.ones(len(times), dtype=bool))
 
 
-def test_a_wrist_that_was_not_seen_around_the_event_is_not_asked() -> None:
-    wrist = _wrist("left", (0.0, 0.0, 0.0))
-    gap = (wrist.times < 51.9) | (wrist.times > 52.2)
-    assert nearest_wrist((dataclasses.replace(wrist, valid=gap),), 52.05, np.zeros(3)) is None
+def test_the_hand_that_the_glasses_lost_is_told_by_the_body() -> None:
+    """The issue's event: the left wrist, 0.476 m away, was tracked, and the right one, 0.094 m away, was not."""
+    only_left = _streams(wrists=(_wrist("left", (1.0, 3.0, -1.524)),))
+    body = _body((1.0, 3.0, -1.524), (1.0, 3.0, -1.906))
+    (pick, _), _ = _events(track(2.0, 4.5, mask(60), mask(135)), streams=only_left, body=body)
+    assert (pick.hand, pick.hand_source) == ("right", "body")
+
+
+def test_a_far_wrist_alone_tells_no_hand() -> None:
+    only_left = _streams(wrists=(_wrist("left", (1.0, 3.0, -1.524)),))
+    (pick, _), _ = _events(track(2.0, 4.5, mask(60), mask(135)), streams=only_left)
+    assert (pick.hand, pick.hand_source) == (None, None)
 
 
 def side(frame: int, place, primed: int, *, is_start=True, key="0/start") -> PublishedSide:

@@ -15,7 +15,7 @@ from prbench.sequences.unchanged import UnverifiedTableWarning
 from tests.fakes import fake_dataset
 
 LATER = {
-    "events": ["left_wrist", "right_wrist", "published_priming", "published_prime_time"],
+    "events": ["left_wrist", "right_wrist", "published_priming", "published_prime_time", "hand_source"],
     "recordings": ["excluded_by_dataset", "not_published"],
 }
 
@@ -41,6 +41,19 @@ def test_a_table_of_version_1_opens_with_nulls_and_zeros(tmp_path) -> None:
         assert old.recordings()[name].to_pylist() == [0] * recordings.num_rows
     assert old.events().select(["event_id", "outcome"]).equals(events.select(["event_id", "outcome"]))
     assert old.identity == identity, "the sequences are what they were"
+
+
+def test_a_table_of_version_2_opens_without_what_told_the_hand(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    _as_version(table, "events", "2", ["hand_source"])
+    assert table.events()["hand_source"].null_count == 6
+
+
+def test_a_table_of_version_3_must_tell_it(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    _as_version(table, "events", "3", ["hand_source"])
+    with pytest.raises(TableError, match="expected a column 'hand_source'"):
+        table.events()
 
 
 def test_a_table_of_version_2_must_hold_them(tmp_path) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from prbench.recording.streams import HandSource
 from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "table.md").read_text(encoding="utf-8")
@@ -32,3 +34,7 @@ def test_every_column_is_explained(section, columns):
 
 def test_every_outcome_is_listed():
     assert all(f"`{outcome}`" in PAGE for outcome in OUTCOMES)
+
+
+def test_everything_that_tells_a_hand_is_explained():
+    assert _columns("Which hand reached") == set(get_args(HandSource)) | {"hand_source"}

@@ -14,24 +14,25 @@ from prbench.workflows.matching import Spread, match_events, verification
 
 def true(
     time: float, *, action: str = "pick", name: str = "1", tag: str = "plain", expected: str = "sequence",
-    prime: float | None = -3.0, thin: bool = False,
+    prime: float | None = -3.0, thin: bool = False, hand: str = "left",
 ) -> TrueEvent:  # fmt: skip
     zero, time = np.zeros(3), float(time)
     prime_time = None if prime is None else time + prime
     return TrueEvent(
-        "e", action, tag, name, "cup", "left", time, time, time, zero, zero, zero, prime_time, prime_time, prime_time,
+        "e", action, tag, name, "cup", hand, time, time, time, zero, zero, zero, prime_time, prime_time, prime_time,
         None, time - 1, time - 1, expected, thin,
     )  # fmt: skip
 
 
 def found(
     time: float, *, action: str = "pick", name: str = "1", outcome: str = "sequence", prime: float | None = -3.0,
-    stage: str = "filters",
+    stage: str = "filters", hand: str | None = "left", **columns,
 ) -> EventRecord:  # fmt: skip
     point, time = np.array([0.0, 0.0, 0.01]), float(time)
     return EventRecord(
-        f"{name}/{action}/{time}", "r", None, name, "cup", action, "left", time,
+        f"{name}/{action}/{time}", "r", None, name, "cup", action, hand, time,
         None if prime is None else time + prime, None, point, point, point, outcome, stage, None, None,
+        **columns,
     )  # fmt: skip
 
 
@@ -90,6 +91,24 @@ def test_thin_and_lost_events_and_what_was_found_of_them_count_nowhere_else() ->
     assert (result.true_events, result.found_events, result.thin) == (1, 1, 1)
     assert result.lost == {"found": 0, "reported": 1, "missed": 1}
     assert result.timing.largest == 0.0
+
+
+def test_hands_are_right_wrong_or_unknown_and_may_contradict_their_own_wrists() -> None:
+    near, far = np.array([0.1, 0.0, 0.0]), np.array([0.5, 0.0, 0.0])
+    matches = match_events(
+        [true(10), true(20), true(30, hand="right"), true(40)],
+        [found(10), found(20, hand=None), found(30, left_wrist=far, right_wrist=near), found(40, left_wrist=near)],
+    )
+    counts = verification(matches, recordings=1).hands
+    assert (counts.right, counts.wrong, counts.unknown, counts.contradicted) == (2, 1, 1, 1)
+
+
+def test_every_sequence_that_is_missing_is_listed_with_what_decided() -> None:
+    unseen = {"prime": None, "outcome": "not_primed", "stage": "priming"}
+    matches = match_events([true(10), true(20), true(30), true(40, thin=True)], [found(10), found(20, **unseen)])
+    result = verification(matches, recordings=1)
+    assert result.expected_sequences == 3
+    assert [miss.text for miss in result.missed_sequences] == ["e (pick): not_primed at priming", "e (pick): not_found"]
 
 
 def test_what_is_no_event_must_not_be_found() -> None:

@@ -41,6 +41,16 @@ def score_run(
     return tuple(ScoreReport(one.scores, one.summary, at, motionless) for one, at in zip(scored, folders))
 
 
+def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
+    """The scores that the motions of a run have now, of all sequences that it was made on.
+
+    Raises:
+        RunError: if it is of another table.
+        PredictionsError: if motions are missing, or one cannot be scored.
+    """
+    return _scored(run, table, ScoreRequest(predictions=run.path, data=(table.folder,)), work)
+
+
 def _scored(run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work) -> Scored:
     _require_same_table(run, table)
     chosen, selection = _selections(request, run.record, table)
