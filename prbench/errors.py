@@ -107,6 +107,10 @@ class StorageError(PrbenchError):
     exit_code = 8
 
 
+class RecordingsWouldBeLost(StorageError):
+    """A built table would be replaced by one that holds less, and the user has not asked for that."""
+
+
 class MemoryFullError(PrbenchError):
     """The machine's memory does not suffice for one item of the work, also when nothing else is done beside it.
 

@@ -59,6 +59,9 @@ LARGEST_HEADER = 100 * 2**20
 LONGEST_MESSAGE = 4000
 """Characters of one message, on the terminal and in a table."""
 
+LARGEST_UNPACKED_FOR_ITS_END = 32 * 2**20
+"""Bytes of an archived file that `prbench inspect` unpacks to see its last line."""
+
 LARGEST_PICKLE = 2**20
 """Bytes of one pickled pose, and of all storages that it unpacks; GIMO's have a few thousand."""
 

@@ -14,6 +14,7 @@ FLOORS = {
     "prbench.bounded": 0,
     "prbench.errors": 0,
     "prbench.limits": 0,
+    "prbench.paths": 0,
     "prbench.shown": 0,
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,

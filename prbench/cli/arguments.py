@@ -8,6 +8,8 @@ from pathlib import Path
 
 CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 """What a method can be given; spelt out here, so that ``--help`` imports no arrays."""
+FIRST_RUN_SEQUENCES = 48
+"""What a run on the embedded dataset is limited to (``prbench.workflows.first_run``); spelt out for the same reason."""
 
 
 def command(
@@ -50,9 +52,18 @@ def add_split(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
 
 
-def add_limit(parser: argparse.ArgumentParser) -> None:
-    """``--limit N`` sequences of each dataset."""
-    parser.add_argument("--limit", type=positive, metavar="N", help="only N sequences of each dataset, spread evenly")
+def add_limit(parser: argparse.ArgumentParser, *, default: str = "all") -> None:
+    """``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command.
+
+    Commands that count recordings or motions have options of their own (:func:`prbench.cli.builds.add_recordings`).
+    """
+    parser.add_argument(
+        "--limit",
+        type=positive,
+        metavar="N",
+        help="at most N sequences of each dataset, for every command the same: those whose ids have the smallest"
+        f" SHA-256 (default: {default})",
+    )
 
 
 def add_method_settings(parser: argparse.ArgumentParser) -> None:

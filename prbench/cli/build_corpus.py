@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_workers, command, positive
-from prbench.cli.builds import NOT_EVERYTHING, add_on_error, add_reader_options, print_plan, print_unread
+from prbench.cli.builds import (
+    NOT_EVERYTHING,
+    add_on_error,
+    add_reader_options,
+    add_recordings,
+    add_replace,
+    print_plan,
+    print_unread,
+)
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
@@ -27,12 +35,18 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("corpus", help="nymeria, humanml3d or synthetic")
     parser.add_argument("--root", type=Path, metavar="DIR", help="your copy of the dataset (not for synthetic)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the corpus; an earlier corpus is replaced")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the corpus; an earlier one is replaced once the new one is ready, if that lacks nothing",
+    )
+    add_replace(parser, what="corpus")
     parser.add_argument(
         "--recordings", default="*", metavar="GLOB|N", help="only recordings whose name matches; of synthetic: how many"
     )
     parser.add_argument("--seed", type=int, default=0, help="of a synthetic corpus (default 0)")
-    parser.add_argument("--limit", type=positive, metavar="N", help="only the first N recordings, by name")
+    add_recordings(parser)
     parser.add_argument("--fps", type=float, metavar="N", help="frames a second of the clips (default 20)")
     parser.add_argument("--max-frames", type=positive, metavar="N", help="cut longer clips (default: 12 s)")
     parser.add_argument("--dry-run", action="store_true", help="say what would be read, and write nothing")
@@ -79,6 +93,7 @@ def _options(arguments: argparse.Namespace) -> CorpusOptions:
         limit=arguments.limit,
         source=tuple(sorted(source.items())),
         on_error=arguments.on_error,
+        replace=arguments.replace,
     )
 
 

@@ -6,11 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.arguments import add_workers, command
 from prbench.cli.builds import (
     NOT_EVERYTHING,
     add_on_error,
     add_reader_options,
+    add_recordings,
+    add_replace,
+    print_cut_short,
     print_fruitless,
     print_plan,
     print_unread,
@@ -38,9 +41,15 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("dataset", help="name of the dataset, for example adt; 'all' for whatever lies below --root")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the table; an earlier table is replaced")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing",
+    )
+    add_replace(parser)
     parser.add_argument("--recordings", default="*", metavar="GLOB", help="only recordings whose name matches")
-    parser.add_argument("--limit", type=positive, metavar="N", help="only the first N recordings, by name")
+    add_recordings(parser)
     parser.add_argument("--dry-run", action="store_true", help="say what would be read, and write nothing")
     parser.add_argument("--in-hand", metavar="RULE", help="another in-hand rule of the manifest, for example wrist")
     parser.add_argument("--ray-origin", choices=["eye", "camera"], help="where gaze rays start (default: eye)")
@@ -157,6 +166,7 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
         limit=arguments.limit,
         reader=tuple(sorted((_meshes(arguments) | dict(arguments.option) | _poses(arguments)).items())),
         on_error=arguments.on_error,
+        replace=arguments.replace,
     )
 
 
@@ -186,6 +196,8 @@ def _print_report(report: BuildReport) -> int:
         f"{report.info.title}: from files to sequences", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2)
     )
     print_unread(report.records, reused=report.reused)
+    print_cut_short(report.records)
     print_fruitless(report.records)
     print(f"table: {report.folder}")
-    return NOT_EVERYTHING if report.info.counts.recordings_failed else 0
+    counts = report.info.counts
+    return NOT_EVERYTHING if counts.recordings_failed or counts.recordings_cut_short else 0

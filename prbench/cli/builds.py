@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import key_value
+from prbench.cli.arguments import key_value, positive
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusPlan
@@ -27,6 +27,20 @@ def add_on_error(parser: argparse.ArgumentParser, *, what: str = "a recording", 
         default="skip",
         help=f"go on without {what} that cannot be read and name {them} (default), or fail at once",
     )
+
+
+def add_replace(parser: argparse.ArgumentParser, *, what: str = "table") -> None:
+    """``--replace``: lose what an earlier result holds."""
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help=f"replace an earlier {what} even where the new one lacks recordings that it holds (refused by default)",
+    )
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """``--limit N`` recordings; where sequences are counted, see :func:`prbench.cli.arguments.add_limit`."""
+    parser.add_argument("--limit", type=positive, metavar="N", help="at most N recordings: the first by name")
 
 
 def add_reader_options(
@@ -66,10 +80,23 @@ def print_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: i
             print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
 
 
+def print_cut_short(records: Iterable[RecordingRecord]) -> None:
+    """Name the recordings of which a stream ends early: events may be missing, and nothing else would tell."""
+    for record in records:
+        for shortfall in record.shortfalls:
+            print(f"cut short: {record.recording_id}: {shortfall}", file=sys.stderr)
+
+
 def print_fruitless(records: Iterable[RecordingRecord]) -> None:
-    """Name the recordings that were read and gave no sequence, with what the reader remarked: gaze may be missing."""
+    """Name the recordings that were read and gave no sequence, and why; what a reader remarks is seldom the cause."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
-            told = f": {record.message}" if record.message else ""
-            events = sum(record.outcomes.values())
-            print(f"no sequence: {record.recording_id}, of {events} events{told}", file=sys.stderr)
+            print(f"no sequence: {record.recording_id}: {_why_fruitless(record)}", file=sys.stderr)
+
+
+def _why_fruitless(record: RecordingRecord) -> str:
+    """What became of its events, the most frequent outcome first, and what the recording lacks."""
+    outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
+    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+    told = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
+    return "; ".join((told, *record.lacks))

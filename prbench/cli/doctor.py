@@ -37,7 +37,9 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="behind the opaque ids, with --data (default 0)")
     parser.add_argument("--fps", type=float, metavar="F", help="rate of the motions (default: that asked for, else 20)")
-    parser.add_argument("--limit", type=positive, default=200, metavar="N", help="look at N motions (default 200)")
+    parser.add_argument(
+        "--limit", type=positive, default=200, metavar="N", help="at most N motions, evenly spread (default 200)"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the report as JSON, too")
 
 

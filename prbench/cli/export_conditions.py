@@ -7,7 +7,16 @@ import shlex
 import sys
 from pathlib import Path
 
-from prbench.cli.arguments import CONDITIONS, add_data, add_limit, add_permission, add_split, command, positive
+from prbench.cli.arguments import (
+    CONDITIONS,
+    FIRST_RUN_SEQUENCES,
+    add_data,
+    add_limit,
+    add_permission,
+    add_split,
+    command,
+    positive,
+)
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -70,5 +79,19 @@ def _export(arguments: argparse.Namespace) -> int:
     for line in report.notices:
         print(f"notice: {line}")
     print(f"{report.rows} motions to generate: {report.out}")
+    _tell_first_run(arguments)
     print(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(report.out))} --data …", file=sys.stderr)
     return 0
+
+
+def _tell_first_run(arguments: argparse.Namespace) -> None:
+    """Runs without ``--data`` take a part of the embedded dataset, this command all of it unless it is told."""
+    from prbench.workflows.first_run import default_table_folder
+
+    embedded = default_table_folder().resolve()
+    if arguments.limit is None and any(folder.resolve() == embedded for folder in arguments.data):
+        print(
+            f"this is the embedded dataset, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
+            f" sequences: --limit {FIRST_RUN_SEQUENCES} exports the same ones.",
+            file=sys.stderr,
+        )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SHOWN = 30
 NOT_COMPLETE = 3
-"""Exit code when something is missing, damaged or unreadable."""
+"""Exit code when something is missing, damaged, cut short or unreadable."""
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -25,7 +25,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser = command(
         commands,
         "inspect",
-        summary="say what a folder holds, and which recordings are complete, incomplete or damaged",
+        summary="say what a folder holds, and which recordings are complete, cut short, incomplete or damaged",
         example="prbench inspect /data",
         execute=_inspect,
     )

@@ -8,7 +8,8 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import command, positive
+from prbench.cli.arguments import command
+from prbench.cli.builds import add_recordings
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
@@ -34,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--dataset", metavar="NAME", help="hd-epic, hot3d or adt (default: what the folder holds)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="how to run EgoAllo; without it, says what to do")
     parser.add_argument("--recordings", default="*", metavar="GLOB", help="only recordings whose name matches")
-    parser.add_argument("--limit", type=positive, metavar="N", help="only the first N recordings, by name")
+    add_recordings(parser)
     parser.add_argument("--poses-root", type=Path, metavar="DIR", help="folder of outputs (default: ROOT/egoallo)")
     parser.add_argument("--dry-run", action="store_true", help="say which recordings lack a body, and run nothing")
     parser.add_argument("--prepare", action="store_true", help="only write EgoAllo's input folders, to run it by hand")

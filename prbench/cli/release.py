@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_permission, command, key_value
-from prbench.cli.builds import NOT_EVERYTHING, add_on_error
+from prbench.cli.builds import NOT_EVERYTHING, add_on_error, add_replace
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def _add_import(commands: argparse._SubParsersAction) -> None:
         help="frame 0 belongs to the sequence (default), or is the frame before it",
     )
     add_on_error(parser, what="sequences", them="them")
+    add_replace(parser)
 
 
 def _add_export(commands: argparse._SubParsersAction) -> None:
@@ -82,6 +83,7 @@ def _import(arguments: argparse.Namespace) -> int:
         field_map=dict(arguments.field_map),
         first_frame_is_previous=arguments.first_frame == "previous",
         on_error=arguments.on_error,
+        replace=arguments.replace,
     )
     result = import_release(
         arguments.root,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import (
     CONDITIONS,
+    FIRST_RUN_SEQUENCES,
     add_data,
     add_limit,
     add_method_settings,
@@ -57,7 +58,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
     parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: one under ./runs); resumes")
     add_split(parser)
-    add_limit(parser)
+    add_limit(parser, default=f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
     parser.add_argument(
         "--minutes",
         type=positive,
@@ -124,6 +125,8 @@ def _run(arguments: argparse.Namespace) -> int:
             print_summary(summary, origin=method.origin, motionless=method.motionless)
     if first_run:
         _in_company(request, report, engine)
+        if request.limit is not None:
+            _tell_limit(request)
     print(f"run folder: {report.folder.path}")
     if arguments.view is not None:
         _view(arguments, report.folder.path, data)
@@ -259,3 +262,12 @@ def _embedded_table(engine: Engine) -> Path:
         )
     with progress("building synthetic data") as show:
         return default_table(engine, show, tell=lambda line: print(line, file=sys.stderr)).folder
+
+
+def _tell_limit(request: RunRequest) -> None:
+    """Which of the embedded sequences were run, and how a method that runs elsewhere gets the same ones."""
+    print(
+        f"these are {request.limit} of its sequences (--limit N takes another number); for the same ones elsewhere:"
+        f" prbench export-conditions --data {request.data[0]} --limit {request.limit} …",
+        file=sys.stderr,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from prbench.cli.arguments import CONDITIONS, add_data, add_workers, command, positive
+from prbench.cli.arguments import CONDITIONS, add_data, add_limit, add_workers, command, positive
 from prbench.cli.progress import progress
 from prbench.cli.summaries import print_summary
 
@@ -34,7 +34,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--name", help="of the method, for summaries and leaderboards (default: that of the file)")
     parser.add_argument("--split", choices=["train", "validation", "test"], help="default: that of the run, else test")
-    parser.add_argument("--limit", type=positive, metavar="N", help="the predictions cover only these N sequences")
+    add_limit(parser, default="those of the run or the conditions")
     parser.add_argument("--seed", type=int, help="behind the opaque ids, if the predictions have those (default 0)")
     parser.add_argument("--condition", choices=CONDITIONS, help="what the method was given; leaderboards need it")
     parser.add_argument("--control", choices=["shuffled-goal"], help="the method was given other sequences' goals")

@@ -11,6 +11,7 @@ from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
     from prbench.published import PublishedRow
+    from prbench.sequences import DatasetInfo
     from prbench.sequences.table_one import TableStatistics
 
 
@@ -36,13 +37,14 @@ def _stats(arguments: argparse.Namespace) -> int:
         from prbench.viewing.table_one import require_drawable
 
         require_drawable(arguments.draw)
-    statistics = [table_statistics(SequenceTable.open(folder)) for folder in arguments.data]
+    tables = [SequenceTable.open(folder) for folder in arguments.data]
+    statistics = [table_statistics(table) for table in tables]
     published = load_table_one()
     rows = []
     for each in statistics:
         row = published.get(each.dataset.removeprefix("synthetic-"))
         rows += [_ours(each), _theirs(row)] if row else [_ours(each)]
-        rows += [_deviations(each, row)] if row else []
+        rows += [_deviations(each, row)] if row and each.sequences else []
     print_table(
         "prime-and-reach sequences (mean ± standard deviation over sequences)",
         (
@@ -66,14 +68,40 @@ def _stats(arguments: argparse.Namespace) -> int:
                 f"{each.dataset}: {each.participants_in_two_splits} participants have sequences in both train and test;"
                 " the protocol splits by recording, as the study does."
             )
+    for table in tables:
+        _print_remarks(table.info)
     if any(each.dataset.startswith("synthetic-") for each in statistics):
         print("Synthetic sequences imitate the published means; their counts and scores are not comparable with them.")
     if arguments.draw is not None:
         from prbench.viewing.table_one import draw_table_one
 
-        draw_table_one(statistics, arguments.draw)
+        draw_table_one(_with_sequences(statistics), arguments.draw)
         print(f"drawing: {arguments.draw}")
     return 0
+
+
+def _with_sequences(statistics: list[TableStatistics]) -> list[TableStatistics]:
+    """Those of which there is something to draw."""
+    from prbench.errors import TableError
+
+    drawable = [each for each in statistics if each.sequences]
+    if not drawable:
+        raise TableError("--draw: nothing to draw, since no table holds sequences (see above).")
+    return drawable
+
+
+def _print_remarks(info: DatasetInfo) -> None:
+    """Why a table holds no sequences, and that recordings of it are cut short."""
+    from prbench.sequences.table import why_no_sequences
+
+    counts = info.counts
+    if not counts.sequences:
+        print(f"{info.dataset}: no sequences. {why_no_sequences(info)}")
+    if counts.recordings_cut_short:
+        print(
+            f"{info.dataset}: {counts.recordings_cut_short} of {counts.recordings_read} recordings are cut short: a"
+            " stream of theirs ends before the others, and events may be missing. Messages in `recordings` name it."
+        )
 
 
 def _ours(each: TableStatistics) -> tuple[str, ...]:
@@ -81,7 +109,7 @@ def _ours(each: TableStatistics) -> tuple[str, ...]:
 
     spreads = [each.spread(name) for name in QUANTITIES]
     counts = [str(each.by_split[split]) for split in ("train", "validation", "test")]
-    numbers = [f"{spread.mean:.2f} ± {spread.sd:.2f}" for spread in spreads]
+    numbers = [f"{spread.mean:.2f} ± {spread.sd:.2f}" if each.sequences else "–" for spread in spreads]
     return (each.dataset, str(each.sequences), *counts, *numbers, ", ".join(each.pose_sources))
 
 

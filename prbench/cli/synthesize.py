@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_workers, command, positive
+from prbench.cli.builds import add_replace
 from prbench.cli.progress import progress
 from prbench.cli.tables import print_table
 
@@ -41,6 +42,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         action="store_true",
         help="write the finished table of sequences instead of native files (the only way for size large)",
     )
+    add_replace(parser)
     parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")
     parser.add_argument("--seed", type=int, default=0, help="of everything (default 0)")
     parser.add_argument("--size", choices=["tiny", "default", "large"], default="tiny", help="how much (default tiny)")
@@ -127,6 +129,7 @@ def _write_tree(arguments: argparse.Namespace) -> None:
 
 def _write_table(arguments: argparse.Namespace) -> None:
     """Recordings that are acted out, sensed and curated in memory: training data without native files."""
+    from prbench.curation import BuildOptions
     from prbench.engine import engine_for
     from prbench.errors import UsageError
     from prbench.synthetic.write_tree import planned_recordings
@@ -147,6 +150,7 @@ def _write_table(arguments: argparse.Namespace) -> None:
             arguments.out,
             engine=engine_for(arguments.workers),
             world="large" if large else "default",
+            options=BuildOptions(replace=arguments.replace),
             progress=show,
             **given,
         )

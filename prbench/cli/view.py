@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_data, add_permission, command, positive
+from prbench.cli.arguments import add_data, add_limit, add_permission, command
 from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -36,9 +36,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         metavar="ID",
         help="show this one; the id, or a beginning, end or part that fits one only; repeatable",
     )
-    parser.add_argument(
-        "--limit", type=positive, metavar="N", help="sequences of each dataset, spread evenly (default 4)"
-    )
+    add_limit(parser, default="4")
     parser.add_argument("--sample", type=int, default=0, metavar="K", help="of runs with several samples (default 0)")
     add_permission(parser)
 

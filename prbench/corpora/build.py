@@ -44,8 +44,8 @@ class CorpusReport:
 
 def build_corpus(
     name: str,
-    root: Path | None,
-    out: Path,
+    root: Path | str | None,
+    out: Path | str,
     *,
     options: CorpusOptions = _DEFAULTS,
     engine: Engine = _IN_PROCESS,
@@ -56,7 +56,8 @@ def build_corpus(
     Args:
         name: ``nymeria``, ``humanml3d`` or ``synthetic``.
         root: The dataset's folder; None for ``synthetic``.
-        out: Folder of the new corpus; an earlier corpus there is replaced when everything is ready.
+        out: Folder of the new corpus; an earlier corpus there is replaced when everything is ready, and
+            only by one that holds its recordings.
         options: What to read, and how to cut it.
         engine: Where recordings are worked on.
         progress: Called after each group of recordings, in order.
@@ -65,7 +66,11 @@ def build_corpus(
         UsageError: for an unknown corpus or option.
         InputFileError: if there is nothing to read.
         StorageError: if ``out`` cannot be written or holds something else.
+        RecordingsWouldBeLost: if the corpus that stands there holds more, and the options do not say to replace it;
+            finished parts are kept.
     """
+    root = None if root is None else Path(root)
+    out = Path(out)
     out = out.expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
     corpus = corpus_for(name)
@@ -86,7 +91,8 @@ def build_corpus(
         dataset = groups[0].recordings[0].belonging.dataset
         info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
         folders = [part.folder for part in finished]
-        info = write_corpus(out, info, {table: parts.read_batches(folders, table) for table in CORPUS_TABLES})
+        tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
+        info = write_corpus(out, info, tables, replace=options.replace)
     records = tuple(record for part in finished for record in part.receipt.records)
     return CorpusReport(out, info, records, sum(len(part.receipt.records) for part in finished if part.reused))
 

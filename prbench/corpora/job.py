@@ -101,7 +101,7 @@ class CorpusJob:
             approximate_clips=sum(clip.approximate for clip in clips),
             frames=sum(clip.n_frames for clip in clips),
         )
-        parts.write_part(folder, batches, msgspec.to_builtins(receipt))
+        parts.write_part(folder, batches, parts.plain(receipt))
         return receipt
 
     def _read(self, recording: CorpusRecording) -> tuple[ReadRecording, CorpusRecord]:

@@ -25,6 +25,8 @@ class CorpusOptions:
     """Options of the corpus' own reader as name and value, sorted by name."""
     on_error: Literal["skip", "fail"] = "skip"
     """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
+    replace: bool = False
+    """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 
     def __post_init__(self) -> None:
         if self.max_frames is not None and self.max_frames < 2:

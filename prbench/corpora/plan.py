@@ -24,13 +24,14 @@ class CorpusPlan:
     estimated_disk_bytes: int
 
 
-def plan_corpus(name: str, root: Path | None, options: CorpusOptions = _DEFAULTS) -> CorpusPlan:
+def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DEFAULTS) -> CorpusPlan:
     """The dry run: what :func:`build_corpus` would read. Writes nothing.
 
     Raises:
         UsageError: for an unknown corpus or option.
         InputFileError: if there is nothing to read.
     """
+    root = None if root is None else Path(root)
     corpus = corpus_for(name)
     corpus.described(options)
     recordings = [each for group in find_groups(corpus, root, options) for each in group.recordings]

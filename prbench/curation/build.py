@@ -55,8 +55,8 @@ class BuildReport:
 
 def build_dataset(
     dataset: str,
-    root: Path,
-    out: Path,
+    root: Path | str,
+    out: Path | str,
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
@@ -67,7 +67,8 @@ def build_dataset(
     Args:
         dataset: Name of the reader, for example ``adt``.
         root: The dataset's folder, or one recording of it.
-        out: Folder of the new dataset; an earlier dataset there is replaced when everything is ready.
+        out: Folder of the new dataset; an earlier dataset there is replaced when everything is ready, and
+            only by one that holds its recordings.
         options: What to read, and how to curate it.
         engine: Where recordings are worked on.
         progress: Called after each recording, in order.
@@ -76,14 +77,18 @@ def build_dataset(
         UsageError: for an unknown dataset or option.
         InputFileError: if there is nothing to read.
         StorageError: if ``out`` cannot be written or holds something else.
+        RecordingsWouldBeLost: if the dataset that stands there holds more, and the options do not say to replace it;
+            finished parts are kept.
     """
+    root = Path(root)
+    out = Path(out)
     sources: tuple[NativeSource, ...] = native_sources(dataset, root, options)
     return build_from_sources(sources, out, options=options, engine=engine, progress=progress)
 
 
 def build_from_sources(
     sources: SequenceOf[RecordingSource],
-    out: Path,
+    out: Path | str,
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
@@ -100,6 +105,7 @@ def build_from_sources(
         progress: See :func:`build_dataset`.
         extra_options: Further entries for the options in ``dataset.json``.
     """
+    out = Path(out)
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="dataset")
     sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
@@ -122,6 +128,8 @@ def build_from_sources(
             sequences=read_batches(receipts, "sequences"),
             events=read_batches(receipts, "events"),
             recordings=read_batches(receipts, "recordings"),
+            replace=options.replace,
+            incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
         )
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)

@@ -74,7 +74,7 @@ def curate_recording(
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
     surroundings = Surroundings(recording, options.ray_caster) if options.occlusion != "off" else None
     stories = [_follow(recording, event, rays, surroundings, protocol, options, split) for event in events]
-    remarks += _missing_parts(recording, rule)
+    lacks = _missing_parts(recording, rule, found=bool(events))
     remarks += occlusion_remarks(recording, options.occlusion, [s.prime.through for s in stories if s.prime])
     return CuratedRecording(
         sequences=tuple(sorted((s.sequence for s in stories if s.sequence), key=lambda row: row.sequence_id)),
@@ -87,7 +87,9 @@ def curate_recording(
             duration=recording.span[1] - recording.span[0],
             outcomes=dict(Counter(story.decision.outcome for story in stories)),
             status="read",
-            message="; ".join((*recording.messages, *remarks)),
+            message="; ".join((*recording.shortfalls, *recording.messages, *remarks, *lacks)),
+            shortfalls=recording.shortfalls,
+            lacks=lacks,
         ),
     )
 
@@ -244,12 +246,20 @@ def _require_published_priming(recording: Recording) -> None:
         )
 
 
-def _missing_parts(recording: Recording, rule: InHandRule | None) -> tuple[str, ...]:
+def _missing_parts(recording: Recording, rule: InHandRule | None, *, found: bool) -> tuple[str, ...]:
+    """What a recording lacks to have events (``found`` says whether it has some) or sequences."""
     remarks = []
     if recording.body is None:
         remarks.append("no_body: no body poses, so no event can become a sequence")
-    if rule is not None and not recording.annotated_events and not recording.hand_streams(rule.contact):
-        remarks.append(f"no {rule.contact} of the wearer's hands, so no events can be found")
+    if rule is None and not found:
+        remarks.append("the dataset lists no pick or put of this recording")
+    if rule is not None and not recording.annotated_events:
+        if not recording.hand_streams(rule.contact):
+            remarks.append(f"no {rule.contact} of the wearer's hands, so no events can be found")
+        elif not any(track.movable for track in recording.objects):
+            remarks.append("no object that can be moved, so no events can be found")
+        elif not found:
+            remarks.append("no hand of the wearer took up or put down an object")
     if not recording.gaze.valid.any():
         remarks.append("no valid gaze, so no event can be primed")
     return tuple(remarks)

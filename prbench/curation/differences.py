@@ -67,14 +67,14 @@ class Difference:
         return not self.changes
 
 
-def compare_builds(first: Path, second: Path) -> Difference:
+def compare_builds(first: Path | str, second: Path | str) -> Difference:
     """Compare two built datasets.
 
     Raises:
         TableError: if a folder holds no built dataset, or one of which a file was edited.
         UsageError: if they are builds of different datasets.
     """
-    tables = [_opened(folder) for folder in (first, second)]
+    tables = [SequenceTable.open(folder) for folder in (first, second)]
     names = [table.info.dataset for table in tables]
     if names[0] != names[1]:
         raise UsageError(f"{first} holds {names[0]} and {second} holds {names[1]}; compare builds of one dataset.")
@@ -105,13 +105,6 @@ def compare_builds(first: Path, second: Path) -> Difference:
 
 Event = dict[str, Any]
 """One row of ``events``."""
-
-
-def _opened(folder: Path) -> SequenceTable:
-    """A table, which may have no sequences."""
-    table = SequenceTable(folder, DatasetInfo.read(folder))
-    table.require_unchanged()
-    return table
 
 
 def _events(table: SequenceTable) -> list[Event]:

@@ -36,6 +36,9 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     counts, outcomes = info.counts, info.outcomes
     left_out = counts.recordings_failed + counts.recordings_skipped
     read_reason = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
+    if counts.recordings_cut_short:
+        cut = f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing"
+        read_reason = f"{read_reason}; {cut}" if read_reason else cut
     rows = [
         FunnelRow("recordings found", counts.recordings_found, 0, ""),
         FunnelRow("recordings read", counts.recordings_read, left_out, read_reason),

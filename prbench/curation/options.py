@@ -106,6 +106,8 @@ class BuildOptions:
     """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers.options`)."""
     on_error: Literal["skip", "fail"] = "skip"
     """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
+    replace: bool = False
+    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 
 
 NO_OPTIONS = BuildOptions()

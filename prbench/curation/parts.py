@@ -45,7 +45,7 @@ def write_part(folder: Path, curated: CuratedRecording, input_digest: str) -> Pa
         "events": event_batch(curated.events),
         "recordings": recording_batch([curated.record]),
     }
-    parts.write_part(folder, batches, {"input_digest": input_digest, "record": msgspec.to_builtins(curated.record)})
+    parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
     return PartReceipt(folder, input_digest, curated.record, reused=False)
 
 

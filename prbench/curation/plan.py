@@ -27,7 +27,7 @@ class BuildPlan:
 _UNMEASURED = BuildEstimate(megabytes_per_second=30.0, table_share=0.02)
 
 
-def plan_build(dataset: str, root: Path, options: BuildOptions = NO_OPTIONS) -> BuildPlan:
+def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTIONS) -> BuildPlan:
     """The dry run: what :func:`build_dataset` would read. Writes nothing.
 
     Raises:

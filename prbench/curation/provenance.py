@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
 
+import msgspec
+
 import prbench
 from prbench.curation.options import BuildOptions
 from prbench.curation.parts import PartReceipt
@@ -47,7 +49,10 @@ def describe(
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
         options=_options(manifest, protocol, options) | dict(extra_options),
-        counts=funnel_counts(statuses, outcomes),
+        counts=msgspec.structs.replace(
+            funnel_counts(statuses, outcomes),
+            recordings_cut_short=sum(bool(receipt.record.shortfalls) for receipt in receipts),
+        ),
         outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
         quarantine=tuple(
             QuarantinedRecording(recording_id=r.record.recording_id, status=r.record.status, message=r.record.message)

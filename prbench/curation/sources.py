@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -22,6 +22,7 @@ from prbench.readers import (
     reader_for,
     require_one_origin,
 )
+from prbench.readers.cut_short import cut_short
 from prbench.readers.digests import remembered_digest
 from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording
@@ -106,8 +107,9 @@ class NativeSource:
         return reader_for(self.dataset, dict(self.reader_options))
 
     def read(self) -> Recording:
-        """See :class:`RecordingSource`."""
-        return self._reader.read(self.found)
+        """See :class:`RecordingSource`; streams that end before the recording does are named."""
+        recording = self._reader.read(self.found)
+        return replace(recording, shortfalls=cut_short(self.found, recording))
 
     def without_places(self, message: str) -> str:
         """See :class:`RecordingSource`."""
@@ -118,13 +120,14 @@ class NativeSource:
 
 
 @foreign_input()
-def native_sources(dataset: str, root: Path, options: BuildOptions) -> tuple[NativeSource, ...]:
+def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tuple[NativeSource, ...]:
     """The recordings of a dataset's folder that the options choose, sorted by id.
 
     Raises:
         UsageError: for a dataset without a reader, or options that it cannot fulfil.
         InputFileError: if there is no recording, or none that matches the glob.
     """
+    root = Path(root)
     reader = reader_for(dataset, dict(options.reader))
     manifest = load_manifest(reader.dataset)
     options.curation.require_fits(manifest)

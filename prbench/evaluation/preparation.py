@@ -90,7 +90,7 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         UsageError: if datasets repeat, or a path or split does not exist.
     """
     forget_loaded_methods()
-    tables = [SequenceTable.open(folder) for folder in request.data]
+    tables = [SequenceTable.open(folder).with_sequences() for folder in request.data]
     names = [table.info.dataset for table in tables]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:

@@ -11,6 +11,7 @@ from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.evaluation.method_names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.evaluation.programs.reference import short_name
+from prbench.paths import turn_into_paths
 
 DEFAULT_BATCH_SIZE = 64
 
@@ -55,6 +56,7 @@ class RunRequest:
     """The run folder; by default one under ``runs`` whose name says what was run."""
 
     def __post_init__(self) -> None:
+        turn_into_paths(self, "data", "weights", "out")
         if not self.data:
             raise UsageError("a run needs one dataset folder or more (--data DIR).")
         for name, value in (

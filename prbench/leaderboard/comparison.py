@@ -35,7 +35,7 @@ class RunComparison:
     """A line for each run and dataset whose scores could not be held against the motions, with the reason."""
 
 
-def compare_runs(first: Path, second: Path, *, checker: RunChecker | None = None) -> RunComparison:
+def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
     Signs are flipped by recording, and p-values corrected after Holm for everything compared here (design, section 3).
@@ -49,6 +49,8 @@ def compare_runs(first: Path, second: Path, *, checker: RunChecker | None = None
         RunError: if a run is unfinished, its scores do not follow from its motions, or the two are not of the same
             protocol, tables and sequences.
     """
+    first = Path(first)
+    second = Path(second)
     runs = RunFolder.open(first), RunFolder.open(second)
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
         raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")

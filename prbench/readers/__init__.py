@@ -61,7 +61,7 @@ class Reader(Protocol):
         """What the user chose; the class of the default value tells which options there are."""
         ...
 
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """List the recordings below ``root`` (the dataset's folder, or one recording) without reading them.
 
         Raises:

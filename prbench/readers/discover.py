@@ -45,12 +45,13 @@ class Discovery:
 
 
 @foreign_input()
-def discover(root: Path) -> Discovery:
+def discover(root: Path | str) -> Discovery:
     """Ask every reader about a folder, and those that find nothing about each of its sub-folders.
 
     Raises:
         InputFileError: if the folder does not exist, or no reader recognises anything in it.
     """
+    root = Path(root)
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder", found="a file" if root.is_file() else "nothing")
     found: list[FoundDataset] = []

@@ -253,8 +253,12 @@ class Recording:
     """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
     messages: tuple[str, ...] = ()
     """What the reader noticed and the user should know."""
+    shortfalls: tuple[str, ...] = ()
+    """One message for each stream that ends before the recording does; its file may be cut off."""
 
     def __post_init__(self) -> None:
+        start, end = self.span
+        object.__setattr__(self, "span", (float(start), float(end)))  # readers take them from arrays
         require_times("ground truth", np.array(self.span, dtype=np.float64))
         _require_distinct("objects", [track.object_id for track in self.objects])
         _require_distinct("events", [f"{event.native_key} ({event.action})" for event in self.annotated_events])

@@ -40,7 +40,7 @@ class ExportReport:
 
 
 def export_release(
-    tables: Sequence[Path], out: Path, *, permitted: Collection[str] = (), frame: Frame = "canonical"
+    tables: Sequence[Path | str], out: Path | str, *, permitted: Collection[str] = (), frame: Frame = "canonical"
 ) -> tuple[ExportReport, ...]:
     """Write tables as a release: ``out/<DATASET>/motions``, ``gazes`` and ``target_information.json``.
 
@@ -57,7 +57,8 @@ def export_release(
         TableError: if a table is missing or damaged.
         StorageError: if ``out`` cannot be written or holds something else.
     """
-    opened = [SequenceTable.open(folder) for folder in tables]
+    out = Path(out)
+    opened = [SequenceTable.open(folder).with_sequences() for folder in tables]
     names = [folder_of(table.info.dataset) for table in opened]
     folders = [inside(out, name) for name in names]
     for name in names:

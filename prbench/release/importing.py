@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.boundary import foreign_input
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.locks import sole_writer
 from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.inferences import Inference
@@ -58,8 +58,8 @@ class ImportResult:
 
 @foreign_input()
 def import_release(
-    root: Path,
-    out: Path,
+    root: Path | str,
+    out: Path | str,
     *,
     dataset: str | None = None,
     options: ImportOptions = NO_OPTIONS,
@@ -78,7 +78,11 @@ def import_release(
         InputFileError: if there is nothing to import; with ``on_error="fail"`` for the first thing that is wrong.
         UsageError: for an unknown dataset or field name.
         StorageError: if ``out`` cannot be written or holds something else.
+        RecordingsWouldBeLost: if the one dataset's table that stands there holds more, and the options do not say to
+            replace it.
     """
+    root = Path(root)
+    out = Path(out)
     dataset = None if dataset is None else dataset_of(dataset) or dataset  # the authors' spelling will do too
     found = find_datasets(root, dataset)
     targets = {name: out if dataset is not None else out / name for name, _ in found}
@@ -89,7 +93,7 @@ def import_release(
         try:
             with sole_writer(targets[name]):
                 reports.append(_import_dataset(name, folder, targets[name], options, progress))
-        except InputFileError as error:
+        except (InputFileError, RecordingsWouldBeLost) as error:
             if options.on_error == "fail" or len(found) == 1:
                 raise
             failed.append(FailedDataset(name, str(error)))
@@ -115,6 +119,8 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
         sequences=rows.sequences(),
         events=rows.events(),
         recordings=rows.recordings(),
+        replace=options.replace,
+        incomplete=[each.recording_id for each in rows.records] if interpreted.found.left_out else (),
     )
     of_study = None if dataset.startswith(SYNTHETIC_PREFIX) else interpreted.known
     counts = count_rows((each.candidate.subset for each in measured), of_study)

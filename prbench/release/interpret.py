@@ -33,6 +33,8 @@ class ImportOptions:
     """Frame 0 of every motion is the frame before the sequence."""
     on_error: Literal["skip", "fail"] = "skip"
     """Leave out sequences (and datasets) that cannot be read, or fail at the first."""
+    replace: bool = False
+    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 
 
 @dataclass(frozen=True)

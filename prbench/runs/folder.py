@@ -133,12 +133,13 @@ class RunFolder:
 
     @classmethod
     @foreign_input()
-    def open(cls, path: Path) -> RunFolder:
+    def open(cls, path: Path | str) -> RunFolder:
         """Open a run for reading.
 
         Raises:
             RunError: if the folder holds no run.
         """
+        path = Path(path)
         return cls(path, RunRecord.read(path))
 
     def dataset(self, name: str) -> DatasetFolder:

@@ -38,10 +38,10 @@ class CorpusInfo(Provenance, frozen=True, kw_only=True):
         write_json(folder / CORPUS_FILE, msgspec.to_builtins(self))
 
     @classmethod
-    def read(cls, folder: Path) -> CorpusInfo:
+    def read(cls, folder: Path | str) -> CorpusInfo:
         """Read ``corpus.json``.
 
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        return read_info(folder / CORPUS_FILE, cls, what="corpus")
+        return read_info(Path(folder) / CORPUS_FILE, cls, what="corpus")

@@ -18,6 +18,7 @@ from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
 from prbench.sequences.corpus_schema import CLIPS, CORPUS_TABLES, check_corpus_schema
 from prbench.sequences.digests import ContentDigest, identity_digest
+from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.rows import is_bulky, naming, open_parquet, read_parquet, stream_chunks, table_parts
 from prbench.sequences.unchanged import digests_of_files, require_unchanged
 from prbench.sequences.write import write_table, write_table_in_parts
@@ -33,12 +34,13 @@ class CorpusTable:
 
     @classmethod
     @foreign_input()
-    def open(cls, folder: Path) -> CorpusTable:
+    def open(cls, folder: Path | str) -> CorpusTable:
         """Open a corpus folder and check version, columns, that it holds clips, and that no file was edited.
 
         Raises:
             TableError: naming the file, what was expected and what was found.
         """
+        folder = Path(folder)
         table = cls(folder, CorpusInfo.read(folder))
         rows = 0
         for path in table_parts(folder, "clips"):
@@ -136,21 +138,28 @@ class CorpusTable:
 _IDENTITY = ("sequence_id", "split", "kind", "n_frames")
 
 
-def write_corpus(folder: Path, info: CorpusInfo, tables: Mapping[str, Iterable[pa.RecordBatch]]) -> CorpusInfo:
+def write_corpus(
+    folder: Path, info: CorpusInfo, tables: Mapping[str, Iterable[pa.RecordBatch]], *, replace: bool = False
+) -> CorpusInfo:
     """Write a corpus folder whole or not at all; a corpus that was there is replaced, anything else is not touched.
 
     Args:
         folder: The corpus folder.
         info: Provenance; its digests are filled in here.
         tables: Rows of ``clips`` (sorted by ``sequence_id`` within each recording), ``annotations``, ``recordings``.
+        replace: Replace a corpus that holds recordings which this one lacks.
 
     Returns:
         The provenance as written.
 
     Raises:
         StorageError: if the folder holds something that is no corpus, or cannot be written.
+        RecordingsWouldBeLost: if the corpus that was there holds more, and ``replace`` is not set.
     """
     require_replaceable(folder, CORPUS_FILE, kind="corpus")
+    recordings = list(tables["recordings"])
+    if not replace:
+        require_no_loss(folder, CORPUS_FILE, Holdings.of(recordings, "clip"), outcome="clip", what="clips")
     version = info.protocol_version
     content, keys = ContentDigest(CLIPS.names), {name: [] for name in _IDENTITY}
 
@@ -163,9 +172,9 @@ def write_corpus(folder: Path, info: CorpusInfo, tables: Mapping[str, Iterable[p
 
     with atomic_folder(folder) as temporary:
         write_table_in_parts(temporary, "clips", digested(tables["clips"]), CLIPS, protocol_version=version)
-        for name in ("annotations", "recordings"):
+        for name, rows in (("annotations", tables["annotations"]), ("recordings", recordings)):
             path = temporary / f"{name}.parquet"
-            write_table(path, tables[name], CORPUS_TABLES[name], protocol_version=version)
+            write_table(path, rows, CORPUS_TABLES[name], protocol_version=version)
         identity = identity_digest(*keys.values(), protocol_version=version)
         info = msgspec.structs.replace(
             info,

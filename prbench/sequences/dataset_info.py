@@ -19,6 +19,8 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
     recordings_read: int
     recordings_failed: int
     recordings_skipped: int
+    recordings_cut_short: int = 0
+    """Of those that were read, how many have a stream that ends before the recording does; 0 in older tables."""
     events: int
     located: int
     primed: int
@@ -47,10 +49,10 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
         write_json(folder / FILE_NAME, msgspec.to_builtins(self))
 
     @classmethod
-    def read(cls, folder: Path) -> DatasetInfo:
+    def read(cls, folder: Path | str) -> DatasetInfo:
         """Read ``dataset.json``.
 
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        return read_info(folder / FILE_NAME, cls, what="dataset")
+        return read_info(Path(folder) / FILE_NAME, cls, what="dataset")

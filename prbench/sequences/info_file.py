@@ -81,3 +81,15 @@ def _remedy(path: Path, what: str) -> str:
     """Name the built ones that lie one folder farther down, where a folder of several was given."""
     inner = sorted(str(file.parent) for file in path.parent.glob(f"*/{path.name}"))
     return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench build-{what}`."
+
+
+def counts_stated(path: Path) -> dict[str, int]:
+    """The counts in a file that describes a dataset or corpus of any version; none where it cannot be read."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Counted).counts
+    except (OSError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
+        return {}
+
+
+class _Counted(msgspec.Struct):
+    counts: dict[str, int]

@@ -7,7 +7,10 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import msgspec
+import numpy as np
 import pyarrow as pa
 
 import prbench
@@ -43,6 +46,17 @@ def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Map
             with pa.OSFile(str(temporary / f"{name}.arrow"), "wb") as sink, pa.ipc.new_file(sink, batch.schema) as file:
                 file.write_batch(batch)
         write_json(temporary / _RECEIPT, receipt)
+
+
+def plain(receipt: object) -> Any:
+    """A receipt as JSON knows it; numbers that a reader has taken from arrays become plain ones."""
+    return msgspec.to_builtins(receipt, enc_hook=_plain_number)
+
+
+def _plain_number(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"{type(value).__name__} in a receipt")
 
 
 def read_receipt(folder: Path) -> dict | None:

@@ -114,6 +114,10 @@ class RecordingRecord:
     status: str
     """``read``, ``failed`` or ``skipped``."""
     message: str
+    shortfalls: tuple[str, ...] = ()
+    """One message for each stream that ends before the recording does; they stand in ``message``, too."""
+    lacks: tuple[str, ...] = ()
+    """What it lacks to have events or sequences at all; stands in ``message``, too."""
 
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:
@@ -136,5 +140,6 @@ def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
     for recording in recordings:
         row = dataclasses.asdict(recording)
         counts = row.pop("outcomes")
+        del row["shortfalls"], row["lacks"]
         rows.append(row | {outcome: counts.get(outcome, 0) for outcome in OUTCOMES})
     return pa.RecordBatch.from_pylist(rows, schema=RECORDINGS)

@@ -41,28 +41,32 @@ class SequenceTable:
 
     @classmethod
     @foreign_input()
-    def open(cls, folder: Path) -> SequenceTable:
-        """Open a dataset folder and check versions, columns, ids, that it holds sequences, and that no file was edited.
+    def open(cls, folder: Path | str) -> SequenceTable:
+        """Open a dataset folder and check versions, columns, ids, and that no file was edited.
+
+        A dataset may hold events alone: HD-EPIC before EgoAllo has estimated bodies is one.
 
         Raises:
             TableError: naming the file, what was expected and what was found.
         """
-        table = cls(folder, DatasetInfo.read(folder))
-        rows = 0
+        table = cls(Path(folder), DatasetInfo.read(folder))
         for path in table.part_paths("sequences"):
-            file = open_parquet(path)
-            check_schema(file.schema_arrow, SEQUENCES, source=str(path))
-            rows += file.metadata.num_rows
-        if rows == 0:
-            raise TableError(
-                f"{folder}: the sequence table is empty. `{folder / 'dataset.json'}` holds the funnel that says why;"
-                " `prbench explain` tells the story of single events."
-            )
+            check_schema(open_parquet(path).schema_arrow, SEQUENCES, source=str(path))
         table.require_unchanged()
         paths = table.part_paths("sequences")
         ids = [name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()]
         require_distinct(ids, f"{folder}, sequences")
         return table
+
+    def with_sequences(self) -> SequenceTable:
+        """The same table, for whoever needs sequences.
+
+        Raises:
+            TableError: if it holds none, saying what became of its recordings and events.
+        """
+        if any(open_parquet(path).metadata.num_rows for path in self.part_paths("sequences")):
+            return self
+        raise TableError(f"{self.folder}: holds no sequences. {why_no_sequences(self.info)}")
 
     def require_unchanged(self) -> None:
         """Hold the files against ``dataset.json``.
@@ -162,6 +166,18 @@ class SequenceTable:
             with naming(path):
                 tables.append(with_later_columns(file.read(), schema))
         return pa.concat_tables(tables)
+
+
+def why_no_sequences(info: DatasetInfo) -> str:
+    """What became of the recordings and events of a dataset, in one sentence or two."""
+    counts = info.counts
+    told = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
+    outcomes = sorted(info.outcomes.items(), key=lambda item: (-item[1], item[0]))
+    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+    if not became:
+        return f"{told}, and no candidate event was found in them."
+    bodies = " Bodies can be estimated: `prbench poses egoallo`." if info.outcomes.get("no_body") else ""
+    return f"{told}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
 
 
 def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:

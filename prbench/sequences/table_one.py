@@ -48,8 +48,10 @@ class TableStatistics:
     """Quartiles over all sequences of the angle between gaze and goal in each bin; NaN where nothing was measured."""
 
     def spread(self, quantity: str) -> Spread:
-        """Mean and standard deviation of one of the four quantities of Table 1."""
+        """Mean and standard deviation of one of the four quantities of Table 1; NaN without sequences."""
         values = getattr(self, quantity)
+        if not len(values):
+            return Spread(float("nan"), float("nan"))
         return Spread(float(values.mean()), float(values.std()))
 
     def deviation(self, quantity: str, published: Spread) -> float:
@@ -64,7 +66,8 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
     """
     scalars = table.scalars()
     splits = scalars["split"].to_pylist()
-    goals, angles = [], []
+    goals = [np.zeros((0, 3))]  # a dataset may hold events alone
+    angles = [np.zeros((0, 2))]
     for chunk in table.chunks(columns=_COLUMNS):
         goals.append(_goal_from_start(chunk))
         angles.append(_gaze_shift(chunk))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -11,6 +11,7 @@ import pyarrow as pa
 from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import ContentDigest, identity_digest
+from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.unchanged import digests_of_files
 from prbench.sequences.write import write_table, write_table_in_parts
@@ -30,6 +31,8 @@ def write_dataset(
     sequences: Iterable[pa.RecordBatch],
     events: Iterable[pa.RecordBatch],
     recordings: Iterable[pa.RecordBatch],
+    replace: bool = False,
+    incomplete: Collection[str] = (),
 ) -> DatasetInfo:
     """Write the folder whole or not at all; a dataset that was there is replaced, anything else is not touched.
 
@@ -39,14 +42,21 @@ def write_dataset(
         sequences: Rows in table order (sorted by ``sequence_id``).
         events: Rows of ``events``.
         recordings: Rows of ``recordings``.
+        replace: Replace a dataset that holds recordings which this one lacks.
+        incomplete: Ids of recordings of which a part could not be read, or a file ends early.
 
     Returns:
         The provenance as written.
 
     Raises:
         StorageError: if the folder holds something that is no dataset, or cannot be written.
+        RecordingsWouldBeLost: if the dataset that was there holds more, and ``replace`` is not set.
     """
     require_replaceable(folder, FILE_NAME, kind="dataset")
+    recordings = list(recordings)
+    if not replace:
+        new = Holdings.of(recordings, "sequence")
+        require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
     version = info.protocol_version
     with atomic_folder(folder) as temporary:
         seen = _Digesting(info.protocol_version)

@@ -39,7 +39,7 @@ def open_table(table: Table | Path | str) -> Table:
     if isinstance(table, SequenceTable | CorpusTable):
         return table
     folder = Path(table)
-    return CorpusTable.open(folder) if (folder / CORPUS_FILE).is_file() else SequenceTable.open(folder)
+    return CorpusTable.open(folder) if (folder / CORPUS_FILE).is_file() else SequenceTable.open(folder).with_sequences()
 
 
 def read_rows(table: Table, split: str) -> Iterator[list[Row]]:

@@ -31,13 +31,16 @@ class Outcome:
 
     @property
     def complete(self) -> bool:
-        """Whether every recording that was found could be read."""
-        return self.report is not None and self.report.info.counts.recordings_failed == 0
+        """Whether every recording that was found could be read, to its end."""
+        if self.report is None:
+            return False
+        counts = self.report.info.counts
+        return counts.recordings_failed == 0 and counts.recordings_cut_short == 0
 
 
 def build_all(
-    root: Path,
-    out: Path,
+    root: Path | str,
+    out: Path | str,
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
@@ -57,6 +60,8 @@ def build_all(
         UsageError: if an option fits no dataset that was found, or one dataset was found twice.
         PrbenchError: the first problem of a dataset, with ``on_error="fail"``.
     """
+    root = Path(root)
+    out = Path(out)
     discovery = discover(root)
     chosen = _reader_options(discovery.found, options)
     outcomes = [Outcome(broken.dataset, broken.root, None, broken.message) for broken in discovery.broken]
@@ -82,7 +87,7 @@ def build_all(
     return tuple(sorted(outcomes, key=lambda outcome: outcome.dataset))
 
 
-def plan_all(root: Path, options: BuildOptions = NO_OPTIONS) -> tuple[tuple[str, Path, BuildPlan], ...]:
+def plan_all(root: Path | str, options: BuildOptions = NO_OPTIONS) -> tuple[tuple[str, Path, BuildPlan], ...]:
     """The dry run: name, folder and plan of every dataset that :func:`build_all` would build.
 
     Raises:

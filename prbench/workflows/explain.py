@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from prbench.curation.priming import OCCLUSION_STAGE, PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
 from prbench.manifests import BenchmarkProtocol, load_protocol
-from prbench.sequences import DatasetInfo, EventRecord, SequenceChunk, SequenceTable
+from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.shown import clean
 from prbench.skeleton import invert_rigid, transform_points
@@ -35,7 +35,7 @@ _AROUND = 2  # events before and after that are shown
 _SHOWN = 8  # candidates that an error message lists
 
 
-def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) -> EventStory:
+def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] = ()) -> EventStory:
     """Tell the story of one event.
 
     Args:
@@ -49,8 +49,7 @@ def explain_event(folder: Path, event: str, *, permitted: Collection[str] = ()) 
         TableError: if the folder holds no dataset.
         UsageError: if no event fits (with the nearest known ids), or more than one does.
     """
-    table = SequenceTable(folder, DatasetInfo.read(folder))
-    table.require_unchanged()
+    table = SequenceTable.open(folder)
     events = table.events()
     row = find_event(events, event)
     record = _record(events, row)

@@ -13,11 +13,12 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.aria_mps import check_trajectory, source_of
+from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
 from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 
-State = Literal["complete", "incomplete", "damaged", "left out", "unreadable"]
+State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class InspectedRecording:
     size: int
     """Bytes of all files that reading it depends on."""
     remarks: tuple[str, ...]
-    """Missing and damaged files, or what reading said."""
+    """Missing and damaged files, streams that end early, or what reading said."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +58,14 @@ class Inspection:
 
     @property
     def all_complete(self) -> bool:
-        """Whether nothing is missing, damaged or unreadable; recordings that are left out do not count."""
+        """Whether nothing is missing, damaged, cut short or unreadable; recordings that are left out do not count."""
         states = {recording.state for dataset in self.datasets for recording in dataset.recordings}
         return not self.broken and states <= {"complete", "left out"}
 
 
 @foreign_input()
 def inspect_folder(
-    root: Path, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
+    root: Path | str, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
 ) -> Inspection:
     """Look at every recording below a folder.
 
@@ -77,6 +78,7 @@ def inspect_folder(
     Raises:
         InputFileError: if nothing is recognised.
     """
+    root = Path(root)
     corpora = find_corpora(root) if root.is_dir() else ()
     try:
         discovery = discover(root)
@@ -125,14 +127,21 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
         state: State = "incomplete" if missing else "damaged"
         return InspectedRecording(recording.recording_id, state, size, missing + damaged + wanted)
     if not thorough:
-        return InspectedRecording(recording.recording_id, "complete", size, wanted)
+        return _told(recording, size, cut_short(recording), wanted)
     try:
         for trajectory in (file for file in recording.files if file.role == "trajectory"):
             check_trajectory(source_of(trajectory))  # reading one looks at the wanted rows alone
-        messages = reader_for(found.dataset).read(recording).messages
+        read = reader_for(found.dataset).read(recording)
     except PrbenchError as error:
         return InspectedRecording(recording.recording_id, "unreadable", size, (str(error),))
-    return InspectedRecording(recording.recording_id, "complete", size, messages)
+    return _told(recording, size, cut_short(recording, read), read.messages)
+
+
+def _told(
+    recording: RecordingFiles, size: int, shortfalls: tuple[str, ...], remarks: tuple[str, ...]
+) -> InspectedRecording:
+    state: State = "cut short" if shortfalls else "complete"
+    return InspectedRecording(recording.recording_id, state, size, shortfalls + remarks)
 
 
 def missing_files(recording: RecordingFiles, roles: Mapping[str, str]) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
     ]
     if not common:
         raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
-    named = [SequenceTable.open(folder) for folder in data]
+    named = [SequenceTable.open(folder).with_sequences() for folder in data]
     if not named:
         tables = [_from_cache(runs[0], record) for record in common]
     else:

@@ -9,6 +9,7 @@ from pathlib import Path
 from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH
 from prbench.evaluation.verification import RunChecker
+from prbench.paths import turn_into_paths
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.sequences.lookup import find_sequence_id
@@ -55,6 +56,7 @@ class ViewRequest:
     """Datasets for which the user has permission to pass recorded motion on."""
 
     def __post_init__(self) -> None:
+        turn_into_paths(self, "out", "runs", "data")
         if not self.runs and not self.data:
             raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
         if self.sequences and self.limit is not None:
@@ -99,7 +101,10 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     """Read what is to be shown, table after table."""
     runs = [RunFolder.open(path) for path in request.runs]
     labels = run_labels(request.runs, [run.record for run in runs])
-    tables = tables_of_runs(runs, request.data) if runs else [SequenceTable.open(path) for path in request.data]
+    if runs:
+        tables = tables_of_runs(runs, request.data)
+    else:
+        tables = [SequenceTable.open(path).with_sequences() for path in request.data]
     for table in tables:
         _require_genuine_scores(runs, table)
     shown = [Shown(table, _opened(runs, labels, table, request.sample)) for table in tables]

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from prbench.cli.builds import print_fruitless
+from prbench.cli.builds import print_cut_short, print_fruitless
 from prbench.sequences import RecordingRecord
 
 
-def record(name: str, status: str, outcomes: dict[str, int], message: str = "") -> RecordingRecord:
-    return RecordingRecord(name, "somebody", "train", name, 60.0, outcomes, status, message)
+def record(name: str, status: str, outcomes: dict[str, int], message: str = "", **more) -> RecordingRecord:
+    return RecordingRecord(name, "somebody", "train", name, 60.0, outcomes, status, message, **more)
 
 
-def test_recordings_that_gave_no_sequence_are_named_with_the_readers_remark(capsys):
+def test_recordings_that_gave_no_sequence_are_named_with_the_cause_and_not_with_every_remark(capsys):
+    size = "size of the glasses unknown, DVT-L assumed: gaze origins may be off by 2.4 mm"
+    lacks = ("no valid gaze, so no event can be primed",)
     print_fruitless(
         [
-            record("blind", "read", {"not_primed": 2}, "no valid gaze, so no event can be primed"),
-            record("idle", "read", {}, ""),
+            record("blind", "read", {"not_primed": 2, "too_short": 3}, size, lacks=lacks),
+            record("idle", "read", {}, size, lacks=("no hand of the wearer took up or put down an object",)),
+            record("quiet", "read", {"minimum_movement": 1}, size),
             record("fine", "read", {"sequence": 1, "not_primed": 4}, "gaze on half of the frames"),
             record("broken", "failed", {}, "told elsewhere"),
         ]
     )
     assert capsys.readouterr().err.splitlines() == [
-        "no sequence: blind, of 2 events: no valid gaze, so no event can be primed",
-        "no sequence: idle, of 0 events",
+        "no sequence: blind: of 5 events 3 too_short, 2 not_primed; no valid gaze, so no event can be primed",
+        "no sequence: idle: no candidate event; no hand of the wearer took up or put down an object",
+        "no sequence: quiet: of 1 events 1 minimum_movement",
     ]
+
+
+def test_recordings_that_are_cut_short_are_named_with_the_stream(capsys):
+    print_cut_short([record("whole", "read", {}), record("cut", "read", {}, shortfalls=("objects (o.csv) ends",))])
+    assert capsys.readouterr().err == "cut short: cut: objects (o.csv) ends\n"

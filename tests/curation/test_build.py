@@ -102,9 +102,9 @@ def test_a_folder_that_is_no_dataset_is_refused_before_any_work(tmp_path: Path) 
 
 
 def test_an_earlier_dataset_is_replaced(tmp_path: Path) -> None:
-    build_from_sources(some_sources(3), tmp_path / "adt")
     build_from_sources(some_sources(1), tmp_path / "adt")
-    assert len(SequenceTable.open(tmp_path / "adt").recordings()) == 1
+    build_from_sources(some_sources(3), tmp_path / "adt")
+    assert len(SequenceTable.open(tmp_path / "adt").recordings()) == 3
 
 
 def test_synthetic_recordings_are_never_called_by_the_datasets_name(tmp_path: Path) -> None:

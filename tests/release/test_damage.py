@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prbench.cli import main
-from prbench.errors import InputFileError, StorageError, UsageError
+from prbench.errors import InputFileError, RecordingsWouldBeLost, StorageError, UsageError
 from prbench.release import ImportOptions, import_release
 from prbench.sequences import DatasetInfo, SequenceTable
 from tests.release.releases import rows, write_release
@@ -316,3 +316,17 @@ def test_a_field_of_another_kind_in_one_entry_does_no_harm(release, tmp_path) ->
     assert report.left_out == 0
     row = SequenceTable.open(tmp_path / "table").scalars().to_pylist()[3]
     assert (row["action"], row["hand"], row["text"], row["recording_id"]) == ("unknown", None, "", "unknown-test")
+
+
+def test_an_import_that_lacks_a_sequence_does_not_replace_the_table_of_the_whole_release(release, tmp_path) -> None:
+    table = tmp_path / "table"
+    import_release(release, table, dataset="synthetic-adt")
+    before = {path.name: path.read_bytes() for path in table.iterdir()}
+    (release / "motions" / f"{KEY}.npy").unlink()
+    with pytest.raises(RecordingsWouldBeLost, match=f"the new one .* with {len(ROWS) - 1}"):
+        import_release(release, table, dataset="synthetic-adt")
+    assert {path.name: path.read_bytes() for path in table.iterdir()} == before
+    words = ["import-release", str(release), "--dataset", "synthetic-adt", "--out", str(table)]
+    assert main([*words]) == 8
+    assert main([*words, "--replace"]) == 3
+    assert SequenceTable.open(table).scalars().num_rows == len(ROWS) - 1

@@ -128,9 +128,13 @@ def _read_everything(table):
     return table.scalars(), table.content, table.events(), table.recordings()
 
 
-def test_an_empty_table_is_refused(tmp_path):
-    with pytest.raises(TableError, match="the sequence table is empty"):
-        fake_dataset(tmp_path / "d", 0)
+def test_a_table_is_opened_by_the_name_of_its_folder(tmp_path):
+    fake_dataset(tmp_path / "d", 3)
+    table = SequenceTable.open(str(tmp_path / "d"))
+    assert table.folder == tmp_path / "d"
+    assert table.with_sequences().scalars().num_rows == 3
+    with pytest.raises(TableError, match="expected a built dataset"):
+        SequenceTable.open(str(tmp_path / "nowhere"))
 
 
 def test_a_folder_without_dataset_is_refused(tmp_path):

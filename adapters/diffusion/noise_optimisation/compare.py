@@ -98,7 +98,7 @@ def _trial(given: argparse.Namespace) -> Trial:
     default = "mdm-small" if given.method == "dno" else _DEFAULT_WEIGHTS[given.condition]
     model = MotionModel.load(resolve(given.weights, default), given.device)
     configuration = model.configuration
-    table = SequenceTable.open(given.data)
+    table = SequenceTable.open(given.data).with_sequences()
     everything = select(table, split=given.split, limit=given.sequences)
     selection = supported(everything, max_frames=configuration.max_frames, native_fps=None)
     if selection.fps != configuration.fps:

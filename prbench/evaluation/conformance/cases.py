@@ -53,7 +53,7 @@ def cases_of_table(folder: Path) -> Cases:
     Raises:
         TableError: if there is no such table, or it has no test sequences.
     """
-    table = SequenceTable.open(folder)
+    table = SequenceTable.open(folder).with_sequences()
     return Cases(_by_length(ConditionSource.read(select(table, split="test", limit=SEQUENCES))), folder)
 
 

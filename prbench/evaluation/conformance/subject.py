@@ -73,7 +73,7 @@ class Subject:
         if self.spec.program is None:
             self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table)
         else:
-            self.spec = self.spec.fitted_to(SequenceTable.open(table))
+            self.spec = self.spec.fitted_to(SequenceTable.open(table).with_sequences())
         return self.spec.load()
 
     def load_again(self) -> None:

@@ -9,6 +9,7 @@ from prbench.evaluation.doctor.diagnose import diagnose
 from prbench.evaluation.doctor.expectations import Known, from_conditions, from_table, joined
 from prbench.evaluation.doctor.reading import NamedMotion, read_motions
 from prbench.evaluation.doctor.types import Diagnosis
+from prbench.paths import turn_into_paths
 
 DEFAULT_LIMIT = 200
 DEFAULT_FPS = 20.0
@@ -25,6 +26,9 @@ class DoctorRequest:
     seed: int = 0
     fps: float | None = None
     limit: int = DEFAULT_LIMIT
+
+    def __post_init__(self) -> None:
+        turn_into_paths(self, "path", "data", "conditions")
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def from_table(motions: Sequence[NamedMotion], folders: Sequence[Path], *, seed:
     wanted = {motion.name for motion in motions}
     found: dict[str, Expected] = {}
     for folder in folders:
-        table = SequenceTable.open(folder)
+        table = SequenceTable.open(folder).with_sequences()
         ids = table.scalars()["sequence_id"].to_pylist()
         names = {name: name for name in ids if name in wanted}
         if not names:

@@ -26,9 +26,9 @@ class TrainingCopy(TrainingSplit):
     """The copy, which a method takes for the table: same rows, same chunks, same digests."""
 
     @classmethod
-    def open(cls, folder: Path) -> TrainingCopy:
+    def open(cls, folder: Path | str) -> TrainingCopy:
         """Open what :func:`write_training_copy` has written; that it may be empty is for the method to say."""
-        return cls(folder, DatasetInfo.read(folder))
+        return cls(Path(folder), DatasetInfo.read(folder))
 
     @cached_property
     def identity(self) -> str:

@@ -21,6 +21,7 @@ from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
+from prbench.paths import turn_into_paths
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.storage import write_text
@@ -57,6 +58,7 @@ class ExportRequest:
     """Datasets whose licensor lets the user pass on recorded motion."""
 
     def __post_init__(self) -> None:
+        turn_into_paths(self, "data", "out")
         require_suffix(self.out)
         if not self.data:
             raise UsageError("conditions need one dataset folder or more (--data DIR).")
@@ -163,7 +165,7 @@ def open_tables(folders: Collection[Path]) -> list[SequenceTable]:
         TableError: if one is missing, empty or of an unknown version.
         UsageError: if two are of one dataset.
     """
-    tables = [SequenceTable.open(folder) for folder in folders]
+    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
     names = [table.info.dataset for table in tables]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:

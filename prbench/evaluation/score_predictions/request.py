@@ -10,6 +10,7 @@ import pyarrow as pa
 from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.evaluation.method_names import SHUFFLED_GOAL, name_problem
+from prbench.paths import turn_into_paths
 from prbench.runs.summary import DatasetSummary
 
 
@@ -52,6 +53,7 @@ class ScoreRequest:
     leaderboard needs beside them; nothing is written without it."""
 
     def __post_init__(self) -> None:
+        turn_into_paths(self, "predictions", "data", "conditions", "out")
         if not self.data:
             raise UsageError("scoring needs one dataset folder or more (--data DIR).")
         if self.native_fps is not None and not 0 < self.native_fps <= 1000:

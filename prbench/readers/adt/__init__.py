@@ -39,7 +39,7 @@ class AdtReader:
     options: AdtOptions = _DEFAULTS
 
     @foreign_input()
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
         return find_recordings(root, self.options)
 

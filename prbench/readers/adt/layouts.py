@@ -89,14 +89,14 @@ def subtour_id(sequence: str, subtour: str) -> str:
 _DEFAULTS = AdtOptions()
 
 
-def find_recordings(root: Path, options: AdtOptions = _DEFAULTS) -> tuple[RecordingFiles, ...]:
+def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[RecordingFiles, ...]:
     """List the recordings of an ADT folder: the dataset's, a v1.x sequence, or a single recording.
 
     Raises:
         InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata, and
             subtours that would lie outside of their sequence, are reported when the recording is read, not here.
     """
-    root = root.expanduser().resolve()
+    root = Path(root).expanduser().resolve()
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder of ADT recordings", found="no such folder")
     synthetic = read_synthetic_tree(root) is not None

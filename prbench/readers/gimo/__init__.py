@@ -26,7 +26,7 @@ class GimoReader:
     options: GimoOptions = GimoOptions()  # noqa: RUF009 (frozen)
 
     @foreign_input()
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`find_segments`."""
         return find_segments(root, self.options)
 

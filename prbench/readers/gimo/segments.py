@@ -33,14 +33,14 @@ STREAM, VIDEO, HOLOLENS_TRANSFORM, SCENE_MESH = "hololens stream", "hololens vid
 Split = Literal["train", "test"]
 
 
-def find_segments(root: Path, options: GimoOptions) -> tuple[RecordingFiles, ...]:
+def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFiles, ...]:
     """Every segment of ``dataset.csv`` with its files; those that cannot be built carry the reason.
 
     Raises:
         InputFileError: if there is no readable ``dataset.csv``, none of its sequences is there (listing them), or the
             table of events is damaged or has an event in both splits.
     """
-    root = root.expanduser().resolve()
+    root = Path(root).expanduser().resolve()
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder of GIMO", found="no such folder")
     if not (root / gimo.TABLE_FILE).is_file():

@@ -26,7 +26,7 @@ class HdEpicReader:
     options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
 
     @foreign_input()
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`prbench.readers.hd_epic.places.find_recordings`."""
         return find_recordings(root, self.options)
 

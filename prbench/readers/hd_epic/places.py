@@ -38,7 +38,7 @@ class Copy:
     intermediate: Path | None
 
 
-def find_recordings(root: Path, options: HdEpicOptions) -> tuple[RecordingFiles, ...]:
+def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[RecordingFiles, ...]:
     """List the videos of which anything lies on the disk: time file, gaze, SLAM or intermediate data.
 
     Args:
@@ -48,7 +48,7 @@ def find_recordings(root: Path, options: HdEpicOptions) -> tuple[RecordingFiles,
     Raises:
         InputFileError: if there is none, saying what was looked for and what was found.
     """
-    root = root.expanduser().resolve()
+    root = Path(root).expanduser().resolve()
     if not root.is_dir():
         raise InputFileError(root, "", expected="the folder of HD-EPIC", found="no such folder")
     copy = _copy_at(root, options)

@@ -26,7 +26,7 @@ class Hot3dReader:
     options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
 
     @foreign_input()
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`find_recordings`."""
         return find_recordings(root, self.options)
 

@@ -65,7 +65,7 @@ def why_unusable(metadata: Metadata) -> str | None:
     return None
 
 
-def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, ...]:
+def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingFiles, ...]:
     """List the recordings of a HOT3D folder: the dataset's (recordings in it or one level deeper), or one recording.
 
     Recordings of Quest 3 and of test participants are listed with the reason why they are skipped.
@@ -74,7 +74,7 @@ def find_recordings(root: Path, options: Hot3dOptions) -> tuple[RecordingFiles, 
         InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata is
             reported when its recording is read, not here.
     """
-    root = root.expanduser().resolve()
+    root = Path(root).expanduser().resolve()
     if not root.is_dir():
         raise InputFileError(root, "", expected="a folder of HOT3D recordings", found="no such folder")
     found = [

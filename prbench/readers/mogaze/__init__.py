@@ -39,7 +39,7 @@ class MogazeReader:
     options: MogazeOptions = MogazeOptions()  # noqa: RUF009 (frozen)
 
     @foreign_input()
-    def find(self, root: Path) -> tuple[RecordingFiles, ...]:
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """See :func:`prbench.readers.mogaze.layouts.find_recordings`."""
         return find_recordings(root, include_excluded=self.options.include_excluded)
 

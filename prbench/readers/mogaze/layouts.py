@@ -19,7 +19,7 @@ MESH_PREFIX = "mesh:"
 _FILE_NAME = re.compile(rf"(?P<id>p\d+_\d+|\w+_synthetic_\w+)_(?P<part>{'|'.join(mogaze.PARTS)})\.hdf5")
 
 
-def find_recordings(root: Path, *, include_excluded: bool = False) -> tuple[RecordingFiles, ...]:
+def find_recordings(root: Path | str, *, include_excluded: bool = False) -> tuple[RecordingFiles, ...]:
     """List the recordings of a MoGaze folder, or of the folder ``mogaze`` in it; a file names its recording alone.
 
     Args:
@@ -30,7 +30,7 @@ def find_recordings(root: Path, *, include_excluded: bool = False) -> tuple[Reco
         InputFileError: if there are none, saying what was looked for and what was found. Damaged files are reported
             when their recording is read, not here.
     """
-    root = root.expanduser().resolve()
+    root = Path(root).expanduser().resolve()
     if root.is_file() and (match := _FILE_NAME.fullmatch(root.name)):
         found = find_recordings(root.parent, include_excluded=include_excluded)
         return tuple(recording for recording in found if recording.recording_id == match["id"])

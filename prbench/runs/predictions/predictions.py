@@ -35,7 +35,7 @@ class Predictions:
 
     @classmethod
     @foreign_input()
-    def open(cls, path: Path, *, numbering: Numbering | None = None) -> Predictions:
+    def open(cls, path: Path | str, *, numbering: Numbering | None = None) -> Predictions:
         """Index finished motions; none is read.
 
         Args:
@@ -46,6 +46,7 @@ class Predictions:
         Raises:
             PredictionsError: if there is none, or it is not of one of these forms.
         """
+        path = Path(path)
         rows = _indexed(path, numbering)
         row_of = {key: row for row, key in enumerate(zip(rows.ids, rows.samples))}
         return cls(rows.paths, rows.id_column, rows.ids, rows.samples, rows.n_frames, rows.store, row_of)

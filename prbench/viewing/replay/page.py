@@ -6,8 +6,9 @@ an overlay that says what is to be seen is put into that page.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,8 +67,10 @@ def _server() -> Iterator[ViserServer]:
         from viser import ViserServer
     except ModuleNotFoundError as error:
         raise MissingExtraError("viser", "view", "writing HTML") from error
-    server = ViserServer(host="127.0.0.1", port=0, verbose=False)
+    with redirect_stdout(io.StringIO()):  # it announces its address, whatever `verbose` says; nobody is to go there
+        server = ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         yield server
     finally:
-        server.stop()
+        with redirect_stdout(io.StringIO()):
+            server.stop()

@@ -101,7 +101,7 @@ class TableRequest:
             TableError: if one is missing, empty or of an unknown version.
             UsageError: if datasets repeat.
         """
-        tables = [SequenceTable.open(folder) for folder in self.data]
+        tables = [SequenceTable.open(folder).with_sequences() for folder in self.data]
         names = [table.info.dataset for table in tables]
         for name in names:
             if names.count(name) > 1:

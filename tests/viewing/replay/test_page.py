@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.viewing.replay.body_lines import bone_segments
-from prbench.viewing.replay.page import HOLD, write_page
+from prbench.viewing.replay.page import HOLD, _server, write_page
 from prbench.viewing.replay.page_overlay import with_overlay
 from prbench.viewing.replay.page_stage import camera_of, lane_offsets
 from tests.viewing.replay.scenes import a_scene
@@ -88,3 +88,9 @@ def test_lanes_lie_beside_one_another_and_the_camera_sees_them():
     place, look_at = camera_of(scene)
     assert place[1] > 1.0
     assert np.linalg.norm(place - look_at) > 2.0
+
+
+def test_viser_announces_no_server_on_the_terminal(capfd) -> None:
+    with _server():
+        pass
+    assert capfd.readouterr().out == ""

@@ -1,0 +1,127 @@
+"""A built table or corpus is never replaced by one that holds less, unless the user says so.
+
+A disk that is not mounted, a copy that was interrupted or a damaged folder makes recordings fail; what was built from
+them before must not vanish for that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+
+from prbench.errors import RecordingsWouldBeLost, TableError
+from prbench.sequences.info_file import counts_stated
+from prbench.sequences.rows import read_parquet, table_parts
+from prbench.shown import clean, quoted
+
+_SHOWN = 3
+"""Lost recordings that the message names."""
+_LONGEST_REASON = 160
+"""Characters of the reason of one."""
+
+
+@dataclass(frozen=True)
+class Holdings:
+    """What a table holds of each recording."""
+
+    yields: dict[str, int]
+    """Sequences (of a corpus: clips) of every recording that was read."""
+    reasons: dict[str, str] = field(default_factory=dict)
+    """Why each of the others was left out."""
+
+    @classmethod
+    def of(cls, recordings: Iterable[pa.RecordBatch], outcome: str) -> Holdings:
+        """From the rows of ``recordings``, in which the column ``outcome`` counts what became a sequence or clip."""
+        yields: dict[str, int] = {}
+        reasons: dict[str, str] = {}
+        for batch in recordings:
+            for row in batch.select(["recording_id", "status", "message", outcome]).to_pylist():
+                if row["status"] == "read":
+                    yields[row["recording_id"]] = row[outcome]
+                else:
+                    reasons[row["recording_id"]] = f"{row['status']}: {row['message']}"
+        return cls(yields, reasons)
+
+    @property
+    def failed(self) -> bool:
+        """Whether a recording was left out because it could not be read."""
+        return any(reason.startswith("failed") for reason in self.reasons.values())
+
+
+def require_no_loss(
+    folder: Path, marker: str, new: Holdings, *, outcome: str, what: str, incomplete: Collection[str] = ()
+) -> None:
+    """Refuse to replace what stands in a folder by something that holds less.
+
+    Less is: a recording that was read is missing or could not be read; one of which a part could not be read, or a file
+    now ends early, yields fewer sequences; or there are no sequences any more. A folder whose recordings cannot be
+    listed is replaced by one in which every recording could be read.
+
+    Args:
+        folder: Where the new one would stand.
+        marker: Name of the file that describes what stands there.
+        new: What the new one holds.
+        outcome: Column of ``recordings`` that counts its sequences or clips.
+        what: What these are called.
+        incomplete: Recordings of the new one of which a part could not be read, or a file ends early.
+
+    Raises:
+        RecordingsWouldBeLost: counting both, and naming the first recordings that would be lost.
+    """
+    if not (folder / marker).is_file():
+        return
+    old = _old_holdings(folder, outcome)
+    if old is None:
+        _require_all_of_the_unlisted(folder, marker, new, what)
+        return
+    lost = {name: _why_lost(name, new) for name in old.yields if name not in new.yields}
+    for name in sorted(set(incomplete) & old.yields.keys() & new.yields.keys()):
+        if new.yields[name] < old.yields[name]:
+            lost[name] = f"{new.yields[name]} of {old.yields[name]} {what}: a part of it is missing or ends early"
+    before = sum(old.yields.values())
+    after = sum(new.yields.values())
+    if lost or (before and not after):
+        counts = (
+            f"it holds {len(old.yields)} recordings with {before} {what}, the new one {len(new.yields)} with {after}"
+        )
+        raise RecordingsWouldBeLost(_message(folder, counts, lost))
+
+
+def _old_holdings(folder: Path, outcome: str) -> Holdings | None:
+    """What a folder holds; None where its recordings cannot be listed."""
+    columns = ["recording_id", "status", "message", outcome]
+    try:
+        tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]
+    except TableError:
+        return None
+    return Holdings.of(pa.concat_tables(tables).to_batches(), outcome)
+
+
+def _require_all_of_the_unlisted(folder: Path, marker: str, new: Holdings, what: str) -> None:
+    """A table that is damaged is mended by building it again, as long as that does not go wrong itself."""
+    before = counts_stated(folder / marker).get("recordings_read", 0)
+    if new.yields and not new.failed and len(new.yields) >= before:
+        return
+    counts = (
+        f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read), and the new one"
+        f" holds {len(new.yields)} with {sum(new.yields.values())} {what}"
+    )
+    raise RecordingsWouldBeLost(_message(folder, counts, dict(new.reasons)))
+
+
+def _why_lost(name: str, new: Holdings) -> str:
+    return new.reasons.get(name, "not found")
+
+
+def _message(folder: Path, counts: str, lost: dict[str, str]) -> str:
+    names = "; ".join(f"{clean(name)} ({quoted(lost[name], longest=_LONGEST_REASON)})" for name in list(lost)[:_SHOWN])
+    more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+    told = f" Would be lost: {names}{more}." if names else ""
+    return (
+        f"{folder}: not replaced: {counts}.{told} What stands there is untouched, and finished parts are kept."
+        " Is all of the data there (`prbench inspect`)? Then run the same command again; with `--replace` to replace"
+        " it all the same, or with another --out to have both."
+    )

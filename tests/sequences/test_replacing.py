@@ -1,0 +1,86 @@
+"""What may replace a table or corpus that stands already; builds are tested in ``tests/curation``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.errors import RecordingsWouldBeLost
+from prbench.sequences import CorpusInfo, RecordingRecord
+from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch
+from prbench.sequences.corpus_info import CORPUS_FILE
+from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.dataset_info import FILE_NAME
+from prbench.sequences.parts import plain
+from prbench.sequences.replacing import Holdings, require_no_loss
+from prbench.sequences.sequence import recording_batch
+from tests.curation.sources import folder_bytes
+from tests.fakes import fake_dataset
+from tests.training.tables import corpus_table
+
+
+def holdings(**yields: int) -> Holdings:
+    records = [
+        RecordingRecord(name, "P0", "train", name, 60.0, {"sequence": number}, "read", "")
+        for name, number in yields.items()
+    ]
+    failed = RecordingRecord("never", "P0", "train", "never", 0.0, {}, "failed", "b.csv: cut off")
+    return Holdings.of([recording_batch(records), recording_batch([failed])], "sequence")
+
+
+def refused(folder: Path, new: Holdings, *incomplete: str) -> str:
+    with pytest.raises(RecordingsWouldBeLost) as error:
+        require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
+    return str(error.value)
+
+
+def allow(folder: Path, new: Holdings, *incomplete: str) -> None:
+    require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
+
+
+def test_rows_of_recordings_tell_what_a_table_holds() -> None:
+    held = holdings(a=3, b=0)
+    assert held.yields == {"a": 3, "b": 0}
+    assert held.reasons == {"never": "failed: b.csv: cut off"}
+    assert held.failed
+
+
+def test_fewer_sequences_of_whole_recordings_are_a_choice_of_options_and_no_loss(tmp_path) -> None:
+    fake_dataset(tmp_path / "d", 4, recordings=2)
+    allow(tmp_path / "d", holdings(rec000=1, rec001=1))
+    allow(tmp_path / "d", holdings(rec000=1, rec001=0))
+    assert "rec001 (0 of 2 sequences" in refused(tmp_path / "d", holdings(rec000=2, rec001=0), "rec001", "rec000")
+    assert "the new one 2 with 0" in refused(tmp_path / "d", holdings(rec000=0, rec001=0))
+    assert "rec000 (not found)" in refused(tmp_path / "d", holdings(rec001=9, rec009=9))
+
+
+def test_where_nothing_stands_nothing_is_lost(tmp_path) -> None:
+    allow(tmp_path / "nowhere", holdings())
+    (tmp_path / "empty").mkdir()
+    allow(tmp_path / "empty", holdings())
+
+
+def test_a_corpus_is_no_more_replaced_by_less_than_a_table(tmp_path) -> None:
+    folder = corpus_table(tmp_path / "c").folder
+    info = CorpusInfo.read(folder)
+    failed = CorpusRecord(
+        recording_id="rec", participant_id="P0", split="train", split_group="rec", duration=0.0, outcomes={},
+        clock_method="none", clock_quality=None, status="failed", message="no such file",
+    )  # fmt: skip
+    tables = {"clips": [], "annotations": [], "recordings": [corpus_recording_batch([failed])]}
+    before = folder_bytes(folder)
+    with pytest.raises(RecordingsWouldBeLost, match=r"rec \(failed: no such file\)"):
+        write_corpus(folder, info, tables)
+    assert folder_bytes(folder) == before
+    write_corpus(folder, info, tables, replace=True)
+    assert (folder / CORPUS_FILE).read_bytes() != before[CORPUS_FILE]
+
+
+def test_receipts_hold_plain_numbers_whatever_a_reader_measured() -> None:
+    record = RecordingRecord("a", "P0", "train", "a", 1.0, {"sequence": 1}, "read", "")
+    found = plain({"record": replace(record, duration=np.float64(2.5)), "share": np.float32(0.5), "n": np.int64(3)})
+    assert found == {"record": plain(replace(record, duration=2.5)), "share": 0.5, "n": 3}
+    assert [type(found[name]) for name in ("share", "n")] == [float, int]
