@@ -44,12 +44,16 @@ def fuzz(
         _remove_made(folder, kept)
         mutation, undo = mutate(groups, Random(f"{door.name} {seed} {number}"))
         after = looked(lambda: door.look(folder), seconds=seconds)
-        ending = verdict(whole.seen, after, must_be_told=mutation.must_be_told and door.knows_whole)
+        ending = verdict(whole.seen, after, must_be_told=_must_be_told(mutation, door))
         undo.restore()
         counts[ending] += 1
         if ending not in GOOD:
             findings.append((f"{seed}/{number} {ending}", mutation, after))
     return counts, findings
+
+
+def _must_be_told(mutation: Mutation, door: Door) -> bool:
+    return mutation.harm == "replaced" or (mutation.harm == "shorter" and door.knows_whole)
 
 
 def _remove_made(folder: Path, kept: set[Path]) -> None:

@@ -16,10 +16,11 @@ import numpy as np
 from prbench.cli import main
 from prbench.corpora.options import CorpusOptions
 from prbench.corpora.sources import corpus_for, find_groups
+from prbench.curation.options import BuildOptions
+from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.evaluation.offline import ConditionsFile, read_conditions, read_conditions_file
 from prbench.evaluation.programs.description import read_description
-from prbench.readers import reader_for
 from prbench.synthetic.corpus_tree import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.training.configuration import load_configuration
@@ -46,7 +47,7 @@ class Door:
     """Writes the files that will be damaged into ``input`` of the folder, and what stands beside them."""
     look: Callable[[Path], Seen]
     knows_whole: bool = True
-    """False where a person writes the files, and a shorter one is simply another one."""
+    """False where a shorter file is simply another one: files that people write, and lists of texts."""
 
 
 class CommandFailed(PrbenchError):
@@ -64,7 +65,7 @@ def digest_of(value: object) -> str:
 def _parts(value: object) -> Iterator[bytes]:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         for field in dataclasses.fields(value):
-            if field.name != "messages":
+            if field.name not in ("messages", "shortfalls"):
                 yield from _parts(getattr(value, field.name))
     elif isinstance(value, np.ndarray):
         yield f"{value.dtype}{value.shape}".encode()
@@ -97,9 +98,9 @@ def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
         ]
         told += [broken.message for broken in inspection.broken]
         places = {name: str(value).replace("INPUT", str(root)) for name, value in options.items()}
-        reader = reader_for(layout, places)
-        recordings = [reader.read(found) for found in reader.find(root)]
-        told += [message for recording in recordings for message in recording.messages]
+        sources = native_sources(layout, root, BuildOptions(reader=tuple(places.items())))
+        recordings = [source.read() for source in sources]
+        told += [message for recording in recordings for message in (*recording.messages, *recording.shortfalls)]
         return Seen(digest_of(recordings), tuple(told))
 
     return Door("adt-egoallo" if estimates else layout, make, look)
@@ -118,7 +119,7 @@ def _corpus(name: str) -> Door:
         values = [(recording.clips, recording.annotations, recording.duration) for recording in made]
         return Seen(digest_of(values), tuple(told))
 
-    return Door(name, make, look)
+    return Door(name, make, look, knows_whole=name != "humanml3d")
 
 
 def _ran(folder: Path, *words: str, out: str = "") -> Seen:

@@ -69,8 +69,9 @@ def _interesting_files(root: Path) -> list[Path]:
         entered.add(real)
         videos = Path(folder).name.startswith("recording_")
         inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
-        paths += [Path(folder) / name for name in sorted(names) if name in _ROLES]
-    return [path for path in paths if path.is_file()]  # a link may lead nowhere
+        # A folder or a dead link that bears a file's name is listed too: reading it says what stands there.
+        paths += [Path(folder) / name for name in sorted({*names, *inner} & _ROLES.keys())]
+    return paths
 
 
 def _sequence_of(path: Path, root: Path) -> str:
