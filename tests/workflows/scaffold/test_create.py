@@ -112,7 +112,7 @@ def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     arguments = ["run", "--method", str(toml), "--condition", "text", "--data", str(data), "--out", str(out)]
     assert main(arguments) == 0
-    assert "slider (program slider.toml), condition text" in capsys.readouterr().out
+    assert f"slider (program {Path(sys.executable).name} slider.py), condition text" in capsys.readouterr().out
 
 
 def test_new_says_what_to_do_next(tmp_path, monkeypatch, capsys):
