@@ -76,7 +76,13 @@ def require_unit_length(stream: str, vectors: Float[np.ndarray, "n k"], valid: B
 
 
 def require_column(
-    path: Path | str, column: str, values: Float[np.ndarray, " n"], *, largest: float, unit: str
+    path: Path | str,
+    column: str,
+    values: Float[np.ndarray, " n"],
+    *,
+    largest: float,
+    unit: str,
+    remedy: str = _REMEDY,
 ) -> None:
     """Refuse a column of a table file that holds a number beyond what its field can mean; NaN may stand in it.
 
@@ -86,6 +92,7 @@ def require_column(
         values: Its numbers.
         largest: Largest number without sign.
         unit: Of the numbers, for the message.
+        remedy: What to do about a larger one.
 
     Raises:
         InputFileError: naming line and column of the first such number.
@@ -98,7 +105,7 @@ def require_column(
             f"line {row + 2}, column '{column}'",
             expected=f"a number within {largest:g} {unit}",
             found=f"{values[row]:g}",
-            remedy=_REMEDY,
+            remedy=remedy,
         )
 
 

@@ -291,6 +291,9 @@ WRITING = (
         held=f"result/{_RECORDING}",
     ),
     Writing("adapters new --out", lambda _, out: ("adapters", "new", "glide", "--out", out), refuses=True),
+    Writing(
+        "adapters converters --out", lambda _, out: ("adapters", "converters", "--out", out), "prbench_converters.py"
+    ),
     Writing("adapters check --json", lambda _, out: ("adapters", "check", "static", "--json", out), "a.json"),
     Writing(
         "doctor --json",
@@ -324,7 +327,7 @@ WRITING = (
     Writing(
         "train --out",
         lambda given, out: (*_TRAIN, "--data", given.table, "--out", out),
-        varies=("timing.json", "state.json", "weights.json", "curves.png", "log.jsonl"),
+        varies=("timing.json",),
     ),
 )
 

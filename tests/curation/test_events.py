@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.contact import contact_distance
 from prbench.curation.events import find_events
+from prbench.errors import RecordingUnusable
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, HandStream, Recording
 from tests.curation.scenes import (
@@ -264,7 +265,8 @@ def test_moving_and_turning_the_world_changes_neither_times_nor_hands() -> None:
 def test_annotated_events_are_taken_as_they_are_and_repetitions_are_reported() -> None:
     listed = AnnotatedEvent("a1", "pick", "cup_1", "cup", 12.5, PLACE_A, None, None, "right")
     nowhere = dataclasses.replace(listed, native_key="a2", action="put", event_time=13.5, location=None)
-    found, remarks = find_events(scene(annotated_events=(listed, nowhere, listed)), RULE)
+    again = dataclasses.replace(listed, native_key="a3")
+    found, remarks = find_events(scene(annotated_events=(listed, nowhere, again)), RULE)
     assert [event.event_id for event in found] == [
         "adt/kitchen_1/cup_1/pick/12500000",
         "adt/kitchen_1/cup_1/put/13500000",
@@ -272,6 +274,12 @@ def test_annotated_events_are_taken_as_they_are_and_repetitions_are_reported() -
     assert found[1].rejected.outcome == "no_location"
     assert "listed twice" in remarks[0]
     np.testing.assert_array_equal(found[0].place.box_min, PLACE_A)
+
+
+def test_two_annotated_events_of_one_id_are_refused() -> None:
+    listed = AnnotatedEvent("a1", "pick", "cup_1", "cup", 12.5, PLACE_A, None, None, "right")
+    with pytest.raises(RecordingUnusable, match=r"events: expected different ids, found 'a1 \(pick\)' twice"):
+        scene(annotated_events=(listed, dataclasses.replace(listed, event_time=13.5)))
 
 
 def test_events_do_not_depend_on_the_order_of_objects_or_on_other_objects() -> None:

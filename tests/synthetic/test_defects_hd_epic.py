@@ -31,9 +31,10 @@ def sound(tree, tmp_path_factory) -> BuildReport:
     return build_dataset("hd-epic", tree, tmp_path_factory.mktemp("sound") / "table")
 
 
-def _damaged(tree: Path, name: str, tmp_path: Path) -> BuildReport:
+def _damaged(tree: Path, name: str, tmp_path: Path, *more: str) -> BuildReport:
     copy = shutil.copytree(tree, tmp_path / "root")
-    DEFECTS[name].apply(copy, name_of_recording("hd-epic", SEED, 0))
+    for each in (name, *more):
+        DEFECTS[each].apply(copy, name_of_recording("hd-epic", SEED, 0))
     return build_dataset("hd-epic", copy, tmp_path / "table")
 
 
@@ -72,6 +73,14 @@ def test_a_time_file_that_ends_early_costs_the_places_of_what_comes_after(tree, 
     assert "lie beyond the rows of the time file" in first.message
 
 
-def test_without_hands_no_hand_is_named(tree, tmp_path) -> None:
+def test_without_tracked_hands_the_body_tells_the_same_hand(tree, sound, tmp_path) -> None:
+    expected = {row["event_id"]: row["hand"] for row in _events(sound)}
     events = _events(_damaged(tree, "lost-hands", tmp_path))
+    told = [row for row in events if row["recording_id"].endswith("0000") and row["hand"] is not None]
+    assert {row["hand_source"] for row in told} == {"body"}
+    assert all(row["hand"] == expected[row["event_id"]] for row in told)
+
+
+def test_with_neither_hands_nor_bodies_no_hand_is_named(tree, tmp_path) -> None:
+    events = _events(_damaged(tree, "lost-hands", tmp_path, "missing-bodies"))
     assert {row["hand"] for row in events if row["recording_id"].endswith("0000")} == {None}

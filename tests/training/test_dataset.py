@@ -178,7 +178,7 @@ def test_a_table_without_one_usable_row_is_refused(tmp_path):
     nothing = sequence_table(tmp_path / "t", change=lambda row: replace(row, joints=row.joints * 0))
     with pytest.raises(TableError, match="cannot be used"):
         SequenceDataset(nothing, cache=tmp_path / "cache")
-    assert not list((tmp_path / "cache").iterdir())
+    assert not list((tmp_path / "cache").glob("*"))
 
 
 def test_statistics_are_those_of_all_frames(table, cache):

@@ -18,7 +18,7 @@ from tests.training.tables import sequence_table
 
 
 def stores(cache):
-    return sorted(path.name for path in cache.iterdir())
+    return sorted(path.name for path in cache.glob("*"))
 
 
 def refuse(*_, **__):
@@ -98,21 +98,30 @@ store_building.table_store(SequenceTable.open(Path(sys.argv[1])), encoding, Path
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
-def test_what_a_killed_build_left_is_no_store_and_is_cleared_away_later(tmp_path):
+def test_what_a_killed_build_left_is_no_store_and_the_next_build_clears_it_away(tmp_path):
     table, cache = sequence_table(tmp_path / "t"), tmp_path / "cache"
     killed = subprocess.run([sys.executable, "-c", _KILLED_WHILE_WRITING, str(table.folder), str(cache)], check=False)
     assert killed.returncode == -signal.SIGKILL
-    (partial,) = cache.iterdir()
-    assert partial.name.startswith(".")
+    left = stores(cache)
+    assert [name.startswith(".") for name in left] == [True] * 3, "a half-written store and the locks of both files"
+    assert sum(name.endswith(".partial.arrow") for name in left) == 1
 
     assert len(SequenceDataset(table, cache=cache))
-    assert partial.exists()  # it might be another process's
-    for path in cache.glob("synthetic-*.arrow"):
-        path.unlink()
+    assert [name.startswith(".") for name in stores(cache)] == [False] * 2
+
+
+def test_what_a_killed_build_of_another_store_left_goes_when_nobody_has_written_to_it_for_an_hour(tmp_path):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    abandoned = cache / ".other-abcdefgh.partial.arrow"
+    recent = cache / ".another-abcdefgh.partial.arrow"  # it might be another process's
+    abandoned.touch()
+    recent.touch()
     long_ago = time.time() - 7200
-    os.utime(partial, (long_ago, long_ago))
-    SequenceDataset(table, cache=cache)
-    assert len(stores(cache)) == 2
+    os.utime(abandoned, (long_ago, long_ago))
+    SequenceDataset(sequence_table(tmp_path / "t"), cache=cache)
+    assert not abandoned.exists()
+    assert recent.exists()
 
 
 def test_other_code_of_the_representation_makes_its_own_store(tmp_path, monkeypatch):

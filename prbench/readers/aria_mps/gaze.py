@@ -11,6 +11,8 @@ from prbench.ranges import require_column
 from prbench.readers.files import read_columns, read_header, require_increasing
 from prbench.readers.zipped import Source, shown
 
+_LIKE_DEGREES = "Such angles look like degrees, or are damaged; use the file as it was released."
+
 
 def read_gaze_angles(path: Source) -> mps.GazeAngles:
     """Read one gaze file of any of the three schemas, told apart by columns (section 5).
@@ -43,7 +45,7 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     columns = {name: table[name].to_numpy() for name in table.column_names}
     for name in (*yaws, mps.PITCH):  # their bounds steer no ray
-        require_column(shown(path), name, columns[name], largest=LARGEST_ANGLE, unit="rad")
+        require_column(shown(path), name, columns[name], largest=LARGEST_ANGLE, unit="rad", remedy=_LIKE_DEGREES)
     if mps.DEPTH in columns:
         require_column(shown(path), mps.DEPTH, columns[mps.DEPTH], largest=FARTHEST_POSITION, unit="m")
     unknown = np.full(len(table), np.nan)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import prbench
 from prbench.errors import StorageError
-from prbench.storage import atomic_path
+from prbench.locks import sole_file
 
 ONE_FILE = "prbench_converters.py"
 _PACKAGES = ("prbench",)
@@ -93,12 +93,12 @@ def write_converters(path: Path) -> None:
     """Write the file, or write it anew.
 
     Raises:
-        StorageError: if something else stands there, or it cannot be written.
+        StorageError: if something else stands there, another process is writing it, or it cannot be written.
     """
     if path.exists() and not (path.is_file() and _MARK.encode() in path.read_bytes()[:1000]):
         raise StorageError(f"{path}: is something else than the converters; nothing was written. Name another --out.")
     text = converters_file()
-    with atomic_path(path) as temporary:
+    with sole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -141,10 +141,10 @@ def test_statistics_are_read_and_zeros_become_one(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (np.ones(251), r"263 numbers, found \(251,\)"),
+        (np.ones(251), r"263 numbers, found shape \(251,\)"),
         (np.full(263, np.nan), "column 0: expected a finite number"),
         (-np.ones(263), "0 or more, found -1. Is this Mean.npy"),
-        (np.array([None] * 263, dtype=object), "an .npy file of numbers"),
+        (np.array([None] * 263, dtype=object), "expected numbers or text, found Python objects"),
     ],
 )
 def test_other_statistics_files_are_refused(tmp_path, values, message) -> None:

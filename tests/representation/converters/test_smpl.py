@@ -164,7 +164,7 @@ def test_a_pickle_is_refused_unread_with_the_way_to_convert_it(tmp_path) -> None
     with pytest.raises(InputFileError, match=r"opens no pickles\. Convert the licensed file once"):
         read_rest_joints(path)
     (tmp_path / "renamed.npz").write_bytes(pickle.dumps(_Bomb()))
-    with pytest.raises(InputFileError, match=r"an \.npz archive of plain arrays"):
+    with pytest.raises(InputFileError, match=r"a readable \.npz file, .*opens no pickles\. Convert"):
         read_rest_joints(tmp_path / "renamed.npz")
 
 
@@ -187,7 +187,7 @@ def test_an_array_of_objects_is_refused_unread(tmp_path) -> None:
     bomb = np.empty(1, dtype=object)
     bomb[0] = _Bomb()
     np.savez(path, v_template=np.zeros((60, 3)), shapedirs=np.zeros((60, 3, 10)), J_regressor=bomb, other=bomb)
-    with pytest.raises(InputFileError, match="expected plain arrays, found Python objects"):
+    with pytest.raises(InputFileError, match="expected numbers or text, found Python objects"):
         read_rest_joints(path)
 
 
