@@ -11,7 +11,7 @@ from random import Random
 import pyarrow as pa
 
 from tests.fuzz.doors import COMMANDS, READERS, Door
-from tests.fuzz.judging import GOOD, SECONDS, Outcome, looked, temporary_folder, verdict
+from tests.fuzz.judging import GOOD, SECONDS, Looker, Outcome, temporary_folder, verdict
 from tests.fuzz.mutations import Mutation, files_by_kind, mutate
 
 Finding = tuple[str, Mutation, Outcome]
@@ -35,7 +35,8 @@ def fuzz(
     door.make(folder)
     groups = files_by_kind(folder / "input")
     kept = set(folder.iterdir())
-    whole = looked(lambda: door.look(folder))
+    looked = Looker(lambda: door.look(folder), seconds=seconds)
+    whole = looked()
     if whole.seen is None:
         raise RuntimeError(f"{door.name}: undamaged files: {whole.ending} {whole.message}")
     counts: Counter[str] = Counter()
@@ -43,12 +44,13 @@ def fuzz(
     for number in range(mutations):
         _remove_made(folder, kept)
         mutation, undo = mutate(groups, Random(f"{door.name} {seed} {number}"))
-        after = looked(lambda: door.look(folder), seconds=seconds)
+        after = looked()
         ending = verdict(whole.seen, after, must_be_told=_must_be_told(mutation, door))
         undo.restore()
         counts[ending] += 1
         if ending not in GOOD:
             findings.append((f"{seed}/{number} {ending}", mutation, after))
+    looked.close()
     return counts, findings
 
 
