@@ -18,7 +18,7 @@ from prbench.readers.found import is_present
 
 SYNTHETIC_FILE = "synthetic.json"
 SYNTHETIC_PREFIX = "synthetic-"
-INVENTED_NAME = re.compile(r"_synthetic_seed\d+_")
+INVENTED_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
 """Stands in the name of every invented recording."""
 
 

@@ -115,7 +115,7 @@ def _corpus(name: str) -> Door:
         members = [member for group in groups for member in group.recordings]
         told = [f"{member.belonging.recording_id} {member.skip_reason}" for member in members]
         made = [member.read() for member in members if not member.skip_reason]
-        told += [recording.message for recording in made]
+        told += [f"{recording.message} {recording.clock_method}" for recording in made]
         values = [(recording.clips, recording.annotations, recording.duration) for recording in made]
         return Seen(digest_of(values), tuple(told))
 

@@ -9,6 +9,7 @@ from prbench.errors import InputFileError
 from prbench.formats import nymeria
 from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
 from prbench.readers.found import input_file
+from prbench.readers.synthetic_tree import require_marked
 
 SUIT, SMPL, METADATA, TRAJECTORY, OFFSET = "suit", "smpl", "metadata", "trajectory", "time_offset"
 """Roles of the files; narrations have the role of their kind."""
@@ -54,7 +55,9 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
             found="none",
             remedy="Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders.",
         )
-    return tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
+    recordings = tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
+    require_marked(root, {recording.recording_id: recording.dataset for recording in recordings})
+    return recordings
 
 
 def _interesting_files(root: Path) -> list[Path]:
