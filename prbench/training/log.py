@@ -108,7 +108,8 @@ def _plots(rows: list[Row], validations: list[Row]) -> dict[str, dict[str, _Curv
                     steps, values = plots.setdefault(name, {}).setdefault(label, ([], []))
                     steps.append(row["step"])
                     values.append(row[name])
-    return dict(sorted(plots.items(), key=lambda plot: plot[0] != "loss"))  # the loss first, the others as they came
+    # The loss first, the others by name: rows of a checkpoint have their names in another order than new ones.
+    return dict(sorted(plots.items(), key=lambda plot: (plot[0] != "loss", plot[0])))
 
 
 def _summary_writer(folder: Path, resumed_at: int) -> Any:

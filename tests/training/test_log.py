@@ -57,6 +57,13 @@ def test_every_measurement_has_a_plot_that_shows_it(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["curves.png"]
 
 
+def test_the_order_of_names_in_a_row_changes_no_byte_of_the_picture(tmp_path):
+    rows = [{"step": step, "loss": 1.0, "root": 0.5, "learning_rate": 0.1} for step in (1, 2)]
+    draw_curves(tmp_path / "a.png", rows, [])
+    draw_curves(tmp_path / "b.png", [dict(sorted(row.items())) for row in rows], [])  # as a checkpoint has them
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
 def test_pictures_are_drawn_now_and_then_and_at_the_end(tmp_path, monkeypatch):
     drawn = []
     now = iter([0.0, 119.0, 121.0, 121.0, 122.0, 190.0])
