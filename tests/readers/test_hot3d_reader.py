@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -242,6 +243,19 @@ def test_a_broken_model_is_named(readings, folder, tree) -> None:
     path = tree / "assets" / f"{readings.objects[0].object_id}.glb"
     path.write_bytes(path.read_bytes()[:50])
     with pytest.raises(InputFileError, match=rf"{path.name}: expected a model in binary glTF"):
+        _read(tree)
+
+
+def test_a_model_that_declares_more_corners_than_it_has_bytes_is_refused(readings, folder, tree) -> None:
+    path = tree / "assets" / f"{readings.objects[0].object_id}.glb"
+    content = path.read_bytes()
+    count = re.search(rb'"count":\s*(\d+)', content)
+    assert count is not None
+    huge = b"9" * 9
+    length = int.from_bytes(content[12:16], "little") + len(huge) - len(count[1])
+    longer = content[: count.start(1)] + huge + content[count.end(1) :]
+    path.write_bytes(longer[:12] + length.to_bytes(4, "little") + longer[16:])
+    with pytest.raises(InputFileError, match=rf"{path.name}, accessors: expected at most .* found 999,999,999"):
         _read(tree)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from prbench.bounded import require_size
@@ -25,6 +26,7 @@ def read_glb(path: Path) -> ObjectMesh:
 
     try:
         require_size(path)
+        _require_plausible_counts(path)
         with open(path, "rb") as file:
             # Whatever a broken file makes the parser stumble over, the user needs its name.
             scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
@@ -45,3 +47,32 @@ def read_glb(path: Path) -> ObjectMesh:
     if len(vertices) == 0 or len(mesh.faces) == 0 or not np.isfinite(vertices).all():
         raise InputFileError(path, "", expected="triangles with finite corners", found=f"{len(mesh.faces)} triangles")
     return ObjectMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
+
+
+def _require_plausible_counts(path: Path) -> None:
+    """Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
+
+    Accessors without values in the file are zeros, so that a few bytes could declare any number of corners.
+    """
+    content = path.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    description = msgspec.json.decode(content[20 : 20 + length], type=_Description)
+    largest = max((accessor.count for accessor in description.accessors), default=0)
+    if largest > len(content):
+        raise InputFileError(
+            path,
+            "accessors",
+            expected=f"at most {len(content):,} entries, one a byte of the file",
+            found=f"{largest:,}",
+            remedy="Download the object library again.",
+        )
+
+
+class _Accessor(msgspec.Struct):
+    count: int
+
+
+class _Description(msgspec.Struct):
+    """The JSON part of a binary glTF, as far as it declares sizes."""
+
+    accessors: list[_Accessor] = []
