@@ -47,14 +47,37 @@ def require_size(path: Path, *, largest: int = LARGEST_FILE) -> None:
         InputFileError: saying how large it may be.
         OSError: if it is missing.
     """
+    size = require_regular(path)
+    if size > largest:
+        raise InputFileError(path, "", expected=f"at most {largest:,} bytes", found=f"{size:,}", remedy=_TOO_LARGE)
+
+
+def require_regular(path: Path) -> int:
+    """Refuse a folder, a pipe or a device in place of a file: reading the latter two may never end.
+
+    Returns:
+        The size of the file, bytes.
+
+    Raises:
+        InputFileError: saying what stands there.
+        OSError: if it is missing.
+    """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         found = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
         raise InputFileError(path, "", expected="a file", found=found)
-    if status.st_size > largest:
-        raise InputFileError(
-            path, "", expected=f"at most {largest:,} bytes", found=f"{status.st_size:,}", remedy=_TOO_LARGE
-        )
+    return status.st_size
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file for reading bytes; for what is read in pieces.
+
+    Raises:
+        InputFileError: if it is a folder, a pipe or a device.
+        OSError: if it is missing or cannot be read.
+    """
+    require_regular(path)
+    return open(path, "rb")
 
 
 def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:

@@ -10,7 +10,7 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
-from prbench.limits import LONGEST_MESSAGE
+from prbench.limits import LONGEST_MESSAGE, LONGEST_PATH
 from prbench.shown import clean, quoted
 
 
@@ -18,7 +18,8 @@ class PrbenchError(Exception):
     """A problem that the user can repair.
 
     Args:
-        message: What was expected and found, and what to do; cut where a file made it longer than anybody reads.
+        message: What was expected and found, and what to do. Characters that steer a terminal are spelt out, and what
+            a file made longer than anybody reads is cut.
     """
 
     exit_code = 1
@@ -26,7 +27,7 @@ class PrbenchError(Exception):
     def __init__(self, message: str = "") -> None:
         if len(message) > LONGEST_MESSAGE:
             message = f"{message[:LONGEST_MESSAGE]} … ({len(message) - LONGEST_MESSAGE} more characters)"
-        super().__init__(message)
+        super().__init__(clean(message, keep="\n\t"))
 
 
 class InputFileError(PrbenchError):
@@ -44,7 +45,8 @@ class InputFileError(PrbenchError):
 
     def __init__(self, path: Path | str, where: str, *, expected: str, found: str, remedy: str = "") -> None:
         self.path, self.where, self.expected, self.found, self.remedy = Path(path), where, expected, found, remedy
-        place = f"{clean(path)}, {quoted(where)}" if where else clean(path)
+        file = quoted(path, longest=LONGEST_PATH)
+        place = f"{file}, {quoted(where)}" if where else file
         super().__init__(f"{place}: expected {expected}, found {quoted(found)}.{' ' + remedy if remedy else ''}")
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -56,6 +56,9 @@ MOST_VALUES_PER_BYTE = 25
 LARGEST_HEADER = 100 * 2**20
 """Bytes of the metadata at the end of a Parquet file, or at the beginning of a file of weights."""
 
+LONGEST_PATH = 1000
+"""Characters of a file's path in a message; a name that a file made up can be longer than any path."""
+
 LONGEST_MESSAGE = 4000
 """Characters of one message, on the terminal and in a table."""
 

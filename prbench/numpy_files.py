@@ -359,7 +359,7 @@ class Archive:
                 yield archive
         except FileNotFoundError as error:
             raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        except _DAMAGED as error:
             raise InputFileError(
                 self.path,
                 "",
@@ -367,6 +367,18 @@ class Archive:
                 found=f"another form or a damaged one ({str(error) or type(error).__name__})",
                 remedy=self.remedy or "Write it with np.savez or np.savez_compressed.",
             ) from error
+
+
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    OSError,
+    ValueError,  # of a table of contents that points before the start of the file
+)
+"""What zipfile says of damaged archives."""
 
 
 def _write_piece(file: BinaryIO, part: bytes) -> None:

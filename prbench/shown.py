@@ -59,7 +59,7 @@ def markdown(text: object) -> str:
     >>> markdown("[a](javascript:b) <img> x_y")
     '\\[a\\](javascript:b) &lt;img&gt; x_y'
     """
-    shown = clean(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    shown = _ENTITY.sub("&amp;", clean(text)).replace("<", "&lt;").replace(">", "&gt;")
     shown = _MARKDOWN_MARKS.sub(r"\\\g<0>", shown)
     return _BARE_LINK.sub(lambda link: f"{link[1] or ''}\\{link[0][-1]}", shown)
 
@@ -71,6 +71,8 @@ def markdown_code(text: object) -> str:
 
 
 _MARKDOWN_MARKS = re.compile(r"[\\`*\[\]|~$]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
+_ENTITY = re.compile(r"&(?=#?[A-Za-z0-9]+;)")
+"""An ampersand that Markdown takes for the beginning of a character's name; any other shows itself."""
 _BARE_LINK = re.compile(r"(?i)\b(https?|ftp|mailto|xmpp|www)[:.]")
 """Addresses that GitHub makes links of although nothing marks them."""
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import platformdirs
 
 from prbench.boundary import foreign_input
-from prbench.bounded import read_text
+from prbench.bounded import read_text, require_regular
 from prbench.errors import InputFileError, StorageError
 from prbench.limits import LARGEST_JSON, LONGEST_NAME
 from prbench.shown import clean
@@ -208,7 +208,13 @@ def read_json(path: Path) -> object:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's bytes, as hexadecimal text."""
+    """SHA-256 of a file's bytes, as hexadecimal text.
+
+    Raises:
+        InputFileError: if it is a folder, a pipe or a device.
+        FileNotFoundError: if there is no such file.
+    """
+    require_regular(path)
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

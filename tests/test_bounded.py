@@ -10,13 +10,26 @@ import msgspec
 import pytest
 
 from prbench import limits
-from prbench.bounded import read_text, read_whole, require_unpackable, whole_lines
-from prbench.errors import InputFileError, TableError
+from prbench.bounded import open_regular, read_text, read_whole, require_unpackable, whole_lines
+from prbench.errors import InputFileError, PrbenchError, TableError
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files
+from prbench.readers.digests import remembered_digest
 from prbench.readers.files import decode_json, read_columns
+from prbench.readers.last_line import require_whole_last_line
 from prbench.readers.zipped import ZippedFile, read_all
+from prbench.runs.predictions.numbered import index_numbered
+from prbench.runs.predictions.rows import Numbering
+from prbench.storage import file_digest
 from tests.bombs import MEGABYTE, declaring, encrypted, zipped
+
+
+def require_whole_last_line_of(path):
+    require_whole_last_line(path, ["x"], ["x"])
+
+
+def headers_of(path):
+    index_numbered(path.parent, Numbering(path, ("a",), (0,)))
 
 
 def test_a_file_larger_than_any_of_its_kind_is_refused_unread(tmp_path):
@@ -35,6 +48,14 @@ def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
     os.mkfifo(tmp_path / "metadata.json")
     with pytest.raises(InputFileError, match="found a pipe"):
         read_whole(tmp_path / "metadata.json")
+
+
+@pytest.mark.parametrize("look", [open_regular, file_digest, remembered_digest, require_whole_last_line_of, headers_of])
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_what_is_read_in_pieces_is_no_pipe_either(look, tmp_path):
+    os.mkfifo(tmp_path / "0000000000.npy")
+    with pytest.raises(PrbenchError, match="found a pipe"):
+        look(tmp_path / "0000000000.npy")
 
 
 def test_a_line_longer_than_any_is_named(tmp_path):

@@ -8,7 +8,7 @@ import os
 import numpy as np
 import pytest
 
-from prbench.errors import InputFileError, PredictionsError
+from prbench.errors import InputFileError, PredictionsError, UnforeseenInput
 from prbench.limits import LARGEST_ARRAYS
 from prbench.numpy_files import Archive, load_array
 from prbench.readers.zipped import archive_members
@@ -90,6 +90,14 @@ def test_empty_predictions_cannot_stand_for_many(tmp_path, shape, said):
 def test_predictions_that_declare_more_than_a_sequence_holds_are_refused(tmp_path):
     with pytest.raises(PredictionsError, match="expected at most 33,554,432 bytes of one sequence"):
         Predictions.open(npz(tmp_path / "p.npz", "gimo_a", 40))
+
+
+def test_an_archive_that_has_lost_its_beginning_is_told_as_damaged(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.arange(5000.0))
+    (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[1000:])
+    with pytest.raises(InputFileError, match=r"expected a readable \.npz file") as refused:
+        Archive(tmp_path / "a.npz").load(["x"])
+    assert not isinstance(refused.value, UnforeseenInput)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")

@@ -58,6 +58,8 @@ def test_a_message_quotes_no_more_than_its_share_and_no_escape():
         ("a|b\n| c |", r"a\|b\\n\| c \|"),
         ("`rm`", r"\`rm\`"),
         ("&#106;avascript", "&amp;#106;avascript"),
+        ("&lt;cup", "&amp;lt;cup"),
+        ("salt & pepper", "salt & pepper"),
         ("_bold_ $x$ ~~y~~", r"\_bold\_ \$x\$ \~\~y\~\~"),
     ],
 )

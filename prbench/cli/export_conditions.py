@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -88,8 +89,8 @@ def _tell_first_run(arguments: argparse.Namespace) -> None:
     """Runs without ``--data`` take a part of the embedded dataset, this command all of it unless it is told."""
     from prbench.workflows.first_run import default_table_folder
 
-    embedded = default_table_folder().resolve()
-    if arguments.limit is None and any(folder.resolve() == embedded for folder in arguments.data):
+    embedded = os.path.realpath(default_table_folder())
+    if arguments.limit is None and any(os.path.realpath(folder) == embedded for folder in arguments.data):
         print(
             f"this is the embedded dataset, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
             f" sequences: --limit {FIRST_RUN_SEQUENCES} exports the same ones.",

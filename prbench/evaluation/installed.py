@@ -42,11 +42,6 @@ def list_adapters() -> list[InstalledAdapter]:
     return sorted(set(_adapters()))
 
 
-def built_in_names() -> frozenset[str]:
-    """Names of prbench's own methods, as far as they are installed."""
-    return frozenset(adapter.name for adapter in list_adapters() if adapter.built_in)
-
-
 def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
     """Names that more than one package may use; such a name cannot be used until one of them is uninstalled."""
     names = [adapter.name for adapter in adapters if not adapter.problem]
@@ -135,9 +130,12 @@ def _normalised(distribution: Distribution) -> str:
 
 
 def _folder_name(distribution: Distribution) -> str:
-    """The package's name as its ``.dist-info`` folder has it, which costs no reading."""
-    folder = str(getattr(getattr(distribution, "_path", None), "name", ""))
-    return folder.partition("-")[0] if folder.endswith((".dist-info", ".egg-info")) else ""
+    """The package's name as its ``.dist-info`` folder has it, which costs no reading.
+
+    A source checkout has ``name.egg-info`` without a version.
+    """
+    stem, _, suffix = str(getattr(getattr(distribution, "_path", None), "name", "")).rpartition(".")
+    return stem.partition("-")[0] if suffix in ("dist-info", "egg-info") else ""
 
 
 def _field(distribution: Distribution, name: str) -> str:

@@ -7,6 +7,7 @@ stdout (docs/wire-protocol.md). What the method or its libraries print goes to s
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -118,7 +119,7 @@ def _answered(
     try:
         with computing_threads(threads):
             motions = adapter.generate(own_copy(batch), seed=header["seed"])
-        motions = well_formed(motions, batch, method=name, sequence_ids=batch.opaque_id)
+        motions = well_formed(motions, batch, method=name, sequence_ids=batch.opaque_id, farthest=math.inf)
     except (Exception, SystemExit) as error:
         if not is_out_of_memory(error):
             return {"message": "error", "text": _reason(error)}, None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,7 +101,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             raise RunError(
                 f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
             )
-        folders |= {folder.resolve(): None for folder in found}
+        folders |= {Path(os.path.realpath(folder)): None for folder in found}
     rows: list[LeaderboardRow] = []
     left_out: list[str] = []
     for folder in sorted(folders):

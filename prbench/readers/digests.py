@@ -12,7 +12,7 @@ import json
 import time
 from pathlib import Path
 
-from prbench.errors import InputFileError, StorageError
+from prbench.errors import StorageError
 from prbench.locks import sole_writer
 from prbench.readers.parse_cache import limit_bytes
 from prbench.storage import cache_folder, file_digest, text_digest, write_json
@@ -26,11 +26,9 @@ def remembered_digest(path: Path) -> str:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        InputFileError: if it is a folder.
+        InputFileError: if it is a folder, a pipe or a device.
     """
     before, now = _identity(path), time.time_ns()
-    if path.is_dir():
-        raise InputFileError(path, "", expected="a file", found="a folder", remedy="Copy the file again.")
     if before["size"] < _WORTH_REMEMBERING or not limit_bytes():
         return file_digest(path)
     entry = cache_folder() / "digests" / f"{text_digest(str(path.resolve()))[:32]}.json"

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from prbench.bounded import open_regular
 from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
 from prbench.readers.extents import Extent
 from prbench.readers.files import header_names
@@ -63,7 +64,7 @@ def json_extent(stream: str, file: InputFile) -> Extent:
 def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
     """The first and the last bytes; of a small file or a member of an archive all of it where that is less."""
     if not file.member:
-        with open(file.path, "rb") as plain:
+        with open_regular(file.path) as plain:
             head = plain.read(_END)
             plain.seek(max(os.fstat(plain.fileno()).st_size - _END, 0))
             return head, plain.read()

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection
 from pathlib import Path
 
+from prbench.bounded import open_regular
 from prbench.errors import InputFileError
 
 _HARMLESS = re.compile(rb"-?(0|\d\d+)\.\d{6,}|-?\d(\.\d+)?e-\d\d+")
@@ -49,7 +50,7 @@ def require_whole_last_line(
 
 
 def _tail(path: Path) -> bytes:
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         file.seek(0, 2)
         file.seek(max(file.tell() - 80, 0))
         return file.read()

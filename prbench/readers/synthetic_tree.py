@@ -18,7 +18,7 @@ from prbench.readers.found import is_present
 
 SYNTHETIC_FILE = "synthetic.json"
 SYNTHETIC_PREFIX = "synthetic-"
-INVENTED_NAME = re.compile(r"_synthetic_seed\d+_")
+INVENTED_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
 """Stands in the name of every invented recording."""
 
 
@@ -64,6 +64,11 @@ def synthetic_tree_around(folder: Path, root: Path) -> SyntheticTree | None:
     return next((tree for tree in map(read_synthetic_tree, (*way, root)) if tree is not None), None)
 
 
+def lacks_mark(recording_id: str, dataset: str) -> bool:
+    """Return True for an invented recording that would pass as a real one, because its mark was not copied."""
+    return INVENTED_NAME.search(recording_id) is not None and not dataset.startswith(SYNTHETIC_PREFIX)
+
+
 def require_marked(root: Path, recordings: Mapping[str, str]) -> None:
     """Refuse invented recordings that were copied without their mark: they would pass as real ones.
 
@@ -75,7 +80,7 @@ def require_marked(root: Path, recordings: Mapping[str, str]) -> None:
         InputFileError: naming one of them.
     """
     for name, dataset in recordings.items():
-        if INVENTED_NAME.search(name) and not dataset.startswith(SYNTHETIC_PREFIX):
+        if lacks_mark(name, dataset):
             raise InputFileError(
                 root,
                 "",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.bounded import open_regular
 from prbench.errors import InputFileError
 from prbench.numpy_files import ArrayHeader, read_header
 
@@ -41,7 +42,7 @@ def scan_header(path: Path) -> ArrayHeader:
         InputFileError: see :func:`parse_header`, or if the file cannot be opened.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             return parse_header(path, file.read(_HEADER_BYTES), path.stat().st_size)
     except OSError as error:
         raise _no_array(path, "a readable file", str(error.strerror or error)) from error

@@ -16,6 +16,7 @@ from prbench.readers.aria_mps import check_trajectory, source_of
 from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
+from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
 from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
@@ -121,6 +122,8 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     if reason:
         return InspectedRecording(recording.recording_id, "left out", size, (reason,))
     missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))
+    if lacks_mark(recording.recording_id, recording.dataset):
+        missing += (f"missing: {SYNTHETIC_FILE}",)
     wanted = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
     damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
     if missing or damaged:

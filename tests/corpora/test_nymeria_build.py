@@ -121,6 +121,10 @@ def test_without_the_mark_licence_and_citation_are_those_of_the_dataset(nymeria_
     tree = tmp_path / "tree"
     shutil.copytree(nymeria_tree, tree)
     (tree / "synthetic.json").unlink()
+    with pytest.raises(InputFileError, match=r"_invented_.* without it"):
+        build_corpus("nymeria", tree, tmp_path / "out", options=CorpusOptions(limit=1))
+    for folder in tree.glob("*_invented_*"):
+        folder.rename(tree / folder.name.replace("_invented_", "_somebody_"))
     info = build_corpus("nymeria", tree, tmp_path / "out", options=CorpusOptions(limit=1)).info
     assert (info.dataset, info.redistribution, info.licence) == ("nymeria", "non-commercial", "CC BY-NC 4.0")
     assert "ma2024nymeria" in info.citation

@@ -43,6 +43,16 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
     return _package
 
 
+def test_a_source_checkout_on_the_path_is_prbench_itself(tmp_path, monkeypatch):
+    info = tmp_path / "prbench.egg-info"  # as an editable installation leaves it, without a version
+    info.mkdir()
+    (info / "entry_points.txt").write_text("[prbench.adapters]\nstatic = prbench_adapters.static:load\n")
+    (info / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: prbench\nVersion: 0.1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (static,) = [adapter for adapter in list_adapters() if adapter.name == "static"]
+    assert (static.built_in, static.version, static.problem) == (True, "0.1", "")
+
+
 def _mine() -> list[InstalledAdapter]:
     return [adapter for adapter in list_adapters() if adapter.package != "prbench"]
 

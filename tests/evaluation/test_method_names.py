@@ -13,7 +13,7 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError, MemoryFullError, UsageError
 from prbench.evaluation.adapters import find_adapter, load_adapter
 from prbench.evaluation.controls import CONTROLS
-from prbench.evaluation.installed import built_in_names, entry_points_of, list_adapters, offered_twice
+from prbench.evaluation.installed import entry_points_of, list_adapters, offered_twice
 from prbench.evaluation.method_names import BUILT_IN_METHODS, METHOD_CONTROLS, has_form, name_problem
 from prbench.evaluation.programs.description import read_description
 from prbench.evaluation.request import RunRequest
@@ -29,7 +29,8 @@ ROOT = Path(__file__).parents[2]
 
 def test_the_reserved_names_are_those_of_the_methods_and_controls_that_come_with_prbench():
     points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
-    assert set(BUILT_IN_METHODS) == set(points["prbench.adapters"]) == built_in_names()
+    installed = {adapter.name for adapter in list_adapters() if adapter.built_in}
+    assert set(BUILT_IN_METHODS) == set(points["prbench.adapters"]) == installed
     assert tuple(control.name for control in CONTROLS if control.use == "--method") == METHOD_CONTROLS
     for name in (*BUILT_IN_METHODS, *(control.name for control in CONTROLS), *points["prbench.training_tasks"], "all"):
         assert "only prbench itself may use this name" in str(name_problem(name))

@@ -11,7 +11,7 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.engine import ProcessPool
-from prbench.errors import AdapterError, InputFileError, RunError, StorageError, TableError, UsageError
+from prbench.errors import AdapterError, RunError, StorageError, TableError, UsageError
 from prbench.evaluation import planning
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
@@ -257,7 +257,7 @@ def test_a_table_of_an_unknown_schema_version(tmp_path):
     (part,) = table.part_paths("sequences")
     rows = pq.read_table(part)
     pq.write_table(rows.replace_schema_metadata(rows.schema.metadata | {b"prbench_schema_version": b"99"}), part)
-    with pytest.raises(TableError, match=r"expected schema version 1, 2, found 99"):
+    with pytest.raises(TableError, match=r"expected schema version 1, 2, 3, found 99"):
         run_method(request(table, tmp_path / "out"))
 
 
@@ -318,10 +318,11 @@ def test_a_file_in_the_place_of_the_folder_is_refused(table, tmp_path):
 
 
 def test_a_dataset_name_never_leads_out_of_the_run_folder(table, tmp_path):
-    fake_dataset(tmp_path / "evil", 30, dataset="../../evil")
-    with pytest.raises(InputFileError, match=r"a path that leads out of it"):
-        run_method(request(table, tmp_path / "a/b/out", data=(table.folder, tmp_path / "evil")))
-    assert not (tmp_path / "a/evil").exists()
+    described = fake_dataset(tmp_path / "renamed", 30).folder / "dataset.json"
+    described.write_text(json.dumps({**json.loads(described.read_text()), "dataset": "../../evil"}))
+    with pytest.raises(TableError, match=r"dataset: expected a name that a folder can have, found '../../evil'"):
+        run_method(request(table, tmp_path / "a/b/out", data=(table.folder, described.parent)))
+    assert not (tmp_path / "a").exists()
 
 
 def test_a_damaged_run_json_is_refused(table, tmp_path):

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.errors import PredictionsError, RunError, StorageError
+from prbench.errors import PrbenchError, PredictionsError, RunError, StorageError
 from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.run import run_method
 from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
@@ -201,6 +201,12 @@ def test_text_as_other_libraries_write_it_is_read(table, recorded, tmp_path, kin
     rows = pq.read_table(write(tmp_path / "p.parquet", recorded))
     pq.write_table(rows.set_column(0, "sequence_id", rows["sequence_id"].cast(kind)), tmp_path / "q.parquet")
     assert mean(score(table, tmp_path / "q.parquet"), "mpjpe") == 0.0
+
+
+def test_a_link_that_leads_to_itself_is_named(table, tmp_path):
+    (tmp_path / "motions.parquet").symlink_to("motions.parquet")
+    with pytest.raises(PrbenchError, match=r"motions\.parquet"):
+        score_predictions(ScoreRequest(predictions=tmp_path / "motions.parquet", data=(table.folder,)))
 
 
 def test_missing_and_damaged_files_are_named(table, tmp_path):

@@ -11,7 +11,7 @@ from random import Random
 import pyarrow as pa
 
 from tests.fuzz.doors import COMMANDS, READERS, Door
-from tests.fuzz.judging import GOOD, SECONDS, Outcome, looked, temporary_folder, verdict
+from tests.fuzz.judging import GOOD, SECONDS, Looker, Outcome, temporary_folder, verdict
 from tests.fuzz.mutations import Mutation, files_by_kind, mutate
 
 Finding = tuple[str, Mutation, Outcome]
@@ -33,9 +33,10 @@ def fuzz(
         How often each verdict was given, and the damages whose verdict is a finding.
     """
     door.make(folder)
-    groups = files_by_kind(folder / "input")
+    groups = [group for group in files_by_kind(folder / "input") if group[0].name not in door.spared]
     kept = set(folder.iterdir())
-    whole = looked(lambda: door.look(folder))
+    looked = Looker(lambda: door.look(folder), seconds=seconds)
+    whole = looked()
     if whole.seen is None:
         raise RuntimeError(f"{door.name}: undamaged files: {whole.ending} {whole.message}")
     counts: Counter[str] = Counter()
@@ -43,13 +44,18 @@ def fuzz(
     for number in range(mutations):
         _remove_made(folder, kept)
         mutation, undo = mutate(groups, Random(f"{door.name} {seed} {number}"))
-        after = looked(lambda: door.look(folder), seconds=seconds)
-        ending = verdict(whole.seen, after, must_be_told=mutation.must_be_told and door.knows_whole)
+        after = looked()
+        ending = verdict(whole.seen, after, must_be_told=_must_be_told(mutation, door))
         undo.restore()
         counts[ending] += 1
         if ending not in GOOD:
             findings.append((f"{seed}/{number} {ending}", mutation, after))
+    looked.close()
     return counts, findings
+
+
+def _must_be_told(mutation: Mutation, door: Door) -> bool:
+    return mutation.harm == "replaced" or (mutation.harm == "shorter" and door.knows_whole)
 
 
 def _remove_made(folder: Path, kept: set[Path]) -> None:

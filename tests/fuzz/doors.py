@@ -16,10 +16,11 @@ import numpy as np
 from prbench.cli import main
 from prbench.corpora.options import CorpusOptions
 from prbench.corpora.sources import corpus_for, find_groups
+from prbench.curation.options import BuildOptions
+from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.evaluation.offline import ConditionsFile, read_conditions, read_conditions_file
 from prbench.evaluation.programs.description import read_description
-from prbench.readers import reader_for
 from prbench.synthetic.corpus_tree import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.training.configuration import load_configuration
@@ -45,8 +46,10 @@ class Door:
     make: Callable[[Path], object]
     """Writes the files that will be damaged into ``input`` of the folder, and what stands beside them."""
     look: Callable[[Path], Seen]
+    spared: tuple[str, ...] = ()
+    """Names of files that are not damaged: of which nothing can tell that they are missing."""
     knows_whole: bool = True
-    """False where a person writes the files, and a shorter one is simply another one."""
+    """False where a shorter file is simply another one: files that people write, and lists of texts."""
 
 
 class CommandFailed(PrbenchError):
@@ -64,7 +67,7 @@ def digest_of(value: object) -> str:
 def _parts(value: object) -> Iterator[bytes]:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         for field in dataclasses.fields(value):
-            if field.name != "messages":
+            if field.name not in ("messages", "shortfalls"):
                 yield from _parts(getattr(value, field.name))
     elif isinstance(value, np.ndarray):
         yield f"{value.dtype}{value.shape}".encode()
@@ -97,9 +100,9 @@ def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
         ]
         told += [broken.message for broken in inspection.broken]
         places = {name: str(value).replace("INPUT", str(root)) for name, value in options.items()}
-        reader = reader_for(layout, places)
-        recordings = [reader.read(found) for found in reader.find(root)]
-        told += [message for recording in recordings for message in recording.messages]
+        sources = native_sources(layout, root, BuildOptions(reader=tuple(places.items())))
+        recordings = [source.read() for source in sources]
+        told += [message for recording in recordings for message in (*recording.messages, *recording.shortfalls)]
         return Seen(digest_of(recordings), tuple(told))
 
     return Door("adt-egoallo" if estimates else layout, make, look)
@@ -114,10 +117,13 @@ def _corpus(name: str) -> Door:
         members = [member for group in groups for member in group.recordings]
         told = [f"{member.belonging.recording_id} {member.skip_reason}" for member in members]
         made = [member.read() for member in members if not member.skip_reason]
-        told += [recording.message for recording in made]
+        told += [f"{recording.message} {recording.clock_method}" for recording in made]
         values = [(recording.clips, recording.annotations, recording.duration) for recording in made]
         return Seen(digest_of(values), tuple(told))
 
+    # The names of HumanML3D's motions are numbers, so that nothing marks invented ones but the file beside them.
+    if name == "humanml3d":
+        return Door(name, make, look, spared=("synthetic.json",), knows_whole=False)
     return Door(name, make, look)
 
 
@@ -274,8 +280,11 @@ READERS = (
 
 COMMANDS = (
     *(_built(layout) for layout in LAYOUTS),
-    _command("build-corpus", _corpus("humanml3d").make, "build-corpus", "humanml3d", "--root", "FOLDER/input", "--out",
-             "FOLDER/corpus", out="corpus"),
+    dataclasses.replace(
+        _command("build-corpus", _corpus("humanml3d").make, "build-corpus", "humanml3d", "--root", "FOLDER/input",
+                 "--out", "FOLDER/corpus", out="corpus"),
+        spared=("synthetic.json",), knows_whole=False,
+    ),
     _command("diff", _two_tables, "diff", "FOLDER/input", "FOLDER/other"),
     _command("stats", _table, "stats", "FOLDER/input"),
     _command("run", _table, "run", "--method", "static", "--condition", "none", "--data", "FOLDER/input", "--out",

@@ -50,51 +50,84 @@ class Outcome:
 Look = Callable[[], Seen]
 
 
-def looked(look: Look, *, seconds: float = SECONDS, memory: int = BYTES) -> Outcome:
-    """Take a look in a forked process with bounded time and memory; only single-threaded interpreters may do this."""
-    reading, writing = os.pipe()
-    started = time.monotonic()
-    child = os.fork()
-    if child == 0:
-        os.close(reading)
-        _answer(look, writing, memory)
-    os.close(writing)
-    answer, in_time = _received(reading, started + seconds)
-    if not in_time:
-        os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
-    took = time.monotonic() - started
-    if not in_time:
-        return Outcome("hang", message=f"more than {seconds:.0f} s", seconds=took)
-    if not answer:
-        return Outcome("died", message=f"status {os.waitstatus_to_exitcode(status)}", seconds=took)
-    ending, message, values, remarks = json.loads(answer)
-    seen = Seen(values, tuple(remarks)) if ending == "read" else None
-    return Outcome(ending, seen, message, took)
+class Looker:
+    """Takes looks in a forked process with bounded time and memory; only single-threaded interpreters may do this.
+
+    One process takes many looks, because forking costs more than most of them; one that hangs or dies is replaced.
+
+    Args:
+        look: What is done at each look.
+        seconds: How long one look may take.
+        memory: Bytes that one look may add.
+    """
+
+    def __init__(self, look: Look, *, seconds: float = SECONDS, memory: int = BYTES) -> None:
+        self._look, self._seconds, self._memory = look, seconds, memory
+        self._child = 0
+        self._asking = self._answers = -1
+
+    def __call__(self) -> Outcome:
+        """Take a look."""
+        if not self._child:
+            self._start()
+        started = time.monotonic()
+        os.write(self._asking, b"?")
+        answer = self._received(started + self._seconds)
+        took = time.monotonic() - started
+        if answer is None:
+            self.close()
+            return Outcome("hang", message=f"more than {self._seconds:.0f} s", seconds=took)
+        if not answer:
+            return Outcome("died", message=f"status {self.close()}", seconds=took)
+        ending, message, values, remarks = json.loads(answer)
+        seen = Seen(values, tuple(remarks)) if ending == "read" else None
+        return Outcome(ending, seen, message, took)
+
+    def close(self) -> int:
+        """End the process, if there is one; its exit status."""
+        if not self._child:
+            return 0
+        os.kill(self._child, signal.SIGKILL)
+        _, status = os.waitpid(self._child, 0)
+        os.close(self._asking)
+        os.close(self._answers)
+        self._child = 0
+        return os.waitstatus_to_exitcode(status)
+
+    def _start(self) -> None:
+        asked, self._asking = os.pipe()
+        self._answers, answering = os.pipe()
+        self._child = os.fork()
+        if self._child == 0:
+            os.close(self._asking)
+            os.close(self._answers)
+            _answer(self._look, asked, answering, self._memory)
+        os.close(asked)
+        os.close(answering)
+
+    def _received(self, until: float) -> bytes | None:
+        """One line; nothing if the process died before its end, None if it took too long."""
+        parts = b""
+        while not parts.endswith(b"\n"):
+            ready, _, _ = select.select([self._answers], [], [], max(0.0, until - time.monotonic()))
+            if not ready:
+                return None
+            part = os.read(self._answers, 1 << 16)
+            if not part:
+                return b""
+            parts += part
+        return parts
 
 
-def _received(reading: int, until: float) -> tuple[bytes, bool]:
-    parts = []
-    while True:
-        ready, _, _ = select.select([reading], [], [], max(0.0, until - time.monotonic()))
-        if not ready:
-            os.close(reading)
-            return b"", False
-        part = os.read(reading, 1 << 16)
-        if not part:
-            os.close(reading)
-            return b"".join(parts), True
-        parts.append(part)
-
-
-def _answer(look: Look, writing: int, memory: int) -> None:
-    """Look, answer through the pipe and end; runs in the child and never returns."""
-    used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_DATA, (used + memory, resource.RLIM_INFINITY))
+def _answer(look: Look, asked: int, answering: int, memory: int) -> None:
+    """Look whenever asked to, and answer; runs in the child and never returns."""
     try:
-        answer = _told(look)
-        with os.fdopen(writing, "wb") as pipe:
-            pipe.write(json.dumps(answer).encode())
+        while os.read(asked, 1):
+            used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+            resource.setrlimit(resource.RLIMIT_DATA, (used + memory, resource.RLIM_INFINITY))
+            answer = json.dumps(_told(look)).encode() + b"\n"
+            while answer:
+                answer = answer[os.write(answering, answer) :]
     finally:
         os._exit(0)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
+from typing import Literal
 
 from tests.fuzz.array_files import other_content
 
@@ -29,6 +30,8 @@ IMPOSSIBLE = (
     b"null",
 )
 POSSIBLE = (b"0", b"-1", b"1", b"0.5", b"9223372036854775807", b"18446744073709551616", b"1" * 40, b"-0.0", b"1e-320")
+_SHORTER_IS_ANOTHER = ("*.obj", "motion_narration.csv", "atomic_action.csv")
+"""Files of which nothing says how long they should be: meshes with fewer triangles, texts of fewer minutes."""
 _WINDOW = 4096
 _DEEP = 100_000
 
@@ -40,8 +43,9 @@ class Mutation:
     path: Path
     kind: str
     detail: str
-    must_be_told: bool
-    """True where a result that the damage changes has to say so; a digit that became another digit cannot be seen."""
+    harm: Literal["shorter", "replaced", "other"]
+    """What became of the file: a part of it, nothing or something that is no file, or other bytes. A digit that became
+    another digit cannot be seen; of the first two a result has to tell."""
 
     def __str__(self) -> str:
         return f"{self.kind} {self.path.name} {self.detail}"
@@ -78,7 +82,10 @@ def mutate(groups: list[list[Path]], random: Random) -> tuple[Mutation, Undo]:
     undo = Undo(path)
     kind = random.choice(KINDS)
     detail = kind(path, undo.content, random, groups)
-    return Mutation(path, kind.__name__, detail, kind in _MUST_BE_TOLD), undo
+    harm = _HARM.get(kind, "other")
+    if harm == "shorter" and any(map(path.match, _SHORTER_IS_ANOTHER)):
+        harm = "other"
+    return Mutation(path, kind.__name__, detail, harm), undo
 
 
 Kind = Callable[[Path, bytes, Random, list[list[Path]]], str]
@@ -373,6 +380,7 @@ KINDS: tuple[Kind, ...] = (
     garbage_behind, empty, missing, folder_instead, link_instead, pipe_instead, other_file, archive_damage,
     array_damage, other_arrays, other_arrays,
 )  # fmt: skip
-_MUST_BE_TOLD = frozenset(
-    {cut_anywhere, cut_at_a_line, lost_start, deep_nesting, empty, missing, folder_instead, link_instead, pipe_instead}
-)
+_HARM: dict[Kind, Literal["shorter", "replaced"]] = {
+    **dict.fromkeys((cut_anywhere, cut_at_a_line, lost_start, empty), "shorter"),
+    **dict.fromkeys((missing, folder_instead, link_instead, pipe_instead), "replaced"),
+}

@@ -30,11 +30,11 @@ def test_every_ending_is_recognised():
 import os, time
 import numpy as np
 from prbench.errors import InputFileError, UnforeseenInput
-from tests.fuzz.judging import Seen, looked
+from tests.fuzz.judging import Looker, Seen
 def fail(error):
     raise error
 for name, look in {{{looks}}}.items():
-    print(name, looked(look, seconds=5.0 if name != "hang" else 0.5, memory=2**30).ending)
+    print(name, Looker(look, seconds=5.0 if name != "hang" else 0.5, memory=2**30)().ending)
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert [line.split() for line in done.stdout.splitlines()] == [[name, name] for name in _LOOKS]

@@ -83,6 +83,14 @@ def test_names_of_files_do_not_matter_for_the_order(root):
     np.testing.assert_allclose(_body(root).joints[:25, 0, 2], 0.9, atol=1e-6)
 
 
+def test_an_output_of_which_the_options_alone_are_there_is_missed(root):
+    folder = poses_folder(root, "rec")
+    write(folder, output(0, 25))
+    write(folder, output(20, 40)).unlink()
+    with pytest.raises(InputFileError, match=r"20-40\.npz"):
+        _body(root)
+
+
 def test_frames_of_another_phase_do_not_interleave(root):
     folder = poses_folder(root, "rec")
     path = write(folder, output(0, 20), output(10, 30))

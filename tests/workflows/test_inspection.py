@@ -43,6 +43,11 @@ def test_a_missing_file_is_named_and_reading_would_fail_too(tree, name) -> None:
     assert any(name in line and "1 of 2 recordings" in line for line in entry.missing)
 
 
+def test_invented_recordings_without_their_mark_are_incomplete(tree) -> None:
+    (tree / "synthetic.json").unlink()
+    assert states(tree) == [("incomplete", ("missing: synthetic.json",))] * 2
+
+
 @pytest.mark.parametrize("name", ["scene_objects.csv", "instances.json", "Skeleton_*.json", "aria_trajectory.csv"])
 def test_a_cut_file_is_damaged_and_an_empty_one_too(tree, name) -> None:
     (path,) = first_of(tree).glob(name)

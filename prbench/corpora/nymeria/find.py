@@ -9,6 +9,7 @@ from prbench.errors import InputFileError
 from prbench.formats import nymeria
 from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
 from prbench.readers.found import input_file
+from prbench.readers.synthetic_tree import require_marked
 
 SUIT, SMPL, METADATA, TRAJECTORY, OFFSET = "suit", "smpl", "metadata", "trajectory", "time_offset"
 """Roles of the files; narrations have the role of their kind."""
@@ -54,7 +55,9 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
             found="none",
             remedy="Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders.",
         )
-    return tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
+    recordings = tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
+    require_marked(root, {recording.recording_id: recording.dataset for recording in recordings})
+    return recordings
 
 
 def _interesting_files(root: Path) -> list[Path]:
@@ -69,8 +72,9 @@ def _interesting_files(root: Path) -> list[Path]:
         entered.add(real)
         videos = Path(folder).name.startswith("recording_")
         inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
-        paths += [Path(folder) / name for name in sorted(names) if name in _ROLES]
-    return [path for path in paths if path.is_file()]  # a link may lead nowhere
+        # A folder or a dead link that bears a file's name is listed too: reading it says what stands there.
+        paths += [Path(folder) / name for name in sorted({*names, *inner} & _ROLES.keys())]
+    return paths
 
 
 def _sequence_of(path: Path, root: Path) -> str:

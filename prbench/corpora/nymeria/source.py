@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Int
 
 from prbench.boundary import foreign_input
 from prbench.corpora.nymeria.body import BodyMotion, suit_motion
@@ -28,6 +29,7 @@ from prbench.manifests import Manifest, load_manifest
 from prbench.readers import RecordingFiles, described_options, require_one_origin
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.aria_mps.wanted import NearGaze
+from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest
 
@@ -113,7 +115,7 @@ class NymeriaSource:
         read = recording_clips(
             self.belonging, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
         )
-        message = "; ".join(part for part in (*messages, read.message) if part)
+        message = "; ".join(part for part in (*self._without_texts(narrations), *messages, read.message) if part)
         return ReadRecording(
             read.clips,
             read.annotations,
@@ -131,6 +133,14 @@ class NymeriaSource:
     def _narrations(self) -> tuple[Narration, ...]:
         kinds = [kind for kind in self.options.chosen_kinds if self.found.path(kind) is not None]
         return tuple(row for kind in kinds for row in read_narrations(self.found.require(kind, kind), kind))
+
+    def _without_texts(self, narrations: tuple[Narration, ...]) -> tuple[str, ...]:
+        """Name the files of chosen kinds that are absent or hold no text; without any, the clock's message says so."""
+        if not narrations:
+            return ()
+        held = {narration.kind for narration in narrations}
+        lacking = [nymeria.NARRATION_FILES[kind] for kind in self.options.chosen_kinds if kind not in held]
+        return (f"no text in {' and '.join(lacking)}, or no such file",) if lacking else ()
 
     def _body(self, clean: CleanSuit) -> BodyMotion:
         manifest, thresholds = self._manifest, self._manifest.thresholds
@@ -170,15 +180,23 @@ class NymeriaSource:
             try:
                 trajectory = read_near(path, NearGaze(_NO_GAZE, thresholds["correlation_rate"]))
                 offset, why = offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
+                if offset is not None:
+                    return offset, _cut_short(path, trajectory.time_us, clean, offset)
             except InputFileError as error:  # texts may still be placed by their starts
-                offset, why = None, str(error)
-            if offset is not None:
-                return offset, ()
+                why = str(error)
             messages.append(why)
         if not self.options.start_alignment:
             return None, (*messages, "no way to the suit's clock, and start alignment is switched off")
         offset, why = offset_by_starts(narrations, clean, thresholds)
         return offset, tuple(part for part in (*messages, why) if part)
+
+
+def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, offset: ClockOffset) -> tuple[str, ...]:
+    """Say by how much the glasses' trajectory ends before the suit does: what follows was not used for the clock."""
+    missing = clean.span[1] - offset.seconds - time_us[-1] * 1e-6
+    if missing <= SEVERAL_SENSORS:
+        return ()
+    return (f"{path.name} ends {missing:.1f} s before the suit does; it may be cut off",)
 
 
 def recording_clips(

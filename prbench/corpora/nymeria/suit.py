@@ -71,6 +71,10 @@ def read_suit(path: Path) -> Suit:
     _require_number(path, arrays, "frameRate", SUIT_RATE, "Other rates than 240 Hz are not known to exist.")
     _require_number(path, arrays, "frameCount", float(n), _DOWNLOAD)
     tpose = arrays.get("tpose_segment_tXYZ")
+    if tpose is not None and tpose.dtype.kind not in "fiu":
+        raise InputFileError(
+            path, "tpose_segment_tXYZ", expected="numbers", found=f"an array of {tpose.dtype}", remedy=_DOWNLOAD
+        )
     return Suit(
         time_us=np.rint(time).astype(np.int64),
         position=_vectors(path, arrays, "segment_tXYZ", n, 3),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass, field
 
@@ -27,7 +28,7 @@ class Answer:
     batch: ConditionBatch
     """At the table's rate."""
     motions: Motions | None
-    """Checked, float32, at the table's rate; None if the harness would have ended the run."""
+    """Checked but for their distance from the origin, float32, at the table's rate; None if they are no motions."""
     error: str = ""
     """Why, in the harness's words."""
     returned: object = None
@@ -103,6 +104,7 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
                 seed=seed,
                 method=str(getattr(adapter, "name", "?")),
                 sequence_ids=[f"#{row}" for row in range(len(batch))],
+                farthest=math.inf,  # how far out a body is, and in which unit, is the doctor's to say
             )
     except PrbenchError as raised:
         error = str(raised)

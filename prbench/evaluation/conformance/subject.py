@@ -108,7 +108,7 @@ class Subject:
 
     @property
     def working(self) -> tuple[Condition, ...]:
-        """Those under which it generated motions that the harness accepts."""
+        """Those under which it generated finite motions of the asked lengths."""
         if not len(self.source.n_frames):
             return ()
         return tuple(condition for condition in self.conditions if self.standard(condition).motions is not None)

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.boundary import foreign_input
+from prbench.bounded import open_regular
 from prbench.errors import InputFileError
 from prbench.numpy_files import Archive, ArrayHeader, map_array, read_header
 from prbench.parquet_files import read_parquet
@@ -85,7 +86,7 @@ def _from_file(path: Path) -> Iterator[NamedMotion]:
 
 
 def _npy(path: Path) -> np.ndarray:
-    with open(path, "rb") as stream:
+    with open_regular(path) as stream:
         header = read_header(stream, path, "")
     return _numbers(map_array(path, header), path, "")
 

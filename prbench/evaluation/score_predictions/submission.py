@@ -99,7 +99,7 @@ def _name_of(path: Path) -> str:
     Raises:
         UsageError: if the method cannot be called that.
     """
-    path = path.resolve()
+    path = path.absolute()
     name = path.parent.name if path.is_dir() and path.name == "motions" else path.stem
     if problem := name_problem(name):
         raise UsageError(f"{clean(path)}: {problem}. Say what the method is called with --name.")

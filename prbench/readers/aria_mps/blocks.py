@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+from prbench.bounded import open_regular
 from prbench.readers.aria_mps.line_search import NEWLINE, QUOTE, Block, NotSearchable
 from prbench.readers.files import header_names
 from prbench.readers.zipped import Source, opened
@@ -69,7 +70,7 @@ def line_blocks(source: Source, first: int, size: int = BLOCK) -> Iterator[Block
 
 def _mapped_blocks(path: Path, first: int, size: int) -> Iterator[Block]:
     """Blocks of a plain file: only the pages that are looked at are read, and they are given back after each block."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last block that refers to it
     end, begin = _end_of_content(mapped, len(mapped)), first
     while begin < end:

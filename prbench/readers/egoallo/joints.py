@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import read_whole
+from prbench.bounded import read_whole, require_regular
 from prbench.errors import InputFileError, StorageError
 from prbench.formats import egoallo as ego
 from prbench.locks import sole_file
 from prbench.readers.egoallo.model import HOW_TO_GET, model_digest, read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
+from prbench.readers.found import is_present
 from prbench.recording.from_egoallo import window_joints
 from prbench.storage import bytes_digest, cache_folder
 
@@ -66,11 +67,11 @@ def read_guidance(path: Path) -> str:
     The file is YAML that may name Python objects: it is looked at as text and never loaded.
     """
     options = path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}")
-    try:
-        with open(options, "rb") as file:
-            text = file.read(_OPTIONS_BYTES).decode("utf-8", errors="replace")
-    except OSError:
+    if not is_present(options):
         return ""
+    require_regular(options)
+    with open(options, "rb") as file:
+        text = file.read(_OPTIONS_BYTES).decode("utf-8", errors="replace")
     found = _GUIDANCE.search(text)
     return found[1] if found else ""
 

@@ -49,7 +49,7 @@ def find_outputs(
     places += [folder / ego.OUTPUT_FOLDER] if folder is not None else []
     places.append(poses_folder(root, recording_id))
     for place in places:
-        outputs = sorted(path for path in place.glob("*.npz") if not path.name.startswith("."))
+        outputs = _outputs(place)
         if outputs:
             model = find_model(root, smplh_model)
             files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
@@ -57,6 +57,15 @@ def find_outputs(
             files += [input_file(f"{OPTIONS_ROLE}{path.name}", path) for path in options if is_present(path)]
             return (*files, *([input_file(MODEL_ROLE, model)] if model is not None and is_present(model) else []))
     return ()
+
+
+def _outputs(folder: Path) -> list[Path]:
+    """The output files of a folder; where options outnumber them, the missing ones too, and reading them says so."""
+    found = {path for path in folder.glob("*.npz") if not path.name.startswith(".")}
+    options = [path for path in folder.glob(f"*{ego.ARGUMENTS_SUFFIX}") if not path.name.startswith(".")]
+    if not found or len(options) <= len(found):
+        return sorted(found)
+    return sorted(found | {path.with_name(f"{path.name.removesuffix(ego.ARGUMENTS_SUFFIX)}.npz") for path in options})
 
 
 def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_PICKLE
 from prbench.readers.files import missing_file
@@ -66,9 +67,7 @@ def load_tensors(path: Path) -> dict[str, np.ndarray]:
             (nothing of it is imported or run), or holds anything but a dictionary of tensors.
     """
     try:
-        if path.stat().st_size > LARGEST_PICKLE:
-            raise _refused(path, "", f"{path.stat().st_size:,} bytes", "This is no pose of one frame.")
-        content = path.read_bytes()
+        content = read_whole(path, largest=LARGEST_PICKLE)
     except FileNotFoundError as error:
         raise missing_file(path) from error
     try:

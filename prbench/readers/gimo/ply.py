@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import read_whole
+from prbench.bounded import open_regular, read_whole
 from prbench.errors import InputFileError
 from prbench.readers.files import missing_file
 
@@ -64,7 +64,7 @@ def count_vertices(path: Path) -> int:
     Raises:
         InputFileError: see :func:`read_vertices`.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         return parse_header(path, file.read(_LONGEST_HEADER)).n_vertices
 
 

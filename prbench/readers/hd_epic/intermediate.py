@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.bounded import whole_lines
+from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
 from prbench.formats import hd_epic
 from prbench.formats.aria_mps import GlassesSize
@@ -73,7 +73,7 @@ def read_frames(path: Path, calibration: Path | None) -> hd_epic.FrameReadings:
 def _decoded_lines(path: Path) -> list[_Frame]:
     frames: list[_Frame] = []
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             for number, line in enumerate(whole_lines(file, path), start=1):
                 if not line.strip():
                     continue

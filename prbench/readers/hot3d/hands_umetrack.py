@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from prbench.bounded import whole_lines
+from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
 from prbench.formats import hot3d, umetrack
 from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
@@ -202,7 +202,7 @@ def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, 
 
 def _text_lines(path: Path) -> Iterator[bytes]:
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             yield from (line for line in whole_lines(file, path) if line.strip())
     except FileNotFoundError as error:
         raise missing_file(path) from error

@@ -32,7 +32,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
         require_size(path, largest=LARGEST_UNPACKED)
         with h5py.File(path, "r") as file:
             yield file
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # h5py says the latter of damaged links and indices
         found = str(error).splitlines()[0]
         raise InputFileError(path, "", expected="a complete HDF5 file", found=found, remedy=_COPY_AGAIN) from error
 

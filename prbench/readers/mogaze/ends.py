@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import h5py
 
+from prbench.errors import InputFileError
 from prbench.formats import mogaze
 from prbench.readers.extents import Extent
 from prbench.readers.found import InputFile, RecordingFiles
+from prbench.readers.mogaze.arrays import opened
 from prbench.recording import Recording
 
 
@@ -21,9 +23,9 @@ def _extent(file: InputFile) -> Extent | None:
     if file.role not in streams:
         return None
     try:
-        with h5py.File(file.path, "r") as content:
+        with opened(file.path) as content:
             last = _last_label(content) if file.role == segments else _last_frame(content)
-    except (OSError, KeyError):
+    except (InputFileError, KeyError):
         return None  # reading says what is wrong with it
     seconds = None if last is None else last / mogaze.RATE
     return Extent(streams[file.role], file.path.name, 0.0, seconds, tells_span=file.role != segments)

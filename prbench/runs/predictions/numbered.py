@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.bounded import open_regular
 from prbench.errors import InputFileError, PredictionsError
 from prbench.numpy_files import ArrayHeader, map_array, read_header
 from prbench.runs.predictions.rows import IndexedRows, Numbering, as_float32, leading_axes
@@ -92,7 +93,7 @@ def _paths(folder: Path, numbering: Numbering) -> tuple[Path, ...]:
 
 def _header(path: Path) -> ArrayHeader:
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             header = read_header(file, path, "")
     except InputFileError as error:
         raise PredictionsError(str(error)) from error

@@ -9,7 +9,7 @@ from prbench.contract import Condition
 from prbench.errors import PrbenchError
 from prbench.evaluation.adapters import load_adapter
 from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
-from prbench.evaluation.installed import built_in_names
+from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
 from prbench.workflows.table_two.request import CONTROLS, TableRequest
 from prbench.workflows.table_two.rows import Row, load_table_two
@@ -82,7 +82,7 @@ def _planned(request: TableRequest, row: Row, data: tuple[Path, ...], folder: Pa
 def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
     """A row without a method or weights is skipped; whatever else is wrong with it is a failure of its run."""
     weights = load_table_two().weights[row.weights]
-    if row.method not in built_in_names():
+    if row.method not in {adapter.name for adapter in list_adapters() if not adapter.problem}:
         return f"no method '{row.method}' is installed"
     if own or weights.state == "none":
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -114,7 +115,7 @@ class TableRequest:
             return self.out
         tables = self.tables()
         datasets = "+".join(table.info.dataset for table in tables)
-        weights = "" if self.weights is None else str(self.weights.resolve())
+        weights = "" if self.weights is None else os.path.realpath(self.weights)
         decided = (part for pair in self.deciding(tables).items() for part in pair)
         name = f"table-2-{datasets}-{text_digest(weights, *decided)[:8]}"
         return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import RunError, StorageError
 from prbench.storage import remove_leftovers, write_json
 from prbench.workflows.table_two.budget import RowCost
@@ -63,7 +64,7 @@ def open_plan(folder: Path, asked: Mapping[str, str], *, limit: int | None, minu
         plan.write(folder)
         return plan
     try:
-        plan = msgspec.json.decode(path.read_bytes(), type=TablePlan)
+        plan = msgspec.json.decode(read_whole(path), type=TablePlan)
     except (msgspec.ValidationError, msgspec.DecodeError) as error:
         raise RunError(f"{path}: not a valid {FILE_NAME}: {error}. Choose another folder for --out.") from error
     if plan.schema_version != _VERSION:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.evaluation.text_to_motion import Repeated
 from prbench.evaluation.text_to_motion.measure import METRICS, Measured
 from prbench.locks import sole_writer
@@ -118,4 +119,4 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     @foreign_input()
     def read(cls, path: Path) -> TextEvaluation:
         """Read what :meth:`write` wrote."""
-        return msgspec.json.decode(path.read_bytes(), type=cls)
+        return msgspec.json.decode(read_whole(path), type=cls)

@@ -303,6 +303,13 @@ class Centimetres(Glide):
         return 100 * super().joints(batch, start, way, sway)
 
 
+class OneJointFarOut(Glide):
+    def joints(self, batch, start, way, sway):
+        joints = super().joints(batch, start, way, sway)
+        joints[:, 1:2, 15] += [150.0, 0.0, 0.0]
+        return joints
+
+
 class LeftAndRightSwapped(Glide):
     def joints(self, batch, start, way, sway):
         other = [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20]

@@ -80,11 +80,14 @@ def attempted(attempt: Callable, *arguments: object) -> Claims | str | None:
 
 
 def encoded(claim: str | None) -> np.ndarray:
-    """A claim as numbers (22, 3) that survive float32: a mark, and the bytes of its digest."""
+    """A claim as numbers (22, 3) that survive float32: a mark, and the bytes of its digest.
+
+    Bytes become decimetres, as the harness refuses coordinates that no room holds.
+    """
     numbers = np.zeros(66)
     if claim is not None:
         numbers[0] = 1.0
-        numbers[1:33] = list(hashlib.sha256(claim.encode()).digest())
+        numbers[1:33] = np.array(list(hashlib.sha256(claim.encode()).digest())) / 10
     return numbers.reshape(22, 3)
 
 
@@ -296,7 +299,7 @@ def memory_of_the_harness(_self: Cheater, _batch: ConditionBatch, _seed: int) ->
     """The memory of the process that holds the table: this one, or the parent."""
     mine = any(type(thing).__name__ == "SequenceTable" for thing in gc.get_objects())
     place = Path("/proc/self" if mine else f"/proc/{os.getppid()}")
-    if b"--data" not in (place / "cmdline").read_bytes():
+    if not mine and b"--data" not in (place / "cmdline").read_bytes():  # a parent that is not the harness
         return None
     start = int((place / "maps").read_text().split("-", 1)[0], 16)
     with (place / "mem").open("rb", buffering=0) as memory:

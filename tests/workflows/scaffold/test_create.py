@@ -98,7 +98,7 @@ def test_an_installed_package_is_run_and_scored(installed):
     command = ["run", "--method", "newcomer", "--condition", "goal-loc", "--data", str(data), "--out", "out"]
     done = _run("-m", "prbench", *command, cwd=installed, path=installed / "site")
     assert done.returncode == 0, done.stderr
-    assert "newcomer, condition goal-loc; 6 sequences" in done.stdout
+    assert "newcomer (package prbench-newcomer 0.1.0), condition goal-loc; 6 sequences" in done.stdout
 
 
 def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
@@ -112,7 +112,7 @@ def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     arguments = ["run", "--method", str(toml), "--condition", "text", "--data", str(data), "--out", str(out)]
     assert main(arguments) == 0
-    assert "slider, condition text" in capsys.readouterr().out
+    assert f"slider (program {Path(sys.executable).name} slider.py), condition text" in capsys.readouterr().out
 
 
 def test_new_says_what_to_do_next(tmp_path, monkeypatch, capsys):

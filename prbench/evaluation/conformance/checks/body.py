@@ -11,6 +11,7 @@ from prbench.evaluation.conformance.answer import Answer
 from prbench.evaluation.conformance.check import check
 from prbench.evaluation.conformance.finding import Observation, failed, passed, skipped, warning
 from prbench.evaluation.conformance.subject import Subject
+from prbench.evaluation.coordinates import coordinate_problem
 from prbench.evaluation.doctor import Diagnosis, Expected, diagnose
 from prbench.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
 
@@ -40,13 +41,26 @@ def doctor(subject: Subject) -> Iterator[Observation]:
     """What ``prbench doctor`` says about the motions, with the conditions as expectations."""
     found = 0
     for condition in subject.working:
-        for diagnosis in _diagnosed(subject, condition):
+        diagnoses = _diagnosed(subject, condition)
+        for diagnosis in diagnoses:
             evidence, cause = diagnosis.evidence.rstrip("."), diagnosis.cause.rstrip(".")
             text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
             yield (failed if _is_failure(subject, diagnosis) else warning)(text, diagnosis.remedy)
             found += 1
+        too_far = _too_far(subject.standard(condition))
+        if too_far and not any(_is_failure(subject, diagnosis) for diagnosis in diagnoses):
+            yield failed(f"under {condition.value}: {too_far}", _CANONICAL)
+            found += 1
     if not found:
         yield passed("nothing that prbench doctor looks for.")
+
+
+def _too_far(answer: Answer) -> str:
+    """What would end a run although every coordinate is a number; empty if nothing would."""
+    for row in range(len(answer.batch)):
+        if problem := coordinate_problem(answer.motion(row)):
+            return f"sequence #{row}, {problem}"
+    return ""
 
 
 def _diagnosed(subject: Subject, condition: Condition) -> tuple[Diagnosis, ...]:
