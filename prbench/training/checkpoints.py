@@ -44,6 +44,9 @@ class Checkpoints:
             safetensors.torch.save_file(tensors, temporary / _TENSORS)
             write_json(temporary / _STATE, _described(state))
             write_json(temporary / _TIMING, _timing(state))
+        self._remove_old()
+
+    def _remove_old(self) -> None:
         for step in self.steps()[:-KEPT]:
             remove_folder(self._path(step))
 
@@ -57,6 +60,7 @@ class Checkpoints:
         """
         for left in self.folder.glob(".step-*"):
             shutil.rmtree(left, ignore_errors=True)  # half-written by a process that was killed
+        self._remove_old()  # one that was killed between its newest checkpoint and this
         steps = self.steps()
         if not steps:
             return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 
 import msgspec
@@ -84,6 +85,15 @@ def test_a_training_stopped_at_any_step_and_resumed_ends_with_the_same_bits(step
     fit(toy(), random_batches, configuration(), tmp_path, report=lambda progress: seen.append(progress.step))
     assert seen == list(range(step + 1, 8)), "nothing is done twice"
     assert final_files(tmp_path) == uninterrupted
+
+
+def test_a_checkpoint_that_a_kill_kept_from_being_deleted_goes_with_the_next_call(tmp_path):
+    fit(toy(), random_batches, configuration(), tmp_path)
+    folder = tmp_path / "checkpoints"
+    kept = sorted(path.name for path in folder.iterdir())
+    shutil.copytree(folder / kept[0], folder / "step-000000000")
+    fit(toy(), random_batches, configuration(), tmp_path)
+    assert sorted(path.name for path in folder.iterdir()) == kept
 
 
 def test_a_training_that_died_loses_no_more_than_the_steps_since_it_last_saved(uninterrupted, tmp_path):
