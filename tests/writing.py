@@ -95,7 +95,7 @@ class Writing:
     varies: tuple[str, ...] = ()
     """Endings of names of files that two undisturbed calls write differently: they hold times."""
     half_kept: str = ""
-    """Folder of a cache whose half-written entries wait until their entry is made next, as the repeat needs none."""
+    """Folder of a cache whose half-written entries wait until their entry is made next."""
     exit_code: int = 0
     refuses: bool = False
     """It never replaces a finished result."""
