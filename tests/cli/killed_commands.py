@@ -49,7 +49,7 @@ def _check(writing: Writing, inputs: Inputs, folder: Path, places: int, number: 
     for place in range(1 + number * _STRIDE % step, count + 1, step):
         left = _made(folder / str(place))
         if not in_a_child(work, left, dies_before=place):
-            # The call that counted was the first of its process, which may do a few operations that later ones need not.
+            # The call that counted was the first of its process, which may do some operations that later ones need not.
             assert place > count - _ONLY_ONCE, f"{writing.name}: only {place - 1} of {count} operations"
             break
         tried += 1
