@@ -13,8 +13,8 @@ from prbench.curation.contact import close_to, contact_distance, require_surface
 from prbench.curation.in_hand import find_holdings
 from prbench.errors import UsageError
 from prbench.manifests import load_manifest
+from prbench.readers.hot3d.surfaces import surface_points
 from prbench.recording import HandStream, ObjectTrack
-from prbench.recording.surfaces import surface_points
 from tests.curation.scenes import RULE, scene
 
 assert RULE is not None
