@@ -26,6 +26,7 @@ FLOORS = {
         for room in (
             "skeleton",
             "rays",
+            "meshes",
             "timelines",
             "manifests",
             "published",
