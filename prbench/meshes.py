@@ -1,6 +1,6 @@
 """Rays and closest points on triangle meshes, by Open3D's ``RaycastingScene`` (extra ``open3d``).
 
-Open3D computes in float32, which errs by several micrometres in a room of 8 m. It is therefore asked for the triangle
+Open3D computes in float32, which erred by up to 28 µm in a room of 8 m. It is therefore asked for the triangle
 alone: the distance to that triangle is computed from its corners in float64. ``benchmarks/speed/bench_meshes.py``
 measures the error of both, and the speed beside other libraries.
 """

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.speed.timing import Row, print_rows, timed
-from prbench.curation.triangle_tree import TriangleTree
 from prbench.meshes import TriangleMesh, import_open3d
 
 EXACT_RAYS = 100
@@ -45,13 +44,11 @@ def main() -> None:
     problem = scanned_room(options.rays)
     reach = np.full(options.rays, np.inf)
     mesh = TriangleMesh(problem.vertices, problem.faces)
-    tree = TriangleTree(problem.vertices, problem.faces)
     ways: dict[str, Callable[[], np.ndarray]] = {
         "prbench: Open3D's triangle, distance in float64": lambda: mesh.first_hit(
             problem.origins, problem.directions, reach
         ),
         f"Open3D's own distance, {options.threads} thread(s)": single_precision(problem, options.threads),
-        "prbench 0.5.0: tree of triangles in NumPy": lambda: tree.first_hit(problem.origins, problem.directions, reach),
     } | trimesh_ways(problem)
     exact, seconds = exact_distances(problem)
     ours = mesh.first_hit(problem.origins, problem.directions, reach)
