@@ -11,10 +11,10 @@ import pyarrow.compute as pc
 
 from prbench.errors import RunError
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
-from prbench.evaluation.verification import RunChecker, recording_key
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.scores import read_scores
+from prbench.submitted.verification import RunChecker, recording_key
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, RecordingUnusable, UsageError
-from prbench.formats import hd_epic
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic import annotations
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.intermediate import read_frames
 from prbench.readers.hd_epic.video_clock import read_video_clock
 from tests.comparing import differences

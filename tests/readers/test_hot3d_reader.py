@@ -14,9 +14,9 @@ import pytest
 from prbench.curation import BuildOptions, build_dataset
 from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError, PrbenchError, RecordingUnusable
-from prbench.formats import hot3d
 from prbench.readers import reader_for
 from prbench.readers.hot3d import READER, Hot3dOptions, find_recordings, read_readings
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.masks import read_mask
 from prbench.recording import Recording
 from prbench.synthetic.people import perform

@@ -15,10 +15,10 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from prbench.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
-from prbench.formats.aria_mps import LONGEST_POSE_STEP
-from prbench.formats.nymeria import SUIT_RATE, Narration
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.storage import read_json
 from prbench.timelines import slerp
 

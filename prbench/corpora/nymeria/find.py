@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from prbench.corpora.nymeria import format as nymeria
 from prbench.errors import InputFileError
-from prbench.formats import nymeria
 from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
 from prbench.readers.found import input_file
 from prbench.readers.synthetic_tree import require_marked

@@ -11,9 +11,9 @@ from prbench.manifests import load_manifest
 from prbench.readers.adt.layouts import find_recordings
 from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.readings import read_readings
+from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.found import RecordingFiles
 from prbench.recording import Recording
-from prbench.recording.from_adt import recording_from_adt
 
 __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]
 

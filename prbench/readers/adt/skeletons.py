@@ -16,7 +16,7 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.readers.adt.layouts import ASSOCIATION, SKELETON_PREFIX
 from prbench.readers.files import decode_json, require_increasing
 from prbench.readers.found import RecordingFiles

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
 from prbench.limits import LONGEST_LINE
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import require_poses
 from prbench.readers.zipped import Source, opened, shown
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.found import InputFile, input_file, is_present
 from prbench.readers.zipped import archive_members
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
 from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE
 from prbench.ranges import require_column
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import read_columns, read_header, require_increasing
 from prbench.readers.zipped import Source, shown
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pyarrow as pa
 
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import column_vectors, read_columns, require_increasing
 from prbench.readers.zipped import Source
 

@@ -14,12 +14,12 @@ from jaxtyping import Float
 
 from prbench.bounded import read_whole, require_regular
 from prbench.errors import InputFileError, StorageError
-from prbench.formats import egoallo as ego
 from prbench.locks import sole_file
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.model import HOW_TO_GET, model_digest, read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
+from prbench.readers.egoallo.to_recording import window_joints
 from prbench.readers.found import is_present
-from prbench.recording.from_egoallo import window_joints
 from prbench.storage import bytes_digest, cache_folder
 
 _GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)

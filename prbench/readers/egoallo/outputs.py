@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
-from prbench.formats import egoallo as ego
 from prbench.numpy_files import Archive
+from prbench.readers.egoallo import format as ego
 
 _AGAIN = "Delete it and run `prbench poses egoallo` again."
 _SHAPES = {

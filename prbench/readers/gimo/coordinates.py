@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from prbench.bounded import read_text
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.files import decode_json, missing_file
+from prbench.readers.gimo import format as gimo
 
 _ROTATION_TOLERANCE = 1e-3
 

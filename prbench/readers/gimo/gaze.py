@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.ply import count_vertices, read_vertices
 
 

@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.files import missing_file
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import SmplxModel
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import gimo
-from prbench.formats.egoallo import forward_kinematics
+from prbench.readers.egoallo.format import forward_kinematics
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
 
 

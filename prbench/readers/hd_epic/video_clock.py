@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError
-from prbench.formats import hd_epic
 from prbench.readers.files import decode_json, read_columns
+from prbench.readers.hd_epic import format as hd_epic
 
 
 class _Log(msgspec.Struct):

@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import hot3d, mano
 from prbench.numpy_files import Archive
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import mano
 from prbench.readers.hot3d.hands_umetrack import hand_rows, read_lines
 from prbench.readers.hot3d.layout import MANO, MANO_MODEL_PREFIX
 

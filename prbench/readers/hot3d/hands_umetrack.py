@@ -11,8 +11,9 @@ import numpy as np
 
 from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
-from prbench.formats import hot3d, umetrack
 from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import umetrack
 
 _QUATERNION_TOLERANCE = 1e-3
 _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 from prbench.boundary import foreign_input
 from prbench.bounded import require_size
 from prbench.errors import InputFileError
-from prbench.formats import mogaze
 from prbench.limits import HARMLESS_SIZE
+from prbench.readers.mogaze import format as mogaze
 
 _MOST_DIGITS = 19  # of the id of a body
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from prbench.formats import adt
-from prbench.formats import aria_mps as mps
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps import format as mps
 from prbench.storage import write_json
 from prbench.synthetic.defects import Defect
 

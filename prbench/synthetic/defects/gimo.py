@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.synthetic.defects import Defect
 from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.sensors.smplh import invented_smplh

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.skeleton import WRISTS, invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import Performance

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import egoallo as ego
-from prbench.formats.aria_mps import AriaTrajectory, GlassesSize, device_from_cpf
+from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
+from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS, Joint
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.people.geometry import soft_limit, two_bone

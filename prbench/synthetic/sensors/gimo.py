@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import gimo
-from prbench.formats.aria_mps import gaze_angles, gaze_directions_cpf
-from prbench.formats.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.randomness import named_generator
 from prbench.rays import slab_test
+from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
+from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.skeleton import PARENTS, Joint, invert_rigid, transform_points
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import Performance, TrueEvent

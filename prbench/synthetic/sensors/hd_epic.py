@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.formats import hd_epic
-from prbench.formats.aria_mps import MpsReadings
-from prbench.formats.egoallo import EgoAlloOutput
+from prbench.readers.aria_mps.format import MpsReadings
+from prbench.readers.egoallo.format import EgoAlloOutput
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.annotated_masks import Sighting, masks_of

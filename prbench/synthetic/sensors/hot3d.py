@@ -14,8 +14,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import z_up
-from prbench.formats import hot3d
-from prbench.recording.from_egoallo import body_from_outputs
+from prbench.readers.egoallo.to_recording import body_from_outputs
+from prbench.readers.hot3d import format as hot3d
 from prbench.skeleton import Joint
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps

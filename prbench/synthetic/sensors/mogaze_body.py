@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.formats.mogaze_body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS
+from prbench.readers.mogaze.body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS
 from prbench.skeleton import Joint
 
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
@@ -41,7 +41,7 @@ class SolvedBody:
     """A joint state without noise."""
 
     state: Float[np.ndarray, "n 66"]
-    """Columns as in :data:`prbench.formats.mogaze_body.STATE_COLUMNS`."""
+    """Columns as in :data:`prbench.readers.mogaze.body.STATE_COLUMNS`."""
     fixed: dict[str, float]
     """The 60 scaling values, metres."""
 

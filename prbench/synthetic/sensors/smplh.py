@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.synthetic.performance import Performance
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.skeleton import Joint
 
 _DIRECT = {

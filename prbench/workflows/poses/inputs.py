@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
-from prbench.formats import aria_mps as mps
 from prbench.readers import RecordingFiles
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.found import InputFile
 from prbench.readers.zipped import Source, ZippedFile, archive_members, source_of
 from prbench.workflows.poses.config import Need
