@@ -6,26 +6,31 @@ A new dataset is a new module with a ``READER`` and one line in :data:`READER_MO
 from __future__ import annotations
 
 import dataclasses
-import importlib
 from collections.abc import Mapping
+from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from prbench.errors import UsageError, did_you_mean
+from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, InstalledReader, find_reader
+from prbench.errors import UsageError
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.options import ReaderOptions, described_options, parse_options
 from prbench.readers.synthetic_tree import (
-    SYNTHETIC_PREFIX,
     SyntheticTree,
     read_synthetic_tree,
     require_one_origin,
     synthetic_tree_around,
 )
 from prbench.recording import Recording
+from prbench.shown import quoted
+
+if TYPE_CHECKING:
+    from prbench.readers.extents import Extent
 
 __all__ = [
-    "READER_MODULES",
+    "SYNTHETIC_PREFIX",
     "InputFile",
+    "KnowsEnds",
     "Reader",
     "ReaderOptions",
     "RecordingFiles",
@@ -36,15 +41,6 @@ __all__ = [
     "require_one_origin",
     "synthetic_tree_around",
 ]
-
-READER_MODULES: dict[str, str] = {
-    "adt": "prbench.readers.adt",
-    "gimo": "prbench.readers.gimo",
-    "hd-epic": "prbench.readers.hd_epic",
-    "hot3d": "prbench.readers.hot3d",
-    "mogaze": "prbench.readers.mogaze",
-}
-"""Module of each dataset's reader; imported when it is asked for."""
 
 
 @runtime_checkable
@@ -80,21 +76,56 @@ class Reader(Protocol):
         ...
 
 
+@runtime_checkable
+class KnowsEnds(Protocol):
+    """What a reader may do besides: say from when to when the streams of a recording reach."""
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """Look at the ends of a recording's files, without reading them whole.
+
+        Args:
+            found: The recording's files.
+            recording: What reading it gave, where somebody has.
+
+        Raises:
+            PrbenchError: for files that cannot be made out.
+            OSError: likewise.
+        """
+        ...
+
+
 def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader:
-    """The reader of a dataset; ``synthetic-`` before the name is ignored, since both have the same layout.
+    """Import the reader of a dataset; ``synthetic-`` before the name is ignored, since both have the same layout.
 
     Args:
         dataset: Name of the dataset.
         options: Options of its reader as text; the defaults where a name is missing.
 
     Raises:
-        UsageError: for a dataset without reader, with the nearest known name, and for an unknown option or value.
+        UsageError: for a dataset without reader, with the nearest known name, for a package whose reader cannot be
+            imported or is none, and for an unknown option or value.
     """
-    name = dataset.removeprefix(SYNTHETIC_PREFIX)
-    if name not in READER_MODULES:
-        hint = did_you_mean(name, READER_MODULES)
-        raise UsageError(f"no reader for '{dataset}'.{hint} There are readers for: {', '.join(READER_MODULES)}.")
-    reader: Reader = importlib.import_module(READER_MODULES[name]).READER
+    installed = find_reader(dataset)
+    reader = _imported(installed)
     if not options:
         return reader
-    return dataclasses.replace(reader, options=parse_options(type(reader.options), options, dataset=name))  # type: ignore[type-var]
+    chosen = parse_options(type(reader.options), options, dataset=installed.dataset)
+    return dataclasses.replace(reader, options=chosen)  # type: ignore[type-var]
+
+
+def _imported(installed: InstalledReader) -> Reader:
+    try:
+        reader = EntryPoint(installed.dataset, installed.target, ENTRY_POINT_GROUP).load()
+    except (Exception, SystemExit) as error:
+        cause = f"{type(error).__name__}: {error}".rstrip(".")
+        raise UsageError(
+            f"{installed.origin}: cannot be imported: {cause}. Repair or reinstall the package."
+        ) from error
+    if not isinstance(reader, Reader) or not dataclasses.is_dataclass(reader):
+        raise UsageError(
+            f"{installed.origin}: expected an instance of a frozen data class with dataset, options, find() and read(),"
+            f" found {type(reader).__name__}."
+        )
+    if reader.dataset != installed.dataset:
+        raise UsageError(f"{installed.origin}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
+    return reader

@@ -1,13 +1,18 @@
 """From when to when each stream of a recording reaches, and which of them stop before the recording does.
 
 A text file that was cut between two lines reads as whole, and what happened after the cut is missing without a word.
-Only the other streams of the recording can tell: they go on. Each dataset says in its ``ends.py`` which streams it has.
+Only the other streams of the recording can tell: they go on. A reader with a method ``extents`` says which streams its
+recordings have (:class:`prbench.readers.KnowsEnds`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+
+from prbench.errors import PrbenchError
+from prbench.readers import KnowsEnds, RecordingFiles, reader_for
+from prbench.recording import Recording
 
 ONE_SYSTEM = 0.5
 """Seconds by which two streams that one tracking system writes frame by frame may end apart: half of what a person
@@ -37,6 +42,26 @@ class Extent:
     """Whether a late start is normal."""
     slack: float = ONE_SYSTEM
     """Seconds by which it may begin after the recording or end before it."""
+
+
+def cut_short(found: RecordingFiles, recording: Recording | None = None) -> tuple[str, ...]:
+    """Hold the ends of all streams of a recording against its span.
+
+    Args:
+        found: The recording's files; only their ends are looked at.
+        recording: What reading it gave, where somebody has: it tells what the ends of files in archives do not.
+
+    Returns:
+        One message a stream that ends early or begins late. None of a recording whose files cannot be made out
+        (reading it says why), or whose reader does not know the ends.
+    """
+    reader = reader_for(found.dataset)
+    if not isinstance(reader, KnowsEnds):
+        return ()
+    try:
+        return shortfalls(reader.extents(found, recording))
+    except (PrbenchError, OSError):
+        return ()
 
 
 def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:

@@ -14,12 +14,12 @@ from typing import Literal
 
 import msgspec
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.files import decode_json
 from prbench.readers.found import is_present
 
 SYNTHETIC_FILE = "synthetic.json"
-SYNTHETIC_PREFIX = "synthetic-"
 INVENTED_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
 """Stands in the name of every invented recording."""
 

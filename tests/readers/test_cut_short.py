@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from prbench.readers import RecordingFiles, reader_for
-from prbench.readers.cut_short import cut_short
-from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, shortfalls
+from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, cut_short, shortfalls
 from prbench.readers.file_ends import csv_extent, json_extent
 from prbench.readers.found import input_file
 from prbench.readers.hd_epic.ends import extents as hd_epic_extents

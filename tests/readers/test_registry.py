@@ -4,11 +4,12 @@ import json
 
 import pytest
 
+from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, UsageError
-from prbench.readers import READER_MODULES, InputFile, Reader, RecordingFiles, read_synthetic_tree, reader_for
+from prbench.readers import InputFile, Reader, RecordingFiles, read_synthetic_tree, reader_for
 
 
-@pytest.mark.parametrize("dataset", READER_MODULES)
+@pytest.mark.parametrize("dataset", readable_datasets())
 def test_every_registered_reader_is_one(dataset) -> None:
     reader = reader_for(dataset)
     assert isinstance(reader, Reader)

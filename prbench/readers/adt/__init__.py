@@ -8,10 +8,12 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.adt.ends import extents
 from prbench.readers.adt.layouts import find_recordings
 from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.readings import read_readings
 from prbench.readers.adt.to_recording import recording_from_adt
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.recording import Recording
 
@@ -47,6 +49,10 @@ class AdtReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :func:`read_recording`."""
         return read_recording(found, self.options)
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
 
 
 READER = AdtReader()

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.boundary import foreign_input
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.options import AdtOptions
@@ -15,7 +16,7 @@ from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.synthetic_tree import read_synthetic_tree
 from prbench.storage import inside
 
 METADATA, INSTANCES, OBJECTS, BOXES = "metadata", "instances", "objects", "boxes"

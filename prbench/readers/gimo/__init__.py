@@ -8,7 +8,9 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.gimo.ends import extents
 from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import find_segments
@@ -44,6 +46,10 @@ class GimoReader:
             target=self.options.target,
             gaze_origin=self.options.gaze_origin,
         )
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
 
 
 READER = GimoReader()

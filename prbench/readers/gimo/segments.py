@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.gimo import format as gimo
@@ -22,7 +23,7 @@ from prbench.readers.gimo.events import (
     require_one_split,
 )
 from prbench.readers.gimo.options import GimoOptions
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, SyntheticTree, read_synthetic_tree
+from prbench.readers.synthetic_tree import SyntheticTree, read_synthetic_tree
 from prbench.storage import inside
 
 TABLE, EVENTS, TRANSFORM, NORM, SKELETON = "table", "events", "transform", "norm", "skeleton"

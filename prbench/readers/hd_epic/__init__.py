@@ -8,7 +8,9 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic.ends import extents
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.places import find_recordings
 from prbench.readers.hd_epic.readings import read_readings
@@ -39,6 +41,10 @@ class HdEpicReader:
             raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
         readings = read_readings(found, self.options)
         return recording_from_hd_epic(readings, manifest, dataset=found.dataset, boxes=self.options.boxes)
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
 
 
 READER = HdEpicReader()

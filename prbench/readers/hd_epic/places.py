@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.aria_mps import format as mps
@@ -14,7 +15,7 @@ from prbench.readers.found import InputFile, RecordingFiles, input_file, is_pres
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.slam_map import slam_number
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.synthetic_tree import read_synthetic_tree
 
 TIME, LOG = "video time", "video log"
 ASSOCIATIONS, MASKS, PRIMING = "associations", "masks", "priming"

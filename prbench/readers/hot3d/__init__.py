@@ -8,7 +8,9 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d.ends import extents
 from prbench.readers.hot3d.layout import find_recordings
 from prbench.readers.hot3d.options import Hot3dOptions
 from prbench.readers.hot3d.readings import read_readings
@@ -39,6 +41,10 @@ class Hot3dReader:
             raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
         readings = read_readings(found, self.options)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
 
 
 READER = Hot3dReader()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import find_mps_files
 from prbench.readers.egoallo import find_outputs
@@ -16,7 +17,7 @@ from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.options import Hot3dOptions
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, synthetic_tree_around
+from prbench.readers.synthetic_tree import synthetic_tree_around
 
 METADATA, OBJECTS, HEADSET, INSTANCES = "metadata", "objects", "headset", "instances"
 UMETRACK, PROFILE, MANO = "umetrack", "hand profile", "mano"

@@ -8,7 +8,9 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.mogaze.ends import extents
 from prbench.readers.mogaze.layouts import find_recordings
 from prbench.readers.mogaze.readings import read_readings
 from prbench.readers.mogaze.to_recording import JointMapping, recording_from_mogaze
@@ -58,6 +60,10 @@ class MogazeReader:
             joint_mapping=self.options.joint_mapping,
             legacy_gaze=self.options.legacy_gaze,
         )
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
 
 
 READER = MogazeReader()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.scene import read_scene
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.synthetic_tree import read_synthetic_tree
 
 SCENE = "scene"
 MESH_PREFIX = "mesh:"
