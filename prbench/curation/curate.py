@@ -53,7 +53,7 @@ def curate_recording(
     *,
     split: str | None = None,
 ) -> CuratedRecording:
-    """Find the events of a recording, prime, clip and filter them (design, section 2).
+    """Find the events of a recording, prime, clip and filter them (docs/specification/curation.md).
 
     Args:
         recording: What a reader yields.

@@ -38,7 +38,8 @@ class RunComparison:
 def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
-    Signs are flipped by recording, and p-values corrected after Holm for everything compared here (design, section 3).
+    Signs are flipped by recording, and p-values corrected after Holm for everything compared here
+    (docs/specification/protocol.md#comparisons).
 
     Args:
         first: A finished run folder.

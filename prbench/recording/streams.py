@@ -230,7 +230,7 @@ class Recording:
     pose_source: str
     """Where the body comes from (``adt-optitrack``, ``egoallo``, …); ``none`` without a body."""
     head_tilt_deg: float
-    """Rest tilt of that body's neck-head bone, degrees (``formats/humanml3d.md`` section 8)."""
+    """Rest tilt of that body's neck-head bone, degrees (docs/specification/humanml3d.md#head-forward-vector)."""
     span: tuple[float, float]
     """First and last instant with ground truth, seconds."""
     gaze: GazeStream

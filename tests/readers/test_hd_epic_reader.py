@@ -1,4 +1,8 @@
-"""Finding and reading HD-EPIC in the shapes that users have it in (``formats/hd-epic.md`` sections 1, 2 and 7)."""
+"""Finding and reading HD-EPIC in the shapes that users have it in.
+
+Sources: docs/specification/hd-epic.md#folder-tree, docs/specification/hd-epic.md#clock and
+docs/specification/hd-epic.md#pitfalls-and-bad-input.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Finding and reading HOT3D: where recordings lie, which can be used, what is refused (formats/hot3d.md section 7)."""
+"""Finding and reading HOT3D: where recordings lie, which can be used, what is refused.
+
+Source: docs/specification/hot3d.md#pitfalls-and-bad-input.
+"""
 
 from __future__ import annotations
 

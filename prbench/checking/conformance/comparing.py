@@ -8,7 +8,7 @@ from jaxtyping import Float
 from prbench.checking.conformance.answer import Answer
 
 TOLERANCE = 1e-4
-"""Metres by which a motion may change where only rounding differs (design, section 3, "Reproducibility")."""
+"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
 
 
 def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:

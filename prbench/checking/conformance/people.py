@@ -1,6 +1,6 @@
 """Sequences of invented people, made in memory: what the check asks a method about when no table is given.
 
-Perfect curation of noise-free performances (``methods/synthetic-recordings.md``), so that every pose is
+Perfect curation of noise-free performances (docs/specification/synthetic-recordings.md), so that every pose is
 plausible, every goal is reached by the person who was recorded, and every run of a check sees the same.
 """
 

@@ -1,4 +1,7 @@
-"""HumanML3D: names in its official folder and the form of its text lines (``formats/humanml3d.md``)."""
+"""HumanML3D: names in its official folder and the form of its text lines.
+
+Source: docs/specification/humanml3d.md#text-files.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Segments of the suit as the 22 joints, Y up, with what was measured on the way (``formats/nymeria.md`` section 3)."""
+"""Segments of the suit as the 22 joints, Y up, with what was measured on the way.
+
+Source: docs/specification/nymeria.md#the-22-joints.
+"""
 
 from __future__ import annotations
 

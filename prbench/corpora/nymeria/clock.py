@@ -1,6 +1,6 @@
 """From the glasses' clock, on which texts are timed, to the suit's: three ways, the first that works.
 
-The offset is constant within a recording and differs between recordings (``formats/nymeria.md`` section 4).
+The offset is constant within a recording and differs between recordings (docs/specification/nymeria.md#narrations).
 """
 
 from __future__ import annotations

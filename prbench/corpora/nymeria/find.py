@@ -1,4 +1,7 @@
-"""Which sequences lie below a folder, however the download groups were unpacked (``formats/nymeria.md`` section 1)."""
+"""Which sequences lie below a folder, however the download groups were unpacked.
+
+Source: docs/specification/nymeria.md#folder-tree.
+"""
 
 from __future__ import annotations
 

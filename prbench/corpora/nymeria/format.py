@@ -1,4 +1,4 @@
-"""Nymeria: names and constants of its files, and what they hold (``formats/nymeria.md``)."""
+"""Nymeria: names and constants of its files, and what they hold (docs/specification/nymeria.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Narration files: rows of times and answers, or a clear no (``formats/nymeria.md`` section 4)."""
+"""Narration files: rows of times and answers, or a clear no (docs/specification/nymeria.md#narrations)."""
 
 from __future__ import annotations
 

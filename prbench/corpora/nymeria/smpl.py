@@ -1,4 +1,7 @@
-"""The SMPL fit of the Plus release, posed with the user's own body model (``formats/nymeria.md`` section 3)."""
+"""The SMPL fit of the Plus release, posed with the user's own body model.
+
+Source: docs/specification/nymeria.md#the-22-joints.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The suit's file: read by key, checked, cleaned, and cut where its clock jumps (``formats/nymeria.md`` section 2)."""
+"""The suit's file: read by key, checked, cleaned, and cut where its clock jumps.
+
+Source: docs/specification/nymeria.md#the-suits-file.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Aria Digital Twin as EgoAllo must see it: Z up, and at 1 kHz (``formats/egoallo.md`` sections 2 and 3).
+"""Aria Digital Twin as EgoAllo must see it: Z up, and at 1 kHz.
+
+Sources: docs/specification/egoallo.md#time and docs/specification/egoallo.md#world-and-floor.
 
 EgoAllo takes every ``int(rate // 30)``-th pose, which is none of them where the rate is a little below 30 Hz; and it
 takes Z for up, so that bodies would lie on their sides.

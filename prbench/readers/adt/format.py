@@ -1,4 +1,7 @@
-"""Aria Digital Twin: file names, columns, the 51 joints, and the content of one recording (``formats/adt.md``)."""
+"""Aria Digital Twin: file names, columns, the 51 joints, and the content of one recording.
+
+Source: docs/specification/adt.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects of an ADT recording: names, boxes and poses (``formats/adt.md`` section 3)."""
+"""Objects of an ADT recording: names, boxes and poses (docs/specification/adt.md#files)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of the Aria Machine Perception Services, shared by the Aria datasets (``formats/aria-mps.md``).
+"""Files of the Aria Machine Perception Services, shared by the Aria datasets (docs/specification/aria-mps.md).
 
 A dataset's ``find`` adds :func:`find_mps_files` to a recording's files; its ``read`` calls :func:`read_mps` and gives
 what comes back to :func:`prbench.readers.aria_mps.to_recording.mps_streams`.

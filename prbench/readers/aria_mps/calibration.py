@@ -1,4 +1,7 @@
-"""Online calibration of the Machine Perception Services: where the cameras sit on the glasses (section 4)."""
+"""Online calibration of the Machine Perception Services: where the cameras sit on the glasses.
+
+Source: docs/specification/aria-mps.md#device-frame-and-cameras.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives (section 1)."""
+"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives.
+
+Source: docs/specification/aria-mps.md#folder-tree.
+"""
 
 from __future__ import annotations
 

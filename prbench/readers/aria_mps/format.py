@@ -1,4 +1,4 @@
-"""Project Aria: geometry of the glasses, columns of the Machine Perception Services (``formats/aria-mps.md``).
+"""Project Aria: geometry of the glasses, columns of the Machine Perception Services (docs/specification/aria-mps.md).
 
 ``a_from_b`` maps coordinates of b into a. Device frame: left SLAM camera as built. Central pupil frame (CPF):
 x left, y up, z forward, origin midway between the eyes. Camera frame: z along the optical axis.
@@ -82,7 +82,10 @@ _RGB_PITCH = np.deg2rad(8.0)  # optical axis below CPF z
 
 
 def device_from_cpf(size: GlassesSize) -> Float[np.ndarray, "4 4"]:
-    """Nominal pose of the central pupil frame on the glasses, from the CAD drawing (section 4)."""
+    """Nominal pose of the central pupil frame on the glasses, from the CAD drawing.
+
+    Source: docs/specification/aria-mps.md#device-frame-and-cameras.
+    """
     transform = np.eye(4)
     transform[:3, :3] = _DEVICE_FROM_CPF_ROTATION
     transform[:3, 3] = _CPF_IN_DEVICE[size]

@@ -1,4 +1,7 @@
-"""Hand files of the Machine Perception Services: wrists and palms in the device frame (section 6)."""
+"""Hand files of the Machine Perception Services: wrists and palms in the device frame.
+
+Source: docs/specification/aria-mps.md#hands.
+"""
 
 from __future__ import annotations
 

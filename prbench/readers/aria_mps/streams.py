@@ -1,4 +1,7 @@
-"""From what Aria glasses say to streams in the world (``formats/aria-mps.md`` sections 4 and 5)."""
+"""From what Aria glasses say to streams in the world.
+
+Sources: docs/specification/aria-mps.md#device-frame-and-cameras and docs/specification/aria-mps.md#eye-gaze.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""From what the Machine Perception Services say of Aria glasses to streams in the world (``formats/aria-mps.md``).
+"""From what the Machine Perception Services say of Aria glasses to streams in the world.
+
+Source: docs/specification/aria-mps.md.
 
 Readers of HOT3D and HD-EPIC call this with what the files hold, synthetic recordings with what their sensors say.
 """

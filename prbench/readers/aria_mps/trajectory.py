@@ -1,4 +1,7 @@
-"""Closed-loop trajectories: poses of the glasses in one world (section 3)."""
+"""Closed-loop trajectories: poses of the glasses in one world.
+
+Source: docs/specification/aria-mps.md#closed-loop-trajectory.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether an output belongs to the recording it lies with (``formats/egoallo.md`` section 5)."""
+"""Whether an output belongs to the recording it lies with (docs/specification/egoallo.md#bad-input)."""
 
 from __future__ import annotations
 

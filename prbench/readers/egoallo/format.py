@@ -1,4 +1,6 @@
-"""EgoAllo: names in its output files, the SMPL-H body's rest joints, and forward kinematics (``formats/egoallo.md``).
+"""EgoAllo: names in its output files, the SMPL-H body's rest joints, and forward kinematics.
+
+Source: docs/specification/egoallo.md.
 
 World of an output: that of the trajectory it was made from, metres, Z up. Quaternions: w x y z. Times: the glasses'
 device clock, integer nanoseconds.
@@ -110,7 +112,7 @@ def forward_kinematics(
     root_rotation: Float[np.ndarray, "t 4"],
     body_quats: Float[np.ndarray, "t 21 4"],
 ) -> Float[np.ndarray, "t 22 3"]:
-    """Joint positions from local rotations (section 4).
+    """Joint positions from local rotations (docs/specification/egoallo.md#joints).
 
     Args:
         rest: Joints in the rest pose; only their differences matter, since joint 0 is placed by ``root_position``.

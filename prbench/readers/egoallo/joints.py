@@ -35,7 +35,8 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
         model: SMPL-H model; None is enough where the joints of exactly these bytes were computed before.
 
     Raises:
-        InputFileError: if the output is damaged (section 5), or the model is needed and missing or damaged.
+        InputFileError: if the output is damaged (docs/specification/egoallo.md#bad-input), or the model is needed and
+        missing or damaged.
     """
     content = _content(path)
     output = parse_output(path, content)

@@ -1,4 +1,4 @@
-"""The SMPL-H body model's rest joints (``formats/egoallo.md`` section 4). The file is licensed: users bring it."""
+"""The SMPL-H body model's rest joints (docs/specification/egoallo.md#joints). The file is licensed: users bring it."""
 
 from __future__ import annotations
 

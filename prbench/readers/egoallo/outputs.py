@@ -1,4 +1,7 @@
-"""One output file of EgoAllo: read, checked, refused with key and remedy (``formats/egoallo.md`` sections 1 and 5)."""
+"""One output file of EgoAllo: read, checked, refused with key and remedy.
+
+Sources: docs/specification/egoallo.md#files and docs/specification/egoallo.md#bad-input.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""From EgoAllo's outputs to a body stream (``formats/egoallo.md`` sections 2 and 4).
+"""From EgoAllo's outputs to a body stream.
+
+Sources: docs/specification/egoallo.md#time and docs/specification/egoallo.md#joints.
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 """

@@ -1,4 +1,4 @@
-"""Reader of GIMO (``formats/gimo.md``): every segment of ``dataset.csv`` is a recording."""
+"""Reader of GIMO (docs/specification/gimo.md): every segment of ``dataset.csv`` is a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""How the suit's frame and the scan come to lie in one room: files of transforms (``formats/gimo.md`` section 4)."""
+"""How the suit's frame and the scan come to lie in one room: files of transforms.
+
+Source: docs/specification/gimo.md#coordinate-chain.
+"""
 
 from __future__ import annotations
 

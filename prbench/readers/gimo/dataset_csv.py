@@ -1,4 +1,4 @@
-"""``dataset.csv``: the segments of GIMO (``formats/gimo.md`` section 2)."""
+"""``dataset.csv``: the segments of GIMO (docs/specification/gimo.md#segment-table)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""GIMO: file names, constants, and the content of one segment (``formats/gimo.md``)."""
+"""GIMO: file names, constants, and the content of one segment (docs/specification/gimo.md)."""
 
 from __future__ import annotations
 

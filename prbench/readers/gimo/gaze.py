@@ -1,4 +1,4 @@
-"""``eye_pc``: where the gaze meets the scan (``formats/gimo.md`` section 6)."""
+"""``eye_pc``: where the gaze meets the scan (docs/specification/gimo.md#gaze)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of the HoloLens 2 stream recorder (``formats/gimo.md`` section 6)."""
+"""Files of the HoloLens 2 stream recorder (docs/specification/gimo.md#gaze)."""
 
 from __future__ import annotations
 

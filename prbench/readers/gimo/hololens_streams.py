@@ -1,4 +1,7 @@
-"""What HoloLens 2 says in GIMO: poses of the glasses and the camera, and the place of the eyes (section 6)."""
+"""What HoloLens 2 says in GIMO: poses of the glasses and the camera, and the place of the eyes.
+
+Source: docs/specification/gimo.md#gaze.
+"""
 
 from __future__ import annotations
 

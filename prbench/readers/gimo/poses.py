@@ -1,4 +1,4 @@
-"""``smplx_local``: the fitted SMPL-X parameters, one pickle a frame (``formats/gimo.md`` section 3)."""
+"""``smplx_local``: the fitted SMPL-X parameters, one pickle a frame (docs/specification/gimo.md#fitted-poses)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Route B: joints from the posed meshes, with the regressor of SMPL-X (``formats/gimo.md`` section 5).
+"""Route B: joints from the posed meshes, with the regressor of SMPL-X.
+
+Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
 
 The exporter merged vertices, in another order on every frame; the order of the faces stayed. So the vertex that
 a corner of a face names in the model is the one that the same corner names in the mesh.

@@ -1,4 +1,7 @@
-"""Route A: exact joints from the fitted parameters, with VPoser v1 and SMPL-X neutral (``formats/gimo.md``, 5)."""
+"""Route A: exact joints from the fitted parameters, with VPoser v1 and SMPL-X neutral.
+
+Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the files of GIMO segments lie (``formats/gimo.md`` section 1)."""
+"""Where the files of GIMO segments lie (docs/specification/gimo.md#folder-tree)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The 22 joints from a suit's own skeleton, laid along the pelvis of a body that was fitted to it.
 
-GIMO's ``skeleton.bvh`` has unknown names, unit and start (``formats/gimo.md`` section 5, route C). Names come from a
-table, the unit from the length of the legs, the start from the pelvis: the two tracks must be one.
+GIMO's ``skeleton.bvh`` has unknown names, unit and start (docs/specification/gimo.md#three-routes-to-the-22-joints,
+route C). Names come from a table, the unit from the length of the legs, the start from the pelvis: the two tracks must
+be one.
 """
 
 from __future__ import annotations

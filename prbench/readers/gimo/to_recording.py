@@ -1,7 +1,8 @@
-"""From the content of one GIMO segment to a :class:`Recording` (``formats/gimo.md``).
+"""From the content of one GIMO segment to a :class:`Recording` (docs/specification/gimo.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
-The world is the canonical room: Y up, floor near y = 0, metres of the body (section 4).
+The world is the canonical room: Y up, floor near y = 0, metres of the body
+(docs/specification/gimo.md#coordinate-chain).
 """
 
 from __future__ import annotations
@@ -189,7 +190,10 @@ def _gaze_points(
 def _events(
     readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest, target: Target
 ) -> tuple[tuple[AnnotatedEvent, ...], list[str]]:
-    """Picks with the wrist as their place: the dataset knows no objects (section 7)."""
+    """Picks with the wrist as their place: the dataset knows no objects.
+
+    Source: docs/specification/gimo.md#objects-and-events.
+    """
     half = manifest.thresholds["cube_side"] / 2 if target == "cube" else 0.0
     remarks: list[str] = []
     events = []

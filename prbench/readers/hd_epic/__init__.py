@@ -1,4 +1,4 @@
-"""Reader of HD-EPIC (``formats/hd-epic.md``)."""
+"""Reader of HD-EPIC (docs/specification/hd-epic.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Movements of objects in an HD-EPIC video → its pick and put events (``formats/hd-epic.md`` sections 4 and 6)."""
+"""Movements of objects in an HD-EPIC video → its pick and put events.
+
+Sources: docs/specification/hd-epic.md#annotations and docs/specification/hd-epic.md#events-and-priming.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HD-EPIC: folders, keys, the video's clock, and the content of one video (``formats/hd-epic.md``).
+"""HD-EPIC: folders, keys, the video's clock, and the content of one video (docs/specification/hd-epic.md).
 
 World: one a participant, metres, Z up. Times: seconds of the video in the annotations, device nanoseconds elsewhere.
 """

@@ -1,4 +1,7 @@
-"""The intermediate data: poses and gaze a video frame, instead of MPS files (``formats/hd-epic.md`` section 5)."""
+"""The intermediate data: poses and gaze a video frame, instead of MPS files.
+
+Source: docs/specification/hd-epic.md#intermediate-data.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the files of HD-EPIC videos lie, zipped or not (``formats/hd-epic.md`` section 1)."""
+"""Where the files of HD-EPIC videos lie, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which entry of HD-EPIC's priming file belongs to which event (``formats/hd-epic.md`` section 4)."""
+"""Which entry of HD-EPIC's priming file belongs to which event (docs/specification/hd-epic.md#annotations)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The clock of a video: which device time each of its frames has (``formats/hd-epic.md`` section 2)."""
+"""The clock of a video: which device time each of its frames has (docs/specification/hd-epic.md#clock)."""
 
 from __future__ import annotations
 

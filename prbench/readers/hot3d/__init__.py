@@ -1,4 +1,4 @@
-"""Reader of HOT3D's Aria recordings (``formats/hot3d.md``)."""
+"""Reader of HOT3D's Aria recordings (docs/specification/hot3d.md)."""
 
 from __future__ import annotations
 

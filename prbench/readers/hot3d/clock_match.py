@@ -1,4 +1,4 @@
-"""Two clocks of one device, aligned by poses that both of them stamp (``formats/hot3d.md`` section 4).
+"""Two clocks of one device, aligned by poses that both of them stamp (docs/specification/hot3d.md#two-clocks).
 
 HOT3D's headset rows are rows of the MPS trajectory, sampled at the nearest millisecond and stamped by another clock.
 Where a row is found again, the offset of the clocks is known to half a trajectory step; many rows narrow it down.

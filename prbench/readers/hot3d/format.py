@@ -1,4 +1,4 @@
-"""HOT3D: file names, columns, and the content of one Aria recording (``formats/hot3d.md``).
+"""HOT3D: file names, columns, and the content of one Aria recording (docs/specification/hot3d.md).
 
 Native world: metres, Z up, gravity (0, 0, -9.81); the same as that of the recording's MPS files. Ground truth has a
 clock of its own (TIME_CODE, integer nanoseconds), MPS the glasses' device clock.

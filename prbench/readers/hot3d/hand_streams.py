@@ -1,4 +1,4 @@
-"""Hands of a HOT3D recording: wrists and mesh vertices in the world (``formats/hot3d.md`` section 3)."""
+"""Hands of a HOT3D recording: wrists and mesh vertices in the world (docs/specification/hot3d.md#files)."""
 
 from __future__ import annotations
 

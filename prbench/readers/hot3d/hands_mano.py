@@ -1,4 +1,7 @@
-"""MANO hands: poses line by line, posed by the licensed model that the user brings (``formats/hot3d.md`` section 3)."""
+"""MANO hands: poses line by line, posed by the licensed model that the user brings.
+
+Source: docs/specification/hot3d.md#files.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""UmeTrack hands: poses line by line, and the user's hand model (``formats/hot3d.md`` section 3)."""
+"""UmeTrack hands: poses line by line, and the user's hand model (docs/specification/hot3d.md#files)."""
 
 from __future__ import annotations
 

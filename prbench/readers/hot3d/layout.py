@@ -1,4 +1,7 @@
-"""Where the files of HOT3D recordings lie, and which recordings can be used (``formats/hot3d.md`` sections 1 and 2)."""
+"""Where the files of HOT3D recordings lie, and which recordings can be used.
+
+Sources: docs/specification/hot3d.md#folder-tree and docs/specification/hot3d.md#usable-recordings.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MANO: the licensed hand model and its posing (``formats/hot3d.md`` section 3).
+"""MANO: the licensed hand model and its posing (docs/specification/hot3d.md#files).
 
 HOT3D gives 10 shape numbers, 15 coefficients of the pose, an orientation and a *translation*: the model is turned about
 its own root joint and then moved, so the wrist lies at translation + root joint at rest, about 11 cm from the former.

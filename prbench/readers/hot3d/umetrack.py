@@ -1,4 +1,6 @@
-"""UmeTrack: the hand model of a user profile and its posing by linear blend skinning (``formats/hot3d.md`` section 3).
+"""UmeTrack: the hand model of a user profile and its posing by linear blend skinning.
+
+Source: docs/specification/hot3d.md#files.
 
 The model describes the left hand in the frame of its wrist; a right hand is its mirror image in x. Lengths are metres
 here, millimetres in the files.

@@ -1,4 +1,4 @@
-"""Reader of MoGaze (``formats/mogaze.md``)."""
+"""Reader of MoGaze (docs/specification/mogaze.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""MoGaze's human model: its chain, forward kinematics, and the 22 joints (``formats/mogaze.md`` sections 2 to 5).
+"""MoGaze's human model: its chain, forward kinematics, and the 22 joints.
+
+Sources: docs/specification/mogaze.md#files, docs/specification/mogaze.md#world-and-body-frames,
+docs/specification/mogaze.md#forward-kinematics and docs/specification/mogaze.md#the-22-joints.
 
 The model is the humoro player's ``human.urdf`` (MIT licence): every joint origin is the identity, so a link is
 ``T_child = T_parent * translate(offset) * Rx * Ry * Rz``. Body axes at zero angles: +X left, -Y forward, +Z up.

@@ -1,4 +1,4 @@
-"""MoGaze's segments as picks and puts (``formats/mogaze.md`` section 8)."""
+"""MoGaze's segments as picks and puts (docs/specification/mogaze.md#pick-and-put-events)."""
 
 from __future__ import annotations
 

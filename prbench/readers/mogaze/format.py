@@ -1,4 +1,4 @@
-"""MoGaze: file names, keys, coordinate frames, and the content of one recording (``formats/mogaze.md``)."""
+"""MoGaze: file names, keys, coordinate frames, and the content of one recording (docs/specification/mogaze.md)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def gaze_directions(
     *,
     legacy: bool = False,
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit gaze directions in the dataset's world (section 6).
+    """Unit gaze directions in the dataset's world (docs/specification/mogaze.md#head-pose-and-gaze-ray).
 
     Args:
         goggles_position: Metres.

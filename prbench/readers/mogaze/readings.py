@@ -1,4 +1,4 @@
-"""The content of the files of one MoGaze recording (``formats/mogaze.md`` section 2)."""
+"""The content of the files of one MoGaze recording (docs/specification/mogaze.md#files)."""
 
 from __future__ import annotations
 

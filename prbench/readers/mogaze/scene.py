@@ -1,4 +1,7 @@
-"""``scene.xml`` of MoGaze: names and meshes of the tracked bodies (``formats/mogaze.md`` sections 2 and 7)."""
+"""``scene.xml`` of MoGaze: names and meshes of the tracked bodies.
+
+Sources: docs/specification/mogaze.md#files and docs/specification/mogaze.md#objects.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the content of one MoGaze recording to a :class:`Recording` (``formats/mogaze.md``).
+"""From the content of one MoGaze recording to a :class:`Recording` (docs/specification/mogaze.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 """

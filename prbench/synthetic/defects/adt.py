@@ -1,4 +1,8 @@
-"""What real copies of Aria Digital Twin suffer from (``formats/adt.md`` sections 2 to 4 and 7)."""
+"""What real copies of Aria Digital Twin suffer from.
+
+Sources: docs/specification/adt.md#frame-units-clock, docs/specification/adt.md#files, docs/specification/adt.md#joints
+and docs/specification/adt.md#pitfalls-and-bad-input.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What copies of GIMO suffer from (``formats/gimo.md`` section 8)."""
+"""What copies of GIMO suffer from (docs/specification/gimo.md#bad-input)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What real copies of HD-EPIC suffer from (``formats/hd-epic.md`` section 7)."""
+"""What real copies of HD-EPIC suffer from (docs/specification/hd-epic.md#pitfalls-and-bad-input)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What real copies of HOT3D suffer from (``formats/hot3d.md`` section 7)."""
+"""What real copies of HOT3D suffer from (docs/specification/hot3d.md#pitfalls-and-bad-input)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What real copies of MoGaze suffer from (``formats/mogaze.md`` section 10)."""
+"""What real copies of MoGaze suffer from (docs/specification/mogaze.md#bad-input)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Native files of Aria Digital Twin (``formats/adt.md``): layout v2.0, and v1.x for tests of the reader."""
+"""Native files of Aria Digital Twin (docs/specification/adt.md): layout v2.0, and v1.x for tests of the reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of the Machine Perception Services (``formats/aria-mps.md``), as HOT3D and HD-EPIC hold them."""
+"""Files of the Machine Perception Services (docs/specification/aria-mps.md), as HOT3D and HD-EPIC hold them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""EgoAllo's output files and the invented body model as files (``formats/egoallo.md`` sections 1 and 4)."""
+"""EgoAllo's output files and the invented body model as files.
+
+Sources: docs/specification/egoallo.md#files and docs/specification/egoallo.md#joints.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Native files of GIMO (``formats/gimo.md``), route C: fitted root and translation, and the suit's skeleton."""
+"""Native files of GIMO, route C: fitted root and translation, and the suit's skeleton.
+
+Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
+"""
 
 from __future__ import annotations
 

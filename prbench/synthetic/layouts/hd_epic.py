@@ -1,4 +1,4 @@
-"""Native files of HD-EPIC (``formats/hd-epic.md``): archives by video, annotations for all videos together."""
+"""Native files of HD-EPIC (docs/specification/hd-epic.md): archives by video, annotations for all videos together."""
 
 from __future__ import annotations
 

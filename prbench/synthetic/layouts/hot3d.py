@@ -1,4 +1,4 @@
-"""Native files of HOT3D (``formats/hot3d.md``)."""
+"""Native files of HOT3D (docs/specification/hot3d.md)."""
 
 from __future__ import annotations
 

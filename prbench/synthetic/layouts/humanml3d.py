@@ -1,4 +1,6 @@
-"""The official folder of HumanML3D (``formats/humanml3d.md``): joints, texts, mirrored copies, split lists.
+"""The official folder of HumanML3D: joints, texts, mirrored copies, split lists.
+
+Source: docs/specification/humanml3d.md#text-files.
 
 Features (``new_joint_vecs``) are not written: nothing reads them yet.
 """

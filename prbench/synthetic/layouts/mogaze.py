@@ -1,4 +1,7 @@
-"""Native files of MoGaze (``formats/mogaze.md``): four HDF5 files a recording, and a scene with meshes for all."""
+"""Native files of MoGaze: four HDF5 files a recording, and a scene with meshes for all.
+
+Source: docs/specification/mogaze.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Native files of Nymeria (``formats/nymeria.md``): suit, narrations, metadata, and the glasses' trajectory."""
+"""Native files of Nymeria (docs/specification/nymeria.md): suit, narrations, metadata, and the glasses' trajectory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sensors of Aria Digital Twin (``methods/synthetic-recordings.md`` section 8, rows "adt").
+"""The sensors of Aria Digital Twin (docs/specification/synthetic-recordings.md#sensors, rows "adt").
 
 Readings are rounded to the resolution of the written files (micrometres, microradians, 1e-9 for quaternions), so that
 files and memory hold the same numbers.

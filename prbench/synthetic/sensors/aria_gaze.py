@@ -1,4 +1,7 @@
-"""Errors of the gaze of Aria glasses, for ADT and the Machine Perception Services alike (section 8)."""
+"""Errors of the gaze of Aria glasses, for ADT and the Machine Perception Services alike.
+
+Source: docs/specification/synthetic-recordings.md#sensors.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the Machine Perception Services would say of a performance (``methods/synthetic-recordings.md`` section 8).
+"""What the Machine Perception Services would say of a performance (docs/specification/synthetic-recordings.md#sensors).
 
 For HOT3D and HD-EPIC. Readings are rounded to the resolution of the written files, so that files and memory hold the
 same numbers. The native world is Z up: the performance's, with the axes renamed.

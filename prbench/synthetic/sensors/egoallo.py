@@ -1,4 +1,7 @@
-"""EgoAllo as a sensor (``methods/synthetic-recordings.md`` section 8, "EgoAllo-like body", and section 14).
+"""EgoAllo as a sensor.
+
+Sources: docs/specification/synthetic-recordings.md#sensors, "EgoAllo-like body", and
+docs/specification/synthetic-recordings.md#native-layouts.
 
 The head is exact, since it is what the estimate is made from. Elbows and knees wander, feet slip, wrists stay within
 2 cm (the real estimate is aligned to tracked wrists), and every window stands a little too high or too low. Bones keep

@@ -1,6 +1,7 @@
 """The sensors of GIMO: an inertial suit with a fitted body, and HoloLens 2 gaze on a scanned room.
 
-Source: ``methods/synthetic-recordings.md`` sections 8 (rows "gimo") and 14. The learned pose decoder cannot be
+Sources: docs/specification/synthetic-recordings.md#sensors (rows "gimo") and
+docs/specification/synthetic-recordings.md#native-layouts. The learned pose decoder cannot be
 imitated, so the fitted parameters hold root and translation only, and limbs come from the suit's skeleton (route C).
 """
 

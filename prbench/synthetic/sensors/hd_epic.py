@@ -1,4 +1,4 @@
-"""The sensors and annotators of HD-EPIC (``methods/synthetic-recordings.md`` section 8, rows "hd-epic").
+"""The sensors and annotators of HD-EPIC (docs/specification/synthetic-recordings.md#sensors, rows "hd-epic").
 
 Poses, gaze and hands come from the Machine Perception Services, bodies from EgoAllo, places and times of events from
 people who looked at the video. Everything is rounded to the files' resolution, so that files and memory agree.

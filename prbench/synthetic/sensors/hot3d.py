@@ -1,4 +1,7 @@
-"""The sensors of HOT3D (``methods/synthetic-recordings.md`` sections 8 and 14).
+"""The sensors of HOT3D.
+
+Sources: docs/specification/synthetic-recordings.md#sensors and
+docs/specification/synthetic-recordings.md#native-layouts.
 
 Readings are rounded to the resolution of the written files, so that files and memory hold the same numbers. The truth's
 clock is that of the ground truth; the glasses' device clock drifts against it.

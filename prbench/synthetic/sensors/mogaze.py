@@ -1,4 +1,4 @@
-"""The sensors of MoGaze (``methods/synthetic-recordings.md`` section 8, rows "mogaze").
+"""The sensors of MoGaze (docs/specification/synthetic-recordings.md#sensors, rows "mogaze").
 
 The native files hold float64, so nothing is rounded and files and memory agree bit for bit. The readings have Z up.
 """

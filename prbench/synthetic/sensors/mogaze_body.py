@@ -3,7 +3,7 @@
 The model has fewer joints than the performance's spine, and every link hangs on its parent along fixed axes. So each
 link's frame is the segment's, tipped until the child lies where the model wants it. Everything is exact but the
 distance from pelvis to torso, which is fixed: where the back bends, the upper body is up to a centimetre further along
-the trunk (``methods/synthetic-recordings.md`` section 14).
+the trunk (docs/specification/synthetic-recordings.md#native-layouts).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What suit and glasses make of a narrated motion, each on its clock (``formats/nymeria.md``)."""
+"""What suit and glasses make of a narrated motion, each on its clock (docs/specification/nymeria.md#narrations)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The 51 joints and 57 markers of the optical suit, from 22 joints and finger bases (``formats/adt.md`` section 4)."""
+"""The 51 joints and 57 markers of the optical suit, from 22 joints and finger bases.
+
+Source: docs/specification/adt.md#joints.
+"""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def head_poses(inputs: Inputs, trajectory: AriaTrajectory) -> PoseStream:
 
 
 def write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
-    """Write ``closed_loop_trajectory.csv`` (``formats/aria-mps.md`` section 3).
+    """Write ``closed_loop_trajectory.csv`` (docs/specification/aria-mps.md#closed-loop-trajectory).
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.

@@ -152,7 +152,7 @@ def test_a_ray_and_a_wrist_of_the_sample(samples, reference_values) -> None:
     assert found.wrists[1].points[109, 0] == pytest.approx(wrist["wrist_world"], abs=1e-3)
     assert found.wrists[1].valid.sum() == 6
     fixed = np.median(_closest_approach(found, seconds=1.0))
-    assert fixed < 0.05  # the ray stays near one point of the world for a second (section 5)
+    assert fixed < 0.05  # near one point of the world for a second (docs/specification/aria-mps.md#eye-gaze)
 
 
 def _closest_approach(found: MpsStreams, *, seconds: float) -> np.ndarray:

@@ -1,4 +1,7 @@
-"""Movements → events: masks by nearest frame, places, hands, published priming (``formats/hd-epic.md`` 4 and 6)."""
+"""Movements → events: masks by nearest frame, places, hands, published priming.
+
+Sources: docs/specification/hd-epic.md#annotations and docs/specification/hd-epic.md#events-and-priming.
+"""
 
 from __future__ import annotations
 
