@@ -15,7 +15,7 @@ LAYERS = {
         0,
     ),
     **dict.fromkeys(("errors", "joint_names"), 1),
-    **dict.fromkeys(("boundary", "bounded", "ranges", "timelines", "workers"), 2),
+    **dict.fromkeys(("boundary", "bounded", "meshes", "ranges", "timelines", "workers"), 2),
     **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "engine", "recording"), 3),
     "locks": 4,
     **dict.fromkeys(("metrics", "sequences", "representation", "text"), 5),

@@ -267,15 +267,13 @@ def test_meshes_are_an_option(readings, folder, tree) -> None:
     recording = reader.read(reader.find(tree)[0])
     track, mesh = recording.objects[0], readings.objects[0].mesh
     assert mesh is not None
-    assert track.surface_points is not None
-    assert (track.surface_points.min(axis=0), track.surface_points.max(axis=0)) == (
-        pytest.approx(mesh.vertices.min(axis=0)),
-        pytest.approx(mesh.vertices.max(axis=0)),
-    )
+    assert track.surface is not None
+    np.testing.assert_array_equal(track.surface.vertices, mesh.vertices)
+    np.testing.assert_array_equal(track.surface.faces, mesh.faces)
     assert {occluder.object_id for occluder in recording.occluders} == {entry.object_id for entry in readings.objects}
     plain = _read(tree)
     assert plain.occluders == ()
-    assert all(track.surface_points is None for track in plain.objects)
+    assert all(track.surface is None for track in plain.objects)
 
 
 def test_a_trajectory_that_is_not_z_up_is_refused(folder, tree) -> None:

@@ -180,6 +180,7 @@ def _shape(value: Any) -> Any:
     return float if isinstance(value, float) else type(value)
 
 
+@pytest.mark.usefixtures("open3d_or_slow_loop")
 def test_the_surface_rule_finds_what_the_origin_rule_finds(tree) -> None:
     (found,) = READER.find(tree)
     recording = recording_from_hot3d(read_readings(found), load_manifest("hot3d"), dataset="hot3d", meshes=True)

@@ -20,12 +20,8 @@ from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
 from prbench.readers.hot3d.hand_streams import hand_streams
-from prbench.readers.hot3d.surfaces import surface_points
 from prbench.recording.streams import ObjectTrack, Occluder, Recording
 from prbench.timelines import nearest_index, require_overlap
-
-SURFACE_SPACING = 0.003
-"""Metres between points on objects' surfaces: the nearest one is at most 1.8 mm from any place of the surface."""
 
 
 def recording_from_hot3d(
@@ -74,7 +70,7 @@ def recording_from_hot3d(
         hands=hands,
         objects=objects,
         split_group=readings.recording_id,
-        occluders=_occluders(readings) if meshes else (),
+        occluders=tuple(track.surface for track in objects if track.surface is not None),
         world_from_source=Y_UP_FROM_Z_UP,
         messages=(
             *readings.messages,
@@ -113,11 +109,7 @@ def object_track(
         box_min=vertices.min(axis=0),
         box_max=vertices.max(axis=0),
         movable=True,
-        surface_points=(
-            surface_points(entry.mesh.vertices, entry.mesh.faces, spacing=SURFACE_SPACING)
-            if meshes and entry.mesh is not None
-            else None
-        ),
+        surface=_occluder(entry) if meshes else None,
     )
 
 
@@ -185,12 +177,10 @@ def _check_overlap(readings: hot3d.Hot3dReadings, span: tuple[float, float], str
     require_overlap(ranges, recording=readings.recording_id)
 
 
-def _occluders(readings: hot3d.Hot3dReadings) -> tuple[Occluder, ...]:
-    return tuple(
-        Occluder(entry.name, entry.mesh.vertices, entry.mesh.faces, entry.object_id)
-        for entry in readings.objects
-        if entry.mesh is not None
-    )
+def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
+    if entry.mesh is None:
+        return None
+    return Occluder(entry.name, entry.mesh.vertices, entry.mesh.faces, entry.object_id)
 
 
 def _remarks(readings: hot3d.Hot3dReadings, frames: GoodFrames) -> tuple[str, ...]:
