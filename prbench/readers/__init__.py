@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -25,10 +26,15 @@ from prbench.recording import Recording
 from prbench.shown import quoted
 
 if TYPE_CHECKING:
+    from prbench.readers.egoallo.inputs import EgoalloInputs
     from prbench.readers.extents import Extent
+    from prbench.readers.zipped import Source
 
 __all__ = [
     "SYNTHETIC_PREFIX",
+    "AnnotatedByHand",
+    "AnnotationLine",
+    "AriaGlasses",
     "InputFile",
     "KnowsEnds",
     "Reader",
@@ -77,7 +83,7 @@ class Reader(Protocol):
 
 
 @runtime_checkable
-class KnowsEnds(Protocol):
+class KnowsEnds(Reader, Protocol):
     """What a reader may do besides: say from when to when the streams of a recording reach."""
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
@@ -92,6 +98,57 @@ class KnowsEnds(Protocol):
             OSError: likewise.
         """
         ...
+
+
+@runtime_checkable
+class AriaGlasses(Reader, Protocol):
+    """What the reader of a dataset of Project Aria's glasses may do besides: feed EgoAllo, and point at the scene.
+
+    Such a reader has an option ``poses`` that takes ``egoallo``.
+    """
+
+    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
+        """Look for the files of one recording from which EgoAllo estimates its body.
+
+        Raises:
+            InputFileError: if it has no trajectory, or an archive is damaged.
+        """
+        ...
+
+    def point_cloud(self, found: RecordingFiles) -> Source | None:
+        """The semi-dense point cloud of one recording, in the frame of its trajectory; None where there is none."""
+        ...
+
+
+@runtime_checkable
+class AnnotatedByHand(Reader, Protocol):
+    """What the reader of a dataset without events may do besides: name the table into which a person writes them."""
+
+    @property
+    def annotation_columns(self) -> tuple[str, ...]:
+        """Columns of the table, those of a proposal included."""
+        ...
+
+    def annotation_line(self, found: RecordingFiles) -> AnnotationLine:
+        """The line of one recording, still to be filled in.
+
+        Raises:
+            InputFileError: for files that cannot be made out.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class AnnotationLine:
+    """One recording in a table of events that a person fills in."""
+
+    recording_id: str
+    cells: Mapping[str, object]
+    """What is known before anybody looks, by column."""
+    frame_rate: float
+    """Frames a second of the column ``event_frame``."""
+    hint: float | None
+    """When the dataset hints at an event, seconds on the recording's clock."""
 
 
 def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader:

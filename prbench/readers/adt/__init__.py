@@ -9,12 +9,15 @@ from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.adt.ends import extents
+from prbench.readers.adt.for_egoallo import adt_inputs, point_cloud
 from prbench.readers.adt.layouts import find_recordings
 from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.readings import read_readings
 from prbench.readers.adt.to_recording import recording_from_adt
+from prbench.readers.egoallo.inputs import EgoalloInputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.zipped import Source
 from prbench.recording import Recording
 
 __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]
@@ -53,6 +56,14 @@ class AdtReader:
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""
         return extents(found, recording)
+
+    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return adt_inputs(root, found)
+
+    def point_cloud(self, found: RecordingFiles) -> Source | None:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return point_cloud(found)
 
 
 READER = AdtReader()

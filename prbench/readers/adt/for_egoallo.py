@@ -8,6 +8,9 @@ takes Z for up, so that bodies would lie on their sides.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +18,8 @@ from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, glasses_stream
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.aria_mps.streams import part_poses
+from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs, aria_inputs, require_trajectory
+from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
 from prbench.timelines import interpolate, slerp
 
@@ -27,12 +32,35 @@ def glasses_z_up(glasses: adt.GlassesPoses, size: GlassesSize | None) -> PoseStr
     return part_poses(_device_z_up(glasses), device_from_cpf(size or ASSUMED_SIZE))
 
 
-def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
+def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
+    """Look for what EgoAllo needs of a recording.
+
+    Raises:
+        InputFileError: if it has no trajectory.
+    """
+    require_trajectory(found, adt.TRAJECTORY_FILE)
+    return replace(
+        aria_inputs(root, found),
+        points=point_cloud(found),
+        glasses_size=ASSUMED_SIZE,
+        turned=prepared_trajectory,
+    )
+
+
+def point_cloud(found: RecordingFiles) -> Path | None:
+    """The semi-dense point cloud of the Machine Perception Services; None where there is none."""
+    folder = found.folder / adt.MPS_FOLDER
+    places = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
+    return next((place for place in places if place.is_file()), None)
+
+
+def prepared_trajectory(trajectory: AriaTrajectory) -> AriaTrajectory:
     """Poses of the device in the scene turned to Z up, every millisecond from the first to the last one.
 
     Gaps are bridged, since EgoAllo counts poses instead of reading clocks; bodies within them are taken for invalid
     when they are read.
     """
+    glasses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     device = _device_z_up(glasses)
     usable = device.valid if device.valid.any() else np.ones_like(device.valid)
     first, last = (int(glasses.time_us[usable][end]) for end in (0, -1))

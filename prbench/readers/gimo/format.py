@@ -27,6 +27,8 @@ HINT_INDEX = 7
 """Index of the unnamed column that holds a frame inside the segment on some rows: evidently the contact."""
 EVENT_COLUMNS = ("scene", "sequence_path", "start_frame", "end_frame", "event_frame", "action", "hand")
 CONFIRMED_COLUMN = "confirmed"
+CANDIDATE_COLUMNS = (*EVENT_COLUMNS, CONFIRMED_COLUMN, "confidence", "reason", "activity")
+"""Columns of a table of proposed events."""
 TEST, TRAIN, TRAIN_LATER = 0, 1, 2
 """Values of the column ``training``; the official loader never uses 2."""
 

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import prbench
 from prbench.contract import Condition
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.preparation import DEFAULT_PARENT
+from prbench.published import load_table_one
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 from prbench.workflows.table_two.rows import Row, load_table_two
@@ -20,7 +22,6 @@ from prbench.workflows.table_two.rows import Row, load_table_two
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 """Beside the rows, always."""
-_PAPER_ORDER = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,5 +145,6 @@ class TableRequest:
 
 
 def _place(dataset: str) -> tuple[int, str]:
-    plain = dataset.removeprefix("synthetic-")
-    return (_PAPER_ORDER.index(plain) if plain in _PAPER_ORDER else len(_PAPER_ORDER), dataset)
+    printed = tuple(load_table_one())
+    plain = dataset.removeprefix(SYNTHETIC_PREFIX)
+    return (printed.index(plain) if plain in printed else len(printed), dataset)
