@@ -8,10 +8,8 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
-from prbench.readers.adt.ends import extents
 from prbench.readers.adt.for_egoallo import adt_inputs, point_cloud
-from prbench.readers.adt.layouts import find_recordings
-from prbench.readers.adt.options import AdtOptions
+from prbench.readers.adt.layouts import AdtOptions, extents, find_recordings
 from prbench.readers.adt.readings import read_readings
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.egoallo.inputs import EgoalloInputs

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -10,14 +12,32 @@ from prbench.boundary import foreign_input
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
-from prbench.readers.adt.options import AdtOptions
 from prbench.readers.aria_mps import find_gaze_file
-from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE
+from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
 from prbench.readers.egoallo import find_outputs
+from prbench.readers.egoallo.ends import body_extent
+from prbench.readers.extents import Extent
+from prbench.readers.file_ends import csv_extent, json_extent
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import read_synthetic_tree
+from prbench.recording import Recording
 from prbench.storage import inside
+
+
+class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
+    """Options of the reader of Aria Digital Twin."""
+
+    poses: Literal["native", "egoallo"] = "native"
+    """Where bodies come from: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's."""
+    smplh_model: Path | None = None
+    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
+    poses_root: Path | None = None
+    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
+    gaze: Literal["release", "personalized"] = "release"
+    """Which gaze: the release's ``eyegaze.csv``, or the services' personalized one where a recording has it."""
+
 
 METADATA, INSTANCES, OBJECTS, BOXES = "metadata", "instances", "objects", "boxes"
 TRAJECTORY, GAZE, ASSOCIATION, CALIBRATION = "trajectory", "gaze", "association", "calibration"
@@ -206,3 +226,23 @@ def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
             files.append(input_file(_STATUS_OF[role], status))
     skeletons = sorted(folder.glob("Skeleton_*.json"))
     return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The streams of one recording, on the device clock.
+
+    Glasses and objects come from one tracking system, and tell how long there is ground truth. Gaze and the suit run
+    longer; the suit may begin late.
+    """
+    streams = []
+    for file in found.files:
+        if file.role == TRAJECTORY:
+            streams.append(csv_extent("glasses", file, TIME_COLUMN, 1e-6))
+        elif file.role == OBJECTS:
+            streams.append(csv_extent("objects", file, adt.OBJECT_TIME, 1e-9))
+        elif file.role == GAZE:
+            streams.append(replace(csv_extent("gaze", file, TIME_COLUMN, 1e-6), tells_span=False))
+        elif file.role.startswith(SKELETON_PREFIX):
+            streams.append(replace(json_extent("body", file), tells_span=False, may_start_late=True))
+    body = body_extent(found)
+    return tuple(streams) if body is None else (*streams, body)

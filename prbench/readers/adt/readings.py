@@ -9,8 +9,8 @@ from prbench.readers.adt import format as adt
 from prbench.readers.adt import layouts
 from prbench.readers.adt.for_egoallo import glasses_z_up
 from prbench.readers.adt.gaze import read_gaze
+from prbench.readers.adt.layouts import AdtOptions
 from prbench.readers.adt.objects import read_objects
-from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.skeletons import read_skeletons
 from prbench.readers.aria_mps import (
     AriaTrajectory,
