@@ -16,7 +16,7 @@ from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, cut_short, shortfalls
 from prbench.readers.file_ends import csv_extent, json_extent
 from prbench.readers.found import input_file
-from prbench.readers.hd_epic.ends import extents as hd_epic_extents
+from prbench.readers.hd_epic.places import extents as hd_epic_extents
 from prbench.synthetic.write_tree import synthesize_tree
 
 WHOLE = Extent("glasses", "poses.csv", 100.0, 160.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.egoallo.model import read_smplh_rest
+from prbench.readers.egoallo.joints import read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, read_output
 from tests.readers.egoallo_files import model, output, rewrite, times_ns, write
 

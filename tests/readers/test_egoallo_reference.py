@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.readers.egoallo.format import EgoAlloOutput, forward_kinematics
-from prbench.readers.egoallo.joints import read_window
-from prbench.readers.egoallo.model import read_smplh_rest
+from prbench.readers.egoallo.joints import read_smplh_rest, read_window
 from prbench.readers.egoallo.outputs import read_output
 
 NAME = "egoallo/egoallo_outputs/20240101-120000_0-12.npz"

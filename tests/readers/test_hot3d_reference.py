@@ -16,8 +16,9 @@ from prbench.manifests import load_manifest
 from prbench.rays import slab_test
 from prbench.readers import reader_for
 from prbench.readers.aria_mps import read_gaze_angles
-from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings, umetrack
+from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.hand_streams import umetrack_points
 from prbench.readers.hot3d.hands_mano import read_mano_rows
 from prbench.readers.hot3d.meshes import read_glb

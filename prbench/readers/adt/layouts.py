@@ -15,7 +15,7 @@ from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import find_gaze_file
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
 from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.ends import body_extent
+from prbench.readers.egoallo.places import body_extent
 from prbench.readers.extents import Extent
 from prbench.readers.file_ends import csv_extent, json_extent
 from prbench.readers.files import decode_json

@@ -12,10 +12,9 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.ends import extents
 from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
-from prbench.readers.gimo.segments import find_segments, row_of
+from prbench.readers.gimo.segments import extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
 

@@ -11,6 +11,7 @@ from typing import Literal
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
+from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
 from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_segments
@@ -24,6 +25,7 @@ from prbench.readers.gimo.events import (
 )
 from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.synthetic_tree import SyntheticTree, read_synthetic_tree
+from prbench.recording import Recording
 from prbench.storage import inside
 
 TABLE, EVENTS, TRANSFORM, NORM, SKELETON = "table", "events", "transform", "norm", "skeleton"
@@ -252,3 +254,18 @@ def _hololens_files(folder: Path) -> dict[str, Path]:
 def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
     """Files of one kind by frame."""
     return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The frames that the table promises, and those that have files; nothing is said of what has none at all."""
+    segment = row_of(found)[0].segment
+    promised = segment.start_frame / gimo.FRAME_RATE, segment.end_frame / gimo.FRAME_RATE
+    streams = [Extent("segment", gimo.TABLE_FILE, *promised)]
+    roles = {POSE: "body", MESH: "body", CENTRE: "gaze"}
+    for role, stream in roles.items():
+        files = frames_of(found, role)
+        if files:
+            ends = min(files) / gimo.FRAME_RATE, max(files) / gimo.FRAME_RATE
+            slack = SEVERAL_SENSORS if role == CENTRE else ONE_SYSTEM  # eyes are lost now and then
+            streams.append(Extent(stream, files[max(files)].name, *ends, tells_span=False, slack=slack))
+    return tuple(streams)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.manifests import Manifest
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.hololens_streams import GlassesStreams, glasses_streams
+from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
 from prbench.readers.gimo.suit_skeleton import lay_skeleton
 from prbench.recording.body_quality import hold_neighbours
 from prbench.recording.streams import (

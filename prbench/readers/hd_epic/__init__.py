@@ -11,9 +11,7 @@ from prbench.manifests import load_manifest
 from prbench.readers.egoallo.inputs import EgoalloInputs, aria_inputs, points_beside
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.hd_epic.ends import extents
-from prbench.readers.hd_epic.options import HdEpicOptions
-from prbench.readers.hd_epic.places import find_recordings
+from prbench.readers.hd_epic.places import HdEpicOptions, extents, find_recordings
 from prbench.readers.hd_epic.readings import read_readings
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.readers.zipped import Source

@@ -11,9 +11,7 @@ from prbench.manifests import load_manifest
 from prbench.readers.egoallo.inputs import EgoalloInputs, aria_inputs, points_beside
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.hot3d.ends import extents
-from prbench.readers.hot3d.layout import find_recordings
-from prbench.readers.hot3d.options import Hot3dOptions
+from prbench.readers.hot3d.layout import Hot3dOptions, extents, find_recordings
 from prbench.readers.hot3d.readings import read_readings
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.readers.zipped import Source

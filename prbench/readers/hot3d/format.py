@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
-from prbench.readers.hot3d.umetrack import HandModel
+from prbench.readers.hot3d.hands_umetrack import HandModel
 
 METADATA_FILE = "metadata.json"
 OBJECTS_FILE = "dynamic_objects.csv"

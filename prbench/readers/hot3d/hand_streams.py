@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int
 
 from prbench.axes import y_up
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import umetrack
+from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.recording.streams import HandStream
 
 

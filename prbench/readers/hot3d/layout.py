@@ -5,19 +5,45 @@ Sources: docs/specification/hot3d.md#folder-tree and docs/specification/hot3d.md
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
 from prbench.readers.egoallo import find_outputs
+from prbench.readers.egoallo.places import body_extent
+from prbench.readers.extents import SEVERAL_SENSORS, Extent
+from prbench.readers.file_ends import can_be_looked_at, csv_extent, json_extent
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.options import Hot3dOptions
+from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import synthetic_tree_around
+from prbench.recording import Recording
+
+
+class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
+    """Options of the reader of HOT3D."""
+
+    poses: Literal["egoallo"] = "egoallo"
+    """Where bodies come from; the dataset has none of its own."""
+    smplh_model: Path | None = None
+    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
+    poses_root: Path | None = None
+    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
+    hands: Literal["umetrack", "mano"] = "umetrack"
+    """Which hand annotation gives wrists and vertices."""
+    mano_models: Path | None = None
+    """Folder of ``MANO_LEFT.npz`` and ``MANO_RIGHT.npz``, for ``hands=mano``."""
+    meshes: bool = False
+    """Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an object."""
+
 
 METADATA, OBJECTS, HEADSET, INSTANCES = "metadata", "objects", "headset", "instances"
 UMETRACK, PROFILE, MANO = "umetrack", "hand profile", "mano"
@@ -158,3 +184,44 @@ def _mano_models(options: Hot3dOptions) -> list[InputFile]:
     folder = options.mano_models.expanduser()
     paths = {side: folder / f"MANO_{side.upper()}.npz" for side in ("left", "right")}
     return [input_file(f"{MANO_MODEL_PREFIX}{side}", path) for side, path in paths.items() if path.is_file()]
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The streams of one recording, each clock from its own start.
+
+    Ground truth and glasses have different clocks, which only reading all poses relates. The glasses record from the
+    beginning to the end of the ground truth, or longer; so they are at least as long.
+    """
+    device = [
+        _device_stream(file) for file in found.files if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file)
+    ]
+    body = body_extent(found)
+    truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK, MANO)]
+    masks = [_truth_stream(file) for file in found.files if file.role.startswith(MASK_PREFIX)]
+    return (*_from_start([*truth, *masks]), *_from_start(device if body is None else [*device, body]))
+
+
+def _truth_stream(file: InputFile) -> Extent:
+    """Hands have no row where none was seen, as at the start of many recordings."""
+    if file.role in (UMETRACK, MANO):
+        return replace(json_extent("hands", file), may_start_late=True)
+    stream = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}.get(file.role, "mask")
+    return csv_extent(stream, file, hot3d.TIME, 1e-9)
+
+
+def _device_stream(file: InputFile) -> Extent:
+    stream = "glasses" if file.role == TRAJECTORY else "gaze"
+    return replace(csv_extent(stream, file, TIME_COLUMN, 1e-6), tells_span=False, slack=SEVERAL_SENSORS)
+
+
+def _from_start(streams: Sequence[Extent]) -> tuple[Extent, ...]:
+    """The same with times since the first of all samples."""
+    start = min((stream.first for stream in streams if stream.first is not None), default=0.0)
+    return tuple(
+        replace(
+            stream,
+            first=None if stream.first is None else stream.first - start,
+            last=None if stream.last is None else stream.last - start,
+        )
+        for stream in streams
+    )

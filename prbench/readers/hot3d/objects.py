@@ -12,7 +12,7 @@ from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import layout
 from prbench.readers.hot3d.meshes import read_glb
-from prbench.readers.hot3d.poses import read_pose_rows
+from prbench.readers.hot3d.readings import read_pose_rows
 
 
 class Instance(msgspec.Struct):

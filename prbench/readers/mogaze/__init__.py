@@ -10,8 +10,7 @@ from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.mogaze.ends import extents
-from prbench.readers.mogaze.layouts import find_recordings
+from prbench.readers.mogaze.layouts import extents, find_recordings
 from prbench.readers.mogaze.readings import read_readings
 from prbench.readers.mogaze.to_recording import JointMapping, recording_from_mogaze
 from prbench.readers.options import ReaderOptions

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.readers.hot3d import mano
-from prbench.readers.hot3d.mano import ManoModel
+from prbench.readers.hot3d import hands_mano as mano
+from prbench.readers.hot3d.hands_mano import ManoModel
 
 RNG = np.random.default_rng(5)
 N = 30

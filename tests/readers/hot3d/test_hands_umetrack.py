@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.readers.hot3d import umetrack
-from prbench.readers.hot3d.umetrack import HandModel
+from prbench.readers.hot3d import hands_umetrack as umetrack
+from prbench.readers.hot3d.hands_umetrack import HandModel
 from prbench.synthetic.sensors.hot3d_hand import finger_angles, invented_hand, wrist_rotation
 
 RNG = np.random.default_rng(3)
