@@ -1,6 +1,19 @@
 """Readers: native files of a dataset → :class:`prbench.recording.Recording`, one recording at a time.
 
-A new dataset is a new module with a ``READER`` and one line in :data:`READER_MODULES`.
+All that knows a dataset lies in its folder here, and its numbers in its manifest. Each folder has the same files:
+
+=====================  =================================================================================================
+``__init__.py``        the reader (:class:`Reader`): finds recordings, reads one, and says what else it can do
+``format.py``          names of files, columns and joints, axes, and the data classes that hold what the files say
+``layouts.py``         where the files of each recording lie (also ``layout``, ``places``, ``segments``); the options
+``readings.py``        files → readings, checked, in the dataset's own units and axes
+``to_recording.py``    readings → ``Recording``: metres, Y up, seconds, 22 joints; the only place where units change
+others                 what one dataset has besides: annotated events, hand models, skeletons
+=====================  =================================================================================================
+
+``aria_mps`` and ``egoallo`` serve several datasets. ``files``, ``found``, ``zipped`` and ``extents`` help any reader. The
+entry-point group ``prbench.readers`` lists the readers, ours and those of other packages (docs/adding-a-dataset.md);
+:func:`reader_for` finds one by its dataset's name.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ from prbench.boundary import foreign_input
 from prbench.bounded import require_size, too_long_line
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
-from prbench.readers.last_line import require_whole_last_line
-from prbench.readers.zipped import RememberingTail, Source, opened, read_all, shown
+from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
 
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 """A time in a JSON file; NumPy has no larger integers."""

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, glasses_stream
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
-from prbench.readers.aria_mps.streams import part_poses
+from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs, aria_inputs, require_trajectory
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream

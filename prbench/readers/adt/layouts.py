@@ -16,8 +16,7 @@ from prbench.readers.aria_mps import find_gaze_file
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.egoallo.places import body_extent
-from prbench.readers.extents import Extent
-from prbench.readers.file_ends import csv_extent, json_extent
+from prbench.readers.extents import Extent, csv_extent, json_extent
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.options import ReaderOptions

@@ -20,8 +20,8 @@ from prbench.readers.aria_mps import (
     read_gaze_angles,
     read_trajectory,
 )
+from prbench.readers.aria_mps.find import read_warnings
 from prbench.readers.aria_mps.format import GazeAngles
-from prbench.readers.aria_status import read_warnings
 from prbench.readers.egoallo import read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles

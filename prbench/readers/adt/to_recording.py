@@ -15,7 +15,7 @@ from prbench.errors import InputFileError
 from prbench.manifests import Manifest
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, GlassesSize, cpf_from_rgb, device_from_cpf
-from prbench.readers.aria_mps.streams import gaze_in_world, part_poses
+from prbench.readers.aria_mps.to_recording import gaze_in_world, part_poses
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import (

@@ -19,9 +19,7 @@ from prbench.readers.gimo.events import events_of, read_events
 from prbench.readers.gimo.gaze import read_gaze
 from prbench.readers.gimo.hololens import read_hololens
 from prbench.readers.gimo.options import GimoOptions, Route
-from prbench.readers.gimo.poses import read_poses
-from prbench.readers.gimo.route_mesh import joints_from_meshes
-from prbench.readers.gimo.route_smplx import joints_from_parameters
+from prbench.readers.gimo.routes import joints_from_meshes, joints_from_parameters, read_poses
 
 
 def read_readings(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gimo.GimoReadings:

@@ -13,8 +13,7 @@ from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.egoallo.places import body_extent
-from prbench.readers.extents import SEVERAL_SENSORS, Extent
-from prbench.readers.file_ends import can_be_looked_at, csv_extent, json_extent
+from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.video_clock import slam_number

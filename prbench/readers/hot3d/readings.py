@@ -5,20 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
 
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.readers.aria_mps import read_mps
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
-from prbench.readers.files import column_vectors, decode_json, read_columns, require_increasing, require_poses
+from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import layout
 from prbench.readers.hot3d.hands_mano import read_mano_hands
 from prbench.readers.hot3d.hands_umetrack import read_profile, read_umetrack
 from prbench.readers.hot3d.layout import MASK_PREFIX, Hot3dOptions
-from prbench.readers.hot3d.objects import read_objects
+from prbench.readers.hot3d.objects import read_headset, read_objects
 
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
 
@@ -52,61 +51,6 @@ def read_mask(path: Path) -> hot3d.MaskRows:
     rgb = streams == hot3d.RGB_STREAM
     time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
     return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
-
-
-def read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
-    """Poses of every body of the file, by uid; uids stay text.
-
-    Raises:
-        InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
-            stands still (a repeated row) or runs backwards.
-    """
-    numbers = dict.fromkeys((*hot3d.POSITION, *hot3d.ROTATION), float)
-    table = read_columns(path, {hot3d.OBJECT_ID: str, hot3d.TIME: int, **numbers})
-    if len(table) == 0:
-        raise InputFileError(
-            path,
-            "",
-            expected="rows of poses",
-            found="none",
-            remedy="metadata.json says that this ground truth is there; download the recording again.",
-        )
-    position, rotation = column_vectors(table, hot3d.POSITION), column_vectors(table, hot3d.ROTATION)
-    require_poses(path, position, rotation)
-    encoded = table[hot3d.OBJECT_ID].combine_chunks().dictionary_encode()
-    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
-    times = table[hot3d.TIME].to_numpy()
-    order = np.argsort(codes, kind="stable")
-    _require_clock(path, codes[order], times[order], order)
-    bounds = np.searchsorted(codes[order], np.arange(len(encoded.dictionary) + 1))
-    return {
-        uid: hot3d.PoseRows(times[rows], position[rows], rotation[rows])
-        for uid, rows in zip(encoded.dictionary.to_pylist(), np.split(order, bounds[1:-1]), strict=True)
-    }
-
-
-def read_headset(path: Path) -> hot3d.PoseRows:
-    """Poses of the glasses.
-
-    Raises:
-        InputFileError: see :func:`read_pose_rows`; or if the file holds several headsets.
-    """
-    rows = read_pose_rows(path)
-    if len(rows) > 1:
-        raise InputFileError(
-            path, hot3d.OBJECT_ID, expected="one headset", found=f"{len(rows)}: {', '.join(sorted(rows)[:3])}"
-        )
-    return next(iter(rows.values()))
-
-
-def _require_clock(
-    path: Path, codes: Int[np.ndarray, " n"], times: Int[np.ndarray, " n"], order: Int[np.ndarray, " n"]
-) -> None:
-    """Refuse a body whose rows are not in the order of time; rows are grouped by body here."""
-    backwards = np.flatnonzero((np.diff(codes) == 0) & (np.diff(times) <= 0))
-    if backwards.size:
-        earlier, later = backwards[0], backwards[0] + 1
-        require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)
 
 
 _DEFAULTS = Hot3dOptions()

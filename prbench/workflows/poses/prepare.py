@@ -18,7 +18,7 @@ from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE
 from prbench.readers.aria_mps import AriaTrajectory, Source, read_first_calibration, read_trajectory
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.streams import part_poses
+from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs
 from prbench.readers.zipped import opened

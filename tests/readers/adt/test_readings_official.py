@@ -202,7 +202,7 @@ def test_distances_of_wrists_and_finger_bases_to_what_moves(both) -> None:
 
 
 def test_the_other_wearers_glasses_and_skeleton(tmp_path) -> None:
-    from tests.readers.test_adt_rules import two_wearers
+    from tests.readers.adt.test_readings_rules import two_wearers
 
     two_wearers(tmp_path / "party", version="1.2")
     provider = official.AriaDigitalTwinDataPathsProvider(str(tmp_path / "party"))

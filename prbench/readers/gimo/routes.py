@@ -1,10 +1,4 @@
-"""Route B: joints from the posed meshes, with the regressor of SMPL-X.
-
-Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
-
-The exporter merged vertices, in another order on every frame; the order of the faces stayed. So the vertex that
-a corner of a face names in the model is the one that the same corner names in the mesh.
-"""
+"""Bodies of GIMO from fitted parameters or from meshes (docs/specification/gimo.md#three-routes-to-the-22-joints)."""
 
 from __future__ import annotations
 
@@ -13,12 +7,71 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.readers.egoallo.format import forward_kinematics
 from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.body_model import SmplxModel
+from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
+from prbench.readers.gimo.pickled_tensors import load_tensors
+
+_SIZES = {"orient": 3, "trans": 3, "latent": gimo.N_LATENT}
+_SHAPE_KEYS = ("beta", "expression")
+
+
+def read_poses(files: Mapping[int, Path]) -> gimo.SmplxPoses:
+    """Parameters of all frames that have a file, in the order of the frames.
+
+    Raises:
+        InputFileError: if a file is damaged, names foreign classes, lacks a key, or has another size or NaN in it.
+    """
+    frames = sorted(files)
+    rows = [_read_pose(files[frame]) for frame in frames]
+    columns = {key: np.array([row[key] for row in rows]).reshape(-1, size) for key, size in _SIZES.items()}
+    return gimo.SmplxPoses(np.array(frames, dtype=np.int64), **columns)
+
+
+def _read_pose(path: Path) -> dict[str, np.ndarray]:
+    tensors = load_tensors(path)
+    pose = {}
+    for key, size in _SIZES.items():
+        if key not in tensors:
+            raise InputFileError(path, "", expected=f"the key '{key}'", found=", ".join(sorted(tensors)) or "no keys")
+        values = tensors[key].astype(np.float32).ravel()
+        if values.size != size:
+            raise InputFileError(
+                path,
+                key,
+                expected=f"{size} numbers",
+                found=str(values.size),
+                remedy="This is the code of another pose prior, or another format." if key == "latent" else "",
+            )
+        if not np.isfinite(values).all():
+            raise InputFileError(path, key, expected="finite numbers", found="NaN", remedy="Copy the file again.")
+        pose[key] = values
+    for key in _SHAPE_KEYS:
+        if key in tensors and np.abs(tensors[key]).max(initial=0.0) > 0:
+            raise InputFileError(
+                path,
+                key,
+                expected="zeros: everybody is fitted with the neutral mean shape",
+                found="other numbers",
+                remedy="Joints of another shape cannot be computed from this format's constants.",
+            )
+    return pose
+
+
+def joints_from_parameters(poses: gimo.SmplxPoses, decoder: PoseDecoder, model: SmplxModel) -> gimo.LocalJoints:
+    """The 22 joints of every frame that has parameters; the pelvis is at ``trans`` plus the model's own rest pelvis."""
+    rest = model.rest_joints
+    local = Rotation.from_matrix(decoder.rotations(poses.latent).reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    root = Rotation.from_rotvec(poses.orient.astype(np.float64)).as_quat(scalar_first=True)
+    joints = forward_kinematics(
+        rest, poses.trans.astype(np.float64) + rest[0], root, local.reshape(len(poses.frames), -1, 4)
+    )
+    return gimo.LocalJoints(poses.frames, joints, "smplx")
 
 
 def joints_from_meshes(

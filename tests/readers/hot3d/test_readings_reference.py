@@ -19,10 +19,9 @@ from prbench.readers.aria_mps import read_gaze_angles
 from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
-from prbench.readers.hot3d.hand_streams import umetrack_points
 from prbench.readers.hot3d.hands_mano import read_mano_rows
-from prbench.readers.hot3d.meshes import read_glb
-from prbench.readers.hot3d.to_recording import match_clocks, object_track, recording_from_hot3d
+from prbench.readers.hot3d.objects import read_glb
+from prbench.readers.hot3d.to_recording import match_clocks, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import ObjectTrack, Recording
 
 SIDES = {"Left": 0, "Right": 1}

@@ -20,7 +20,7 @@ from prbench.recording import Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.errors import Switches
 from prbench.synthetic.sensors.hot3d import sense
-from tests.readers.hot3d.test_mano import invented_model
+from tests.readers.hot3d.test_hands_mano import invented_model
 from tests.readers.hot3d_trees import first_seconds, write_tree
 
 

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from prbench.readers import RecordingFiles, reader_for
-from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, cut_short, shortfalls
-from prbench.readers.file_ends import csv_extent, json_extent
+from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, csv_extent, cut_short, json_extent, shortfalls
 from prbench.readers.found import input_file
 from prbench.readers.hd_epic.places import extents as hd_epic_extents
 from prbench.synthetic.write_tree import synthesize_tree
@@ -160,7 +159,7 @@ def test_of_a_large_archived_file_reading_tells_the_end(trees, tmp_path, monkeyp
     (archive,) = copy.glob("HD-EPIC/SLAM-and-Gaze/*/SLAM/multi/*.zip")
     keep_lines_of_member(archive, "closed_loop_trajectory.csv", 0.6)
     shutil.rmtree(copy / "egoallo")
-    monkeypatch.setattr("prbench.readers.file_ends.LARGEST_UNPACKED_FOR_ITS_END", 100_000)
+    monkeypatch.setattr("prbench.readers.extents.LARGEST_UNPACKED_FOR_ITS_END", 100_000)
     found = first_of(copy)
     assert {extent.stream for extent in hd_epic_extents(found, None)} == {"video frames", "gaze", "hands"}
     assert cut_short(found) == ()
