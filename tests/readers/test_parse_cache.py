@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
+from prbench.readers import parse_cache
 from prbench.readers.aria_mps import ZippedFile, trajectory
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.trajectory import read_near

@@ -43,7 +43,7 @@ def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
         aria_inputs(root, found),
         points=point_cloud(found),
         glasses_size=ASSUMED_SIZE,
-        turned=prepared_trajectory,
+        turned=_turned,
     )
 
 
@@ -54,13 +54,12 @@ def point_cloud(found: RecordingFiles) -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
-def prepared_trajectory(trajectory: AriaTrajectory) -> AriaTrajectory:
+def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
     """Poses of the device in the scene turned to Z up, every millisecond from the first to the last one.
 
     Gaps are bridged, since EgoAllo counts poses instead of reading clocks; bodies within them are taken for invalid
     when they are read.
     """
-    glasses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     device = _device_z_up(glasses)
     usable = device.valid if device.valid.any() else np.ones_like(device.valid)
     first, last = (int(glasses.time_us[usable][end]) for end in (0, -1))
@@ -74,6 +73,13 @@ def prepared_trajectory(trajectory: AriaTrajectory) -> AriaTrajectory:
         up=np.array([0.0, 0.0, 1.0]),
         graph_uids=(_GRAPH_UID,),
         left_out=0,
+    )
+
+
+def _turned(trajectory: AriaTrajectory) -> AriaTrajectory:
+    """The poses of an ADT trajectory as EgoAllo must see them."""
+    return prepared_trajectory(
+        adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     )
 
 
