@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient, of_motions
+from prbench.checking.doctor.motion_set import Finding, MotionSet
 from prbench.checking.doctor.remedies import AT_RATE
 from prbench.checking.doctor.steps import Steps, examine_steps
 from prbench.checking.doctor.types import Diagnosis
@@ -14,25 +14,25 @@ _FULL_SPEED = 0.10  # m/s, mean of the joints: a body cannot stop from it within
 _FRESH_START = 1.7  # first step after a hold, in steps that follow it
 
 
-def examine_clock(patient: Patient) -> Finding:
+def examine_clock(motion_set: MotionSet) -> Finding:
     """Look for frames that are repeated, left out, or held."""
-    repeats = _repeats(patient)
-    holds = _holds(repeats.patient)
-    uneven = () if repeats.diagnoses else examine_steps(holds.patient)
-    return Finding((*repeats.diagnoses, *holds.diagnoses, *uneven), holds.patient)
+    repeats = _repeats(motion_set)
+    holds = _holds(repeats.motion_set)
+    uneven = () if repeats.diagnoses else examine_steps(holds.motion_set)
+    return Finding((*repeats.diagnoses, *holds.diagnoses, *uneven), holds.motion_set)
 
 
-def _repeats(patient: Patient) -> Finding:
+def _repeats(motion_set: MotionSet) -> Finding:
     """Single frames that stand twice or more in the midst of movement."""
     found: dict[int, np.ndarray] = {}
-    for row, motion in enumerate(patient.motions):
+    for row, motion in enumerate(motion_set.motions):
         steps = Steps.of(motion)
         inside = _short_holds(steps)
         moving = (~steps.still).sum()
         if steps.usual > 0 and inside.sum() >= 3 and inside.sum() >= 0.03 * moving:
             found[row] = inside
-    if len(found) * 3 < len(patient):  # a few may be recordings that lost track
-        return Finding((), patient)
+    if len(found) * 3 < len(motion_set):  # a few may be recordings that lost track
+        return Finding((), motion_set)
     counts = [int(inside.sum()) for inside in found.values()]
     gaps = np.concatenate([np.diff(np.flatnonzero(inside)) for inside in found.values()])
     period = int(np.bincount(gaps).argmax())
@@ -41,14 +41,16 @@ def _repeats(patient: Patient) -> Finding:
     if period > 1 and regular > 0.5:
         rhythm = f", every {period} frames in {regular:.0%} of the cases"
     evidence = (
-        f"{sum(counts)} frames of {of_motions(len(found), patient)} equal the frame before them in the midst of"
+        f"{sum(counts)} frames of {motion_set.in_words(len(found))} equal the frame before them in the midst of"
         f" movement{rhythm}"
     )
     cause = "another frame rate was reached by repeating the nearest frame"
     if regular > 0.5 and period > 1:
-        cause += f" (as from {patient.fps * (period - 1) / period:.3g} to {patient.fps:g} frames a second)"
-    undone = [_filled_in(motion, found[row]) if row in found else motion for row, motion in enumerate(patient.motions)]
-    return Finding((Diagnosis("clock", True, evidence, cause, AT_RATE),), patient.with_motions(undone))
+        cause += f" (as from {motion_set.fps * (period - 1) / period:.3g} to {motion_set.fps:g} frames a second)"
+    undone = [
+        _filled_in(motion, found[row]) if row in found else motion for row, motion in enumerate(motion_set.motions)
+    ]
+    return Finding((Diagnosis("clock", True, evidence, cause, AT_RATE),), motion_set.with_motions(undone))
 
 
 def _short_holds(steps: Steps) -> np.ndarray:
@@ -70,10 +72,10 @@ def _filled_in(motion: np.ndarray, repeated: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, kept, column[kept]) for column in flat.T], axis=1).reshape(motion.shape)
 
 
-def _holds(patient: Patient) -> Finding:
+def _holds(motion_set: MotionSet) -> Finding:
     """Ends and beginnings that stand still although the body is in full speed next to them."""
     ends = _hold(
-        patient,
+        motion_set,
         at_end=True,
         told="the last {frames} frames (median) of {motions} are one and the same; in {abrupt} the body stops from"
         " {speed:.2f} m/s (median) at once",
@@ -81,7 +83,7 @@ def _holds(patient: Patient) -> Finding:
         remedy="Generate the asked number of frames, or let the motion take the asked time by interpolation.",
     )
     starts = _hold(
-        patient,
+        motion_set,
         at_end=False,
         told="the first {frames} frames (median) of {motions} are one and the same; in {abrupt} the body then starts"
         " at {speed:.2f} m/s (median)",
@@ -89,18 +91,18 @@ def _holds(patient: Patient) -> Finding:
         remedy="Begin with the motion's own first frame; frame 0 is 2 s before the prime.",
     )
     diagnoses = (*ends, *starts)
-    held = [_without_holds(motion) for motion in patient.motions]
-    return Finding(diagnoses, patient.with_motions(held) if diagnoses else patient)
+    held = [_without_holds(motion) for motion in motion_set.motions]
+    return Finding(diagnoses, motion_set.with_motions(held) if diagnoses else motion_set)
 
 
-def _hold(patient: Patient, *, at_end: bool, told: str, cause: str, remedy: str) -> tuple[Diagnosis, ...]:
+def _hold(motion_set: MotionSet, *, at_end: bool, told: str, cause: str, remedy: str) -> tuple[Diagnosis, ...]:
     """One side: certain if most of the motions that are held there are in full speed next to it."""
-    held = _held(patient, at_end=at_end)
-    if len(held) * 3 < len(patient):
+    held = _held(motion_set, at_end=at_end)
+    if len(held) * 3 < len(motion_set):
         return ()
     abrupt = sum(speed > _FULL_SPEED for _, speed in held.values())
     frames = int(np.median([count for count, _ in held.values()])) + (not at_end)
-    motions = of_motions(len(held), patient)
+    motions = motion_set.in_words(len(held))
     evidence = told.format(frames=frames, motions=motions, abrupt=abrupt, speed=_median_speed(held))
     return (Diagnosis("clock", abrupt * 2 > len(held), evidence, cause, remedy),)
 
@@ -109,17 +111,17 @@ def _median_speed(held: dict[int, tuple[int, float]]) -> float:
     return float(np.median([speed for _, speed in held.values()]))
 
 
-def _held(patient: Patient, *, at_end: bool) -> dict[int, tuple[int, float]]:
+def _held(motion_set: MotionSet, *, at_end: bool) -> dict[int, tuple[int, float]]:
     """For each motion that is held at one end: how many frames, and the speed next to them (m/s)."""
     held = {}
-    for row, motion in enumerate(patient.motions):
+    for row, motion in enumerate(motion_set.motions):
         steps = Steps.of(motion[::-1] if at_end else motion)
         moving = np.flatnonzero(~steps.still)
         if steps.usual == 0 or not moving.size or moving[0] < _SHORTEST_HOLD:
             continue
         first = steps.sizes[moving[0] :][:4]
         sudden = len(first) > 1 and first[0] * _FRESH_START > np.median(first[1:])
-        held[row] = int(moving[0]), float(first[0] * patient.fps) if sudden else 0.0
+        held[row] = int(moving[0]), float(first[0] * motion_set.fps) if sudden else 0.0
     return held
 
 

@@ -14,7 +14,7 @@ from prbench.checking.doctor.floor import examine_floor
 from prbench.checking.doctor.joint_order import examine_joint_order
 from prbench.checking.doctor.left_right import examine_left_right
 from prbench.checking.doctor.length import examine_length
-from prbench.checking.doctor.patient import Examination, Patient
+from prbench.checking.doctor.motion_set import Examination, MotionSet
 from prbench.checking.doctor.position import examine_position
 from prbench.checking.doctor.quality import examine_quality
 from prbench.checking.doctor.root import examine_root
@@ -67,12 +67,12 @@ def diagnose(
     if not motions:
         return ()
     known = tuple(expected) if expected is not None else (NOTHING_KNOWN,) * len(motions)
-    patient = Patient(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
+    motion_set = MotionSet(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
     diagnoses: list[Diagnosis] = []
     for examine in _EXAMINATIONS:
-        finding = examine(patient)
+        finding = examine(motion_set)
         diagnoses += finding.diagnoses
-        if finding.hopeless:
+        if finding.unreadable:
             break
-        patient = finding.patient
+        motion_set = finding.motion_set
     return tuple(diagnoses)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient, healthy
+from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
 from prbench.checking.doctor.types import Diagnosis
 from prbench.skeleton import Joint
 
@@ -18,30 +18,30 @@ _ENOUGH = 3  # motions that drift alike; a single person may climb a step
 _UP = np.array([0.0, 1.0, 0.0])
 
 
-def examine_floor(patient: Patient) -> Finding:
+def examine_floor(motion_set: MotionSet) -> Finding:
     """Look at the lowest joint: 0 in the canonical frame, and never far from it where feet stand."""
-    if patient.pinned:
-        return healthy(patient)
-    drift = _examine_drift(patient)
-    constant = _examine_height(drift.patient)
-    return Finding((*drift.diagnoses, *constant.diagnoses), constant.patient)
+    if motion_set.pinned:
+        return no_finding(motion_set)
+    drift = _examine_drift(motion_set)
+    constant = _examine_height(drift.motion_set)
+    return Finding((*drift.diagnoses, *constant.diagnoses), constant.motion_set)
 
 
-def _examine_height(patient: Patient) -> Finding:
-    lowest = np.array([motion[..., 1].min() for motion in patient.motions])
+def _examine_height(motion_set: MotionSet) -> Finding:
+    lowest = np.array([motion[..., 1].min() for motion in motion_set.motions])
     typical = float(np.median(lowest))
     if abs(typical) < _SUSPICIOUS:
-        return healthy(patient)
-    pelvis = float(np.median(patient.first_poses()[:, Joint.PELVIS, 1]))
-    evidence = f"the lowest joint of a motion lies at Y = {typical:+.3f} m (median of {len(patient)}), not at 0"
+        return no_finding(motion_set)
+    pelvis = float(np.median(motion_set.first_poses()[:, Joint.PELVIS, 1]))
+    evidence = f"the lowest joint of a motion lies at Y = {typical:+.3f} m (median of {len(motion_set)}), not at 0"
     if abs(pelvis) < 0.03:
         cause = "heights are measured from the pelvis"
     else:
         cause = f"the floor of another frame: bodies {'float over' if typical > 0 else 'sink into'} it"
     remedy = "Move each whole motion until its lowest joint is at Y = 0: prbench.representation.canonicalise."
     found = Diagnosis("floor", abs(typical) > _CERTAIN, evidence, cause, remedy)
-    undone = [motion - low * _UP for motion, low in zip(patient.motions, lowest, strict=True)]
-    return Finding((found,), patient.with_motions(undone))
+    undone = [motion - low * _UP for motion, low in zip(motion_set.motions, lowest, strict=True)]
+    return Finding((found,), motion_set.with_motions(undone))
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ class _Drift:
     """Share of the variance that the line explains."""
 
 
-def _examine_drift(patient: Patient) -> Finding:
-    rows = [row for row, motion in enumerate(patient.motions) if len(motion) >= _SHORTEST * patient.fps]
-    drifts = {row: _drift(patient.motions[row], patient.fps) for row in rows}
+def _examine_drift(motion_set: MotionSet) -> Finding:
+    rows = [row for row, motion in enumerate(motion_set.motions) if len(motion) >= _SHORTEST * motion_set.fps]
+    drifts = {row: _drift(motion_set.motions[row], motion_set.fps) for row in rows}
     strong = [row for row in rows if abs(drifts[row].rise) > _SLIGHT_DRIFT and drifts[row].straightness > _STRAIGHT]
     if not rows or len(strong) <= len(rows) / 2:
-        return healthy(patient)
+        return no_finding(motion_set)
     rises = np.array([drifts[row].rise for row in strong])
     typical = float(np.median(np.abs(rises)))
     evidence = (
@@ -70,8 +70,10 @@ def _examine_drift(patient: Patient) -> Finding:
     remedy = "Take the height itself instead of adding up its changes (column 3 of the 263 features is the height)."
     certain = typical > (_DRIFT if len(strong) >= _ENOUGH else _STRONG_DRIFT)
     found = Diagnosis("floor", certain, evidence, cause, remedy)
-    undone = [_levelled(motion, drifts[row]) if row in strong else motion for row, motion in enumerate(patient.motions)]
-    return Finding((found,), patient.with_motions(undone))
+    undone = [
+        _levelled(motion, drifts[row]) if row in strong else motion for row, motion in enumerate(motion_set.motions)
+    ]
+    return Finding((found,), motion_set.with_motions(undone))
 
 
 def _drift(motion: np.ndarray, fps: float) -> _Drift:

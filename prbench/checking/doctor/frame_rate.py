@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient, healthy
+from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
 from prbench.checking.doctor.remedies import AT_RATE
 from prbench.checking.doctor.tempo import tempo_of_limbs
 from prbench.checking.doctor.types import Diagnosis, Expected
@@ -27,19 +27,19 @@ class _Start:
     cosine: float
 
 
-def examine_frame_rate(patient: Patient) -> Finding:
+def examine_frame_rate(motion_set: MotionSet) -> Finding:
     """Compare first steps with initial velocities; without these, look at how long feet and hands take."""
-    if patient.pinned:
-        return healthy(patient)
+    if motion_set.pinned:
+        return no_finding(motion_set)
     starts = [
         start
-        for motion, expected in zip(patient.motions, patient.expected, strict=True)
-        if (start := _start(motion, expected, patient.fps)) is not None
+        for motion, expected in zip(motion_set.motions, motion_set.expected, strict=True)
+        if (start := _start(motion, expected, motion_set.fps)) is not None
     ]
     going_on = [start.ratio for start in starts if start.cosine > _CONTINUES and start.ratio > 0]
     if len(going_on) * 2 > len(starts) and len(going_on) >= 3:
-        return Finding(_by_velocity(np.log(going_on), patient), patient)
-    return Finding(tempo_of_limbs(patient), patient)
+        return Finding(_by_velocity(np.log(going_on), motion_set), motion_set)
+    return Finding(tempo_of_limbs(motion_set), motion_set)
 
 
 def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
@@ -54,7 +54,7 @@ def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
     return _Start(float(before @ after / (before @ before)), float(before @ after / length))
 
 
-def _by_velocity(logs: np.ndarray, patient: Patient) -> tuple[Diagnosis, ...]:
+def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     middle, spread = float(np.median(logs)), float(np.subtract(*np.percentile(logs, [75, 25])))
     if abs(middle) < _OFF or spread > _AGREEING:
         return ()
@@ -64,6 +64,6 @@ def _by_velocity(logs: np.ndarray, patient: Patient) -> tuple[Diagnosis, ...]:
         f" (median of {len(logs)} starts in movement, middle half within {np.exp(spread / 2):.2f} times)"
     )
     fast = "fast" if ratio > 1 else "slowly"
-    made = f"{patient.fps / ratio:.3g} frames a second shown at {patient.fps:g}"
+    made = f"{motion_set.fps / ratio:.3g} frames a second shown at {motion_set.fps:g}"
     cause = f"motions are played too {fast}: they look like {made}"
     return (Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, AT_RATE),)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient, healthy, of_motions
+from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
 from prbench.checking.doctor.remedies import AT_RATE
 from prbench.checking.doctor.resample import at_length
 from prbench.checking.doctor.types import Diagnosis
@@ -16,27 +16,29 @@ _NEAR = 0.025
 _RATES = (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 40.0, 50.0, 59.94, 60.0, 90.0, 100.0, 120.0)
 
 
-def examine_length(patient: Patient) -> Finding:
+def examine_length(motion_set: MotionSet) -> Finding:
     """Compare numbers of frames: a common ratio is another frame rate, a common number is a fixed window."""
-    known = [row for row, expected in enumerate(patient.expected) if expected.n_frames is not None]
-    found = np.array([len(patient.motions[row]) for row in known])
-    asked = np.array([patient.expected[row].n_frames for row in known])
+    known = [row for row, expected in enumerate(motion_set.expected) if expected.n_frames is not None]
+    found = np.array([len(motion_set.motions[row]) for row in known])
+    asked = np.array([motion_set.expected[row].n_frames for row in known])
     wrong = found != asked
     if not wrong.any():
-        return healthy(patient)
-    lines = f"another length in {of_motions(int(wrong.sum()), patient)}, {_example(found, asked)}"
+        return no_finding(motion_set)
+    lines = f"another length in {motion_set.in_words(int(wrong.sum()))}, {_example(found, asked)}"
     ratios = np.log((found - 1).clip(1) / (asked - 1).clip(1))
     ratio = float(np.exp(np.median(ratios)))
     differences = found - asked
-    undone = patient
+    undone = motion_set
     kind, remedy = "length", "Return as many frames as were asked for (n_frames)."
     if (differences[wrong] == -1).all():
         cause = "the last frame is missing: 263 features hold a step to the next frame and lose one"
         remedy += " Encode one frame more, or repeat none: extrapolate the last."
-    elif wrong.all() and (rate := _rate(patient.fps * ratio)) and np.ptp(ratios) < _AGREEING + 4 / float(found.min()):
-        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {patient.fps:g} were asked for"
+    elif (
+        wrong.all() and (rate := _rate(motion_set.fps * ratio)) and np.ptp(ratios) < _AGREEING + 4 / float(found.min())
+    ):
+        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
         remedy = AT_RATE
-        undone = _stretched(patient, known)
+        undone = _stretched(motion_set, known)
     elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
         cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
     else:
@@ -57,10 +59,10 @@ def _rate(exact: float) -> float | None:
     return nearest if abs(np.log(nearest / exact)) < _NEAR else None
 
 
-def _stretched(patient: Patient, known: list[int]) -> Patient:
-    motions = list(patient.motions)
+def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
+    motions = list(motion_set.motions)
     for row in known:
-        n_frames = patient.expected[row].n_frames
+        n_frames = motion_set.expected[row].n_frames
         if n_frames is not None and len(motions[row]) > 1:
             motions[row] = at_length(motions[row], n_frames)
-    return dataclasses.replace(patient, motions=tuple(motions))
+    return dataclasses.replace(motion_set, motions=tuple(motions))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient
+from prbench.checking.doctor.motion_set import Finding, MotionSet
 from prbench.checking.doctor.tremor import Tremor
 from prbench.checking.doctor.types import Diagnosis
 from prbench.skeleton import BONES, Joint, bone_lengths
@@ -12,12 +12,12 @@ from prbench.skeleton import BONES, Joint, bone_lengths
 _STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
 
 
-def examine_quality(patient: Patient) -> Finding:
+def examine_quality(motion_set: MotionSet) -> Finding:
     """Look at bones and at how smoothly joints move."""
-    long = [motion for motion in patient.motions if len(motion) > 4]
+    long = [motion for motion in motion_set.motions if len(motion) > 4]
     if not long:
-        return Finding((), patient)
-    return Finding((*_stretching(long), *_trembling(long)), patient)
+        return Finding((), motion_set)
+    return Finding((*_stretching(long), *_trembling(long)), motion_set)
 
 
 def _stretching(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:

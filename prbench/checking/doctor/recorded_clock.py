@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient, healthy, of_motions
+from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
 from prbench.checking.doctor.remedies import AT_RATE, AT_TIMES
 from prbench.checking.doctor.types import Diagnosis
 
@@ -30,29 +30,29 @@ class _Match:
     """Frames at which the recorded body moves, so that time can be read off it."""
 
 
-def examine_recorded_clock(patient: Patient) -> Finding:
+def examine_recorded_clock(motion_set: MotionSet) -> Finding:
     """Match motions with recorded ones in time, where they show the same movement on another clock."""
-    rows = [row for row, expected in enumerate(patient.expected) if expected.recorded is not None]
+    rows = [row for row, expected in enumerate(motion_set.expected) if expected.recorded is not None]
     matches = []
     for row in rows[:: max(1, len(rows) // _MATCHED)]:
-        recorded = patient.expected[row].recorded
-        if recorded is None or len(recorded) < 10 or len(patient.motions[row]) < 10:
+        recorded = motion_set.expected[row].recorded
+        if recorded is None or len(recorded) < 10 or len(motion_set.motions[row]) < 10:
             continue
         if float(np.linalg.norm(recorded - recorded[0], axis=-1).mean(axis=1).max()) > _MOVES:
-            matches.append(_matched(patient.motions[row], recorded))
+            matches.append(_matched(motion_set.motions[row], recorded))
     copies = [match for match in matches if match.left < _COPY and match.left < _BETTER * match.before]
     if len(copies) < 0.6 * len(matches) or not copies:
-        return healthy(patient)
-    return Finding(tuple(_judged(copies, patient)), patient)
+        return no_finding(motion_set)
+    return Finding(tuple(_judged(copies, motion_set)), motion_set)
 
 
-def _judged(copies: list[_Match], patient: Patient) -> list[Diagnosis]:
+def _judged(copies: list[_Match], motion_set: MotionSet) -> list[Diagnosis]:
     lines = [_line(match) for match in copies]
     rate = float(np.median([line[0] for line in lines]))
-    delay = float(np.median([line[1] for line in lines])) / patient.fps
-    slide = float(np.median([line[2] for line in lines])) / patient.fps
+    delay = float(np.median([line[1] for line in lines])) / motion_set.fps
+    slide = float(np.median([line[2] for line in lines])) / motion_set.fps
     shared = (
-        f"in {of_motions(len(copies), patient)} frames show recorded ones at other times:"
+        f"in {motion_set.in_words(len(copies))} frames show recorded ones at other times:"
         f" {np.median([match.before for match in copies]):.3f} m apart frame by frame,"
         f" {np.median([match.left for match in copies]):.3f} m when matched in time"
     )
@@ -62,7 +62,7 @@ def _judged(copies: list[_Match], patient: Patient) -> list[Diagnosis]:
         return [Diagnosis("clock", True, evidence, cause, AT_TIMES)]
     if abs(rate - 1) > _RATE:
         evidence = f"{shared}; one frame advances {rate:.3f} recorded frames"
-        made = f"{patient.fps / rate:.3g} frames a second shown at {patient.fps:g}"
+        made = f"{motion_set.fps / rate:.3g} frames a second shown at {motion_set.fps:g}"
         cause = f"motions look like {made}, or were stretched to the asked length"
         return [Diagnosis("frame-rate", True, evidence, cause, AT_RATE)]
     if abs(delay) > _DELAY:

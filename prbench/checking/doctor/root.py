@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from prbench.checking.doctor.headings import headings, wrapped
-from prbench.checking.doctor.patient import Finding, Patient, healthy, of_motions
+from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
 from prbench.checking.doctor.types import Diagnosis
 from prbench.skeleton import Joint
 
@@ -18,15 +18,15 @@ _EXACT = np.deg2rad(0.05)  # nobody keeps a heading like this
 _FEET = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]
 
 
-def examine_root(patient: Patient) -> Finding:
+def examine_root(motion_set: MotionSet) -> Finding:
     """Look for a pelvis that stays in one place and for a heading that never changes."""
-    moving = [row for row, motion in enumerate(patient.motions) if _moves(motion)]
+    moving = [row for row, motion in enumerate(motion_set.motions) if _moves(motion)]
     if not moving:
-        return healthy(patient)
-    diagnoses = [each for each in (_pinned(patient, moving), _one_heading(patient, moving)) if each is not None]
+        return no_finding(motion_set)
+    diagnoses = [each for each in (_pinned(motion_set, moving), _one_heading(motion_set, moving)) if each is not None]
     if not any(each.kind == "root" for each in diagnoses):
-        return Finding(tuple(diagnoses), patient)
-    return Finding(tuple(diagnoses), dataclasses.replace(_on_the_floor(patient), pinned=True))
+        return Finding(tuple(diagnoses), motion_set)
+    return Finding(tuple(diagnoses), dataclasses.replace(_on_the_floor(motion_set), pinned=True))
 
 
 def _moves(motion: np.ndarray) -> bool:
@@ -36,12 +36,12 @@ def _moves(motion: np.ndarray) -> bool:
     return float(np.ptp(_seen_by_the_body(motion), axis=0).max()) > 0.05
 
 
-def _pinned(patient: Patient, moving: list[int]) -> Diagnosis | None:
-    motions = [patient.motions[row] for row in moving]
+def _pinned(motion_set: MotionSet, moving: list[int]) -> Diagnosis | None:
+    motions = [motion_set.motions[row] for row in moving]
     ranges = np.array([np.ptp(motion[:, Joint.PELVIS], axis=0) for motion in motions])
     at_zero = np.array([np.abs(motion[:, Joint.PELVIS]).max() < _STILL for motion in motions])
     if at_zero.mean() > 0.5:
-        evidence = f"the pelvis is at (0, 0, 0) in every frame of {of_motions(int(at_zero.sum()), patient)}"
+        evidence = f"the pelvis is at (0, 0, 0) in every frame of {motion_set.in_words(int(at_zero.sum()))}"
         remedy = "Add the pelvis's path to all joints: joints + pelvis[:, None]."
         return Diagnosis("root", True, evidence, "positions are relative to the pelvis; its path was not added", remedy)
     feet = np.array([np.ptp(_seen_by_the_body(motion)[:, _FEET][..., [0, 2]], axis=0).max() for motion in motions])
@@ -50,21 +50,21 @@ def _pinned(patient: Patient, moving: list[int]) -> Diagnosis | None:
         return None
     evidence = (
         f"the pelvis stays over one point (within {ranges[pinned][:, [0, 2]].max() * 1000:.2g} mm) in"
-        f" {of_motions(int(pinned.sum()), patient)}, while ankles move up to {feet[pinned].max():.2f} m"
+        f" {motion_set.in_words(int(pinned.sum()))}, while ankles move up to {feet[pinned].max():.2f} m"
     )
     cause = "the path over the ground was left out, as in the position features of HumanML3D"
     remedy = "Add up the root's velocities: prbench.representation.decode does it for the 263 features."
     return Diagnosis("root", True, evidence, cause, remedy)
 
 
-def _one_heading(patient: Patient, moving: list[int]) -> Diagnosis | None:
-    motions = [patient.motions[row] for row in moving]
+def _one_heading(motion_set: MotionSet, moving: list[int]) -> Diagnosis | None:
+    motions = [motion_set.motions[row] for row in moving]
     spreads = np.array([np.ptp(wrapped(angles - angles[0])) for angles in map(headings, motions)])
     same = spreads < _EXACT
     if same.mean() <= 0.5:
         return None
     evidence = (
-        f"bodies of {of_motions(int(same.sum()), patient)} keep their heading to {np.rad2deg(spreads[same].max()):.1g}"
+        f"bodies of {motion_set.in_words(int(same.sum()))} keep their heading to {np.rad2deg(spreads[same].max()):.1g}"
         " degrees in all frames, while their limbs move"
     )
     remedy = "Turn whole motions by the heading of their first frame: prbench.representation.canonicalise."
@@ -92,6 +92,6 @@ def _seen_by_the_body(motion: np.ndarray) -> np.ndarray:
     return np.stack([cosine * x + sine * z, limbs[..., 1], cosine * z - sine * x], axis=-1)
 
 
-def _on_the_floor(patient: Patient) -> Patient:
+def _on_the_floor(motion_set: MotionSet) -> MotionSet:
     lift = np.array([0.0, 1.0, 0.0])
-    return patient.changed(lambda motion: motion - motion[..., 1].min() * lift)
+    return motion_set.changed(lambda motion: motion - motion[..., 1].min() * lift)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from prbench.checking.doctor.array_forms import best_reading
-from prbench.checking.doctor.patient import Finding, Patient, healthy
+from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
 from prbench.checking.doctor.types import NOTHING_KNOWN, Diagnosis
 from prbench.representation import N_FEATURES, decode
 from prbench.skeleton import N_JOINTS
@@ -29,42 +29,42 @@ _BODY_PARAMETERS = {
 _CONVERT = "prbench.representation.converters"
 
 
-def examine_shape(patient: Patient) -> Finding:
+def examine_shape(motion_set: MotionSet) -> Finding:
     """Bring motions to (frames, joints, 3) and say what that took."""
-    patient = _unbatched(patient)
-    shape = patient.motions[0].shape
-    if all(motion.ndim == 3 and motion.shape[1:] == (N_JOINTS, 3) and len(motion) for motion in patient.motions):
-        return healthy(patient)
-    evidence = f"expected (frames, 22, 3), found {_shown(patient)}"
-    if any(motion.size == 0 for motion in patient.motions):
-        empty = sum(motion.size == 0 for motion in patient.motions)
-        holes = f"{empty} of {len(patient)} arrays hold no numbers"
+    motion_set = _unbatched(motion_set)
+    shape = motion_set.motions[0].shape
+    if all(motion.ndim == 3 and motion.shape[1:] == (N_JOINTS, 3) and len(motion) for motion in motion_set.motions):
+        return no_finding(motion_set)
+    evidence = f"expected (frames, 22, 3), found {_shown(motion_set)}"
+    if any(motion.size == 0 for motion in motion_set.motions):
+        empty = sum(motion.size == 0 for motion in motion_set.motions)
+        holes = f"{empty} of {len(motion_set)} arrays hold no numbers"
         remedy = "Leave them out or generate them again."
         found = Diagnosis("shape", True, holes, "nothing was generated for them", remedy)
-        if empty == len(patient):
-            return Finding((found,), patient, hopeless=True)
-        rest = examine_shape(patient.only([row for row, motion in enumerate(patient.motions) if motion.size]))
-        return Finding((found, *rest.diagnoses), rest.patient, rest.hopeless)
-    squeezed = patient.changed(_squeezed)
+        if empty == len(motion_set):
+            return Finding((found,), motion_set, unreadable=True)
+        rest = examine_shape(motion_set.only([row for row, motion in enumerate(motion_set.motions) if motion.size]))
+        return Finding((found, *rest.diagnoses), rest.motion_set, rest.unreadable)
+    squeezed = motion_set.changed(_squeezed)
     if all(motion.ndim == 2 and N_FEATURES in motion.shape for motion in squeezed.motions):
         return _features(squeezed, evidence)
     reading = best_reading(squeezed.motions)
     if reading is None:
-        return Finding((_unknown(squeezed, evidence),), patient, hopeless=True)
+        return Finding((_unknown(squeezed, evidence),), motion_set, unreadable=True)
     read = squeezed.changed(reading.convert)
     if not reading.form and squeezed.motions[0].shape == shape:
-        return healthy(read)  # another number of joints only: the order of joints is looked at later
+        return no_finding(read)  # another number of joints only: the order of joints is looked at later
     cause = f"the numbers stand as {reading.form}" if reading.form else "axes of length one are left over"
     return Finding((Diagnosis("shape", True, evidence, cause, reading.remedy),), read)
 
 
-def _unbatched(patient: Patient) -> Patient:
+def _unbatched(motion_set: MotionSet) -> MotionSet:
     """Arrays with a batch axis as one motion a row; what was expected then belongs to no row."""
-    if not any(_has_batch_axis(motion.shape) for motion in patient.motions):
-        return patient
-    rows = [row for motion in patient.motions for row in (motion if _has_batch_axis(motion.shape) else [motion])]
-    known = patient.expected if len(rows) == len(patient) else (NOTHING_KNOWN,) * len(rows)
-    return dataclasses.replace(patient, motions=tuple(rows), expected=known)
+    if not any(_has_batch_axis(motion.shape) for motion in motion_set.motions):
+        return motion_set
+    rows = [row for motion in motion_set.motions for row in (motion if _has_batch_axis(motion.shape) else [motion])]
+    known = motion_set.expected if len(rows) == len(motion_set) else (NOTHING_KNOWN,) * len(rows)
+    return dataclasses.replace(motion_set, motions=tuple(rows), expected=known)
 
 
 def _has_batch_axis(shape: tuple[int, ...]) -> bool:
@@ -81,8 +81,8 @@ def _squeezed(motion: np.ndarray) -> np.ndarray:
     return np.squeeze(motion)
 
 
-def _features(patient: Patient, evidence: str) -> Finding:
-    rows = patient.changed(lambda motion: motion if motion.shape[-1] == N_FEATURES else motion.T)
+def _features(motion_set: MotionSet, evidence: str) -> Finding:
+    rows = motion_set.changed(lambda motion: motion if motion.shape[-1] == N_FEATURES else motion.T)
     pooled = np.concatenate(rows.motions)
     rotations = pooled[:, 67:193].reshape(-1, 6)
     lengths = np.linalg.norm(rotations[:, :3], axis=1)
@@ -98,11 +98,11 @@ def _features(patient: Patient, evidence: str) -> Finding:
         f" ({_CONVERT}.read_feature_statistics), then decode: {_CONVERT}.joints_from_features."
     )
     cause = "these are HumanML3D's 263 features, still standardised"
-    return Finding((Diagnosis("features", True, numbers, cause, remedy),), patient, hopeless=True)
+    return Finding((Diagnosis("features", True, numbers, cause, remedy),), motion_set, unreadable=True)
 
 
-def _unknown(patient: Patient, evidence: str) -> Diagnosis:
-    width = patient.motions[0].shape[-1] if patient.motions[0].ndim == 2 else 0
+def _unknown(motion_set: MotionSet, evidence: str) -> Diagnosis:
+    width = motion_set.motions[0].shape[-1] if motion_set.motions[0].ndim == 2 else 0
     if width in _BODY_PARAMETERS:
         remedy = f"Let a body model make joints of them: {_CONVERT}.smpl_joints, or SmplxModel through smplx."
         return Diagnosis("shape", True, evidence, f"parameters of a body, {_BODY_PARAMETERS[width]}", remedy)
@@ -110,6 +110,6 @@ def _unknown(patient: Patient, evidence: str) -> Diagnosis:
     return Diagnosis("shape", True, evidence, "no known way to write the joints of a body", remedy)
 
 
-def _shown(patient: Patient) -> str:
-    shapes = list(dict.fromkeys(str(motion.shape) for motion in patient.motions))
+def _shown(motion_set: MotionSet) -> str:
+    shapes = list(dict.fromkeys(str(motion.shape) for motion in motion_set.motions))
     return ", ".join(shapes[:3]) + (f" and {len(shapes) - 3} more" if len(shapes) > 3 else "")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.checking.doctor.anatomy import unit
-from prbench.checking.doctor.patient import Patient, of_motions
+from prbench.checking.doctor.motion_set import MotionSet
 from prbench.checking.doctor.remedies import AT_TIMES
 from prbench.checking.doctor.types import Diagnosis
 
@@ -57,27 +57,25 @@ class _Rhythm:
     motions: int
 
 
-def examine_steps(patient: Patient) -> tuple[Diagnosis, ...]:
+def examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     """Steps that are long and short in turns, or too long now and then."""
-    steps = [Steps.of(motion) for motion in patient.motions]
-    rhythm = _common_rhythm(steps, patient.fps)
+    steps = [Steps.of(motion) for motion in motion_set.motions]
+    rhythm = _common_rhythm(steps, motion_set.fps)
     if rhythm is not None:
         evidence = (
             f"every {rhythm.period} frames a step is {np.exp(rhythm.stands_out):.2f} times as long as its neighbours in"
-            f" {of_motions(rhythm.motions, patient)}; this explains {rhythm.explained:.0%} of how steps stand out"
+            f" {motion_set.in_words(rhythm.motions)}; this explains {rhythm.explained:.0%} of how steps stand out"
         )
         cause = "frames were picked by rounded indices, so that time passes unevenly"
         if abs(rhythm.stands_out - np.log(2)) < 0.25:
-            cause += (
-                f" (as from {patient.fps * (rhythm.period + 1) / rhythm.period:.3g} to {patient.fps:g} frames a second)"
-            )
+            cause += f" (as from {motion_set.fps * (rhythm.period + 1) / rhythm.period:.3g} to {motion_set.fps:g} frames a second)"
     else:
-        leaps = [_leaps(each, patient.fps) for each in steps]
+        leaps = [_leaps(each, motion_set.fps) for each in steps]
         rows = [row for row, count in enumerate(leaps) if count >= 3]
-        if not rows or len(rows) * 3 < len(patient):
+        if not rows or len(rows) * 3 < len(motion_set):
             return ()
         evidence = (
-            f"{sum(leaps[row] for row in rows)} steps of {of_motions(len(rows), patient)} are about twice as long as"
+            f"{sum(leaps[row] for row in rows)} steps of {motion_set.in_words(len(rows))} are about twice as long as"
             " their neighbours, which agree with each other"
         )
         cause = "frames are missing: they were dropped while the motion was recorded, cut or resampled"

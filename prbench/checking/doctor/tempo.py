@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Patient
+from prbench.checking.doctor.motion_set import MotionSet
 from prbench.checking.doctor.remedies import AT_RATE
 from prbench.checking.doctor.tremor import SMOOTHED_OVER, Tremor, smoothed
 from prbench.checking.doctor.types import Diagnosis
@@ -28,25 +28,25 @@ _EQUALLY_LONG = 0.2  # interquartile range of the logarithm; walking 0.03 to 0.1
 _COARSEST = 1.9  # frames: narrower peaks are jitter
 
 
-def tempo_of_limbs(patient: Patient) -> tuple[Diagnosis, ...]:
+def tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     """Suspicious durations of steps, or of reaches where nobody steps.
 
     Trembling moves the places at which a swing begins and ends, and makes swings of its own. So it is smoothed away
     first, and only steps that then last equally long count, as those of a walking person do at any rate.
     """
-    if Tremor.of(patient.motions) is not None:
-        return _tempo_beneath_tremor(patient)
-    swings = _swings(patient.motions)
+    if Tremor.of(motion_set.motions) is not None:
+        return _tempo_beneath_tremor(motion_set)
+    swings = _swings(motion_set.motions)
     if len(swings) >= _ENOUGH:
-        return _judged(swings, patient.fps, "steps", _SWING_RANGE)
+        return _judged(swings, motion_set.fps, "steps", _SWING_RANGE)
     reaches = np.concatenate(
-        [_durations(motion[:, wrist] - motion[:, Joint.PELVIS]) for motion in patient.motions for wrist in WRISTS]
+        [_durations(motion[:, wrist] - motion[:, Joint.PELVIS]) for motion in motion_set.motions for wrist in WRISTS]
     )
-    return _judged(reaches, patient.fps, "hands' movements", _REACH_RANGE) if len(reaches) >= _ENOUGH else ()
+    return _judged(reaches, motion_set.fps, "hands' movements", _REACH_RANGE) if len(reaches) >= _ENOUGH else ()
 
 
-def _tempo_beneath_tremor(patient: Patient) -> tuple[Diagnosis, ...]:
-    swings = _swings([smoothed(motion) for motion in patient.motions])
+def _tempo_beneath_tremor(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
+    swings = _swings([smoothed(motion) for motion in motion_set.motions])
     if len(swings) < _ENOUGH_BENEATH_TREMOR:
         return ()
     spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
@@ -54,7 +54,7 @@ def _tempo_beneath_tremor(patient: Patient) -> tuple[Diagnosis, ...]:
         return ()
     widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
     durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
-    return _judged(durations, patient.fps, "steps", _SWING_RANGE)
+    return _judged(durations, motion_set.fps, "steps", _SWING_RANGE)
 
 
 def _swings(motions: Sequence[np.ndarray]) -> np.ndarray:

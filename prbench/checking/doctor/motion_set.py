@@ -13,7 +13,7 @@ from prbench.methods.body_size import spread_poses
 
 
 @dataclass(frozen=True, eq=False)
-class Patient:
+class MotionSet:
     """Motions, freed from the faults that were found so far."""
 
     motions: tuple[np.ndarray, ...]
@@ -27,21 +27,21 @@ class Patient:
     def __len__(self) -> int:
         return len(self.motions)
 
-    def changed(self, change: Callable[[np.ndarray], np.ndarray]) -> Patient:
+    def changed(self, change: Callable[[np.ndarray], np.ndarray]) -> MotionSet:
         """The same with a change to each motion."""
         return dataclasses.replace(self, motions=tuple(change(motion) for motion in self.motions))
 
-    def with_motions(self, motions: Sequence[np.ndarray]) -> Patient:
+    def with_motions(self, motions: Sequence[np.ndarray]) -> MotionSet:
         """The same with other motions in their places."""
         return dataclasses.replace(self, motions=tuple(motions))
 
-    def only(self, rows: Sequence[int]) -> Patient:
+    def only(self, rows: Sequence[int]) -> MotionSet:
         """The same without the other motions."""
         return dataclasses.replace(
             self, motions=tuple(self.motions[row] for row in rows), expected=tuple(self.expected[row] for row in rows)
         )
 
-    def without_lengths(self) -> Patient:
+    def without_lengths(self) -> MotionSet:
         """The same, with nothing expected of lengths: a fault that was found has changed them."""
         expected = tuple(dataclasses.replace(each, n_frames=None) for each in self.expected)
         return dataclasses.replace(self, expected=expected)
@@ -50,6 +50,12 @@ class Patient:
     def motionless(self) -> bool:
         """Whether no motion moves, as those of a baseline that holds one pose."""
         return all(float(np.ptp(motion, axis=0).max()) < 1e-6 for motion in self.motions)
+
+    def in_words(self, count: int) -> str:
+        """Say how many of the motions ``count`` is."""
+        if len(self) == 1:
+            return "the motion"
+        return f"all {count} motions" if count == len(self) else f"{count} of {len(self)} motions"
 
     def poses(self) -> np.ndarray:
         """Some poses of every motion, evenly spread, (poses, joints, 3)."""
@@ -65,22 +71,15 @@ class Finding:
     """What one examination found."""
 
     diagnoses: tuple[Diagnosis, ...]
-    patient: Patient
+    motion_set: MotionSet
     """With the fault undone, so that it leads to no second diagnosis."""
-    hopeless: bool = False
+    unreadable: bool = False
     """The fault cannot be undone and hides everything that would be looked at later."""
 
 
-Examination = Callable[[Patient], Finding]
+Examination = Callable[[MotionSet], Finding]
 
 
-def healthy(patient: Patient) -> Finding:
+def no_finding(motion_set: MotionSet) -> Finding:
     """Nothing found."""
-    return Finding((), patient)
-
-
-def of_motions(count: int, patient: Patient) -> str:
-    """How many motions, in words."""
-    if len(patient) == 1:
-        return "the motion"
-    return f"all {count} motions" if count == len(patient) else f"{count} of {len(patient)} motions"
+    return Finding((), motion_set)
