@@ -68,7 +68,8 @@ def examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
         )
         cause = "frames were picked by rounded indices, so that time passes unevenly"
         if abs(rhythm.stands_out - np.log(2)) < 0.25:
-            cause += f" (as from {motion_set.fps * (rhythm.period + 1) / rhythm.period:.3g} to {motion_set.fps:g} frames a second)"
+            fps = motion_set.fps
+            cause += f" (as from {fps * (rhythm.period + 1) / rhythm.period:.3g} to {fps:g} frames a second)"
     else:
         leaps = [_leaps(each, motion_set.fps) for each in steps]
         rows = [row for row, count in enumerate(leaps) if count >= 3]
