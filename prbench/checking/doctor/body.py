@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.checking.doctor.bones import Distances
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 
 _SHAPELESS = 3.0  # times the spread of a coordinate; a body's joints have mean heights much farther apart
 _FLABBY = 0.12  # change of the distances that change least, as a share of themselves

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet
-from prbench.checking.doctor.remedies import AT_RATE
+from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, Finding, MotionSet
 from prbench.checking.doctor.steps import Steps, examine_steps
-from prbench.checking.doctor.types import Diagnosis
 
 _SHORTEST_HOLD = 4  # frames that stand still at an end
 _FULL_SPEED = 0.10  # m/s, mean of the joints: a body cannot stop from it within a frame

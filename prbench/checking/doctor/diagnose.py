@@ -14,13 +14,12 @@ from prbench.checking.doctor.floor import examine_floor
 from prbench.checking.doctor.joint_order import examine_joint_order
 from prbench.checking.doctor.left_right import examine_left_right
 from prbench.checking.doctor.length import examine_length
-from prbench.checking.doctor.motion_set import Examination, MotionSet
+from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Examination, Expected, MotionSet
 from prbench.checking.doctor.position import examine_position
 from prbench.checking.doctor.quality import examine_quality
 from prbench.checking.doctor.root import examine_root
 from prbench.checking.doctor.shape import examine_shape
 from prbench.checking.doctor.time import examine_time
-from prbench.checking.doctor.types import NOTHING_KNOWN, Diagnosis, Expected
 from prbench.checking.doctor.unit import examine_scale, examine_unit
 from prbench.checking.doctor.up_axis import examine_up_axis
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Expected
 from prbench.checking.doctor.reading import NamedMotion
-from prbench.checking.doctor.types import NOTHING_KNOWN, Expected
 from prbench.errors import UsageError
 from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.sequences import SequenceTable

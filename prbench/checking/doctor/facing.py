@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.checking.doctor.headings import headings, turned, wrapped
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 
 _CERTAIN, _SUSPICIOUS = np.deg2rad(25.0), np.deg2rad(15.0)
 _AGREEING = 0.9  # length of the mean of unit vectors

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet
 
 _POINT = 1e-6  # size of a pose that is nothing but one point, as a share of the body's size
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.checking.doctor.headings import headings, turned, wrapped
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
 _TURN, _STEP = np.deg2rad(25.0), 6.0  # radians from one frame to the next; metres a second

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
 _CERTAIN, _SUSPICIOUS = 0.08, 0.04  # metres

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.remedies import AT_RATE
+from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, Expected, Finding, MotionSet, no_finding
 from prbench.checking.doctor.tempo import tempo_of_limbs
-from prbench.checking.doctor.types import Diagnosis, Expected
 
 _CONTINUES, _BEGINS_THERE = 0.8, 0.05  # cosine between velocities; metres between frame 0 and the initial pose
 _SLOWEST = 0.05  # m/s of the joints' root mean square: slower starts are noise

@@ -10,10 +10,9 @@ import numpy as np
 from prbench.checking.doctor.anatomy import PARTS, left_of_hips, sidedness, sideways_agreement, with_sides
 from prbench.checking.doctor.body import not_positions
 from prbench.checking.doctor.bones import Distances, fit
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.checking.doctor.orders import ORDERS_OF_22, OTHER_ORDERS, Order
 from prbench.checking.doctor.recover_order import recovered_order
-from prbench.checking.doctor.types import Diagnosis
 from prbench.representation.converters import JOINT_MAPS
 from prbench.skeleton import N_JOINTS, Joint
 

@@ -13,8 +13,7 @@ from prbench.checking.doctor.anatomy import (
     sideways_agreement,
     with_sides,
 )
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.representation import REST_OFFSETS
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.skeleton import N_JOINTS, bone_lengths

@@ -6,10 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.remedies import AT_RATE
+from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, Finding, MotionSet, no_finding
 from prbench.checking.doctor.resample import at_length
-from prbench.checking.doctor.types import Diagnosis
 
 _AGREEING = 0.02  # spread of the logarithm of the ratio
 _NEAR = 0.025

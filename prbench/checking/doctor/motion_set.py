@@ -1,4 +1,4 @@
-"""The motions under examination, and what one examination hands to the next."""
+"""The motions under examination, what is known beside them, and what an examination says about them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,48 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-from prbench.checking.doctor.types import Diagnosis, Expected
 from prbench.methods.body_size import spread_poses
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """One thing that is wrong with motions, or may be."""
+
+    kind: str
+    """``unit``, ``up-axis``, ``facing`` …: docs/doctor.md lists them all."""
+    certain: bool
+    """Wrong for sure; otherwise only suspicious."""
+    evidence: str
+    """The numbers."""
+    cause: str
+    """What most often leads to such numbers."""
+    remedy: str
+    """What to change, naming the converter where there is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What is known beside one motion; canonical frame, metres. Whatever is None is not looked at."""
+
+    initial_joints: Float[np.ndarray, "22 3"] | None = None
+    """The frame that the motion should begin with."""
+    previous_joints: Float[np.ndarray, "22 3"] | None = None
+    """The frame before that one."""
+    goal_joints: Float[np.ndarray, "22 3"] | None = None
+    """The pose that the motion should end in."""
+    goal_location: Float[np.ndarray, " 3"] | None = None
+    """The place that a wrist should reach."""
+    n_frames: int | None = None
+    """How many frames were asked for."""
+    fps: float | None = None
+    """Frames a second that were asked for."""
+    recorded: Float[np.ndarray, "frames 22 3"] | None = None
+    """The recorded motion of the same sequence, where the table may be read."""
+
+
+NOTHING_KNOWN = Expected()
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,3 +122,10 @@ Examination = Callable[[MotionSet], Finding]
 def no_finding(motion_set: MotionSet) -> Finding:
     """Nothing found."""
     return Finding((), motion_set)
+
+
+AT_RATE = (
+    "Resample to the asked rate (prbench.representation.converters.at_rate), or let the method declare native_fps: an"
+    " attribute of an adapter, a key in the hello of a program."
+)
+AT_TIMES = "Resample on the frames' own times: prbench.representation.converters.at_times."

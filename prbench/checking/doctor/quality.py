@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet
 from prbench.checking.doctor.tremor import Tremor
-from prbench.checking.doctor.types import Diagnosis
 from prbench.skeleton import BONES, Joint, bone_lengths
 
 _STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it

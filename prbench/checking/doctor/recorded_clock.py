@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.remedies import AT_RATE, AT_TIMES
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import AT_RATE, AT_TIMES, Diagnosis, Finding, MotionSet, no_finding
 
 _MOVES = 0.10  # metres that joints leave the first pose by, in the mean
 _COPY, _BETTER = 0.03, 0.5  # metres left after matching; share of what is left without it

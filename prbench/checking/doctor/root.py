@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 
 from prbench.checking.doctor.headings import headings, wrapped
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
 _STILL = 1e-3  # metres that a pinned pelvis moves

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.checking.doctor.anatomy import unit
-from prbench.checking.doctor.motion_set import MotionSet
-from prbench.checking.doctor.remedies import AT_TIMES
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import AT_TIMES, Diagnosis, MotionSet
 
 _STILL = 1e-4  # of a motion's usual step: the same frame again
 _LONGEST_PERIOD = 8

@@ -11,10 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import MotionSet
-from prbench.checking.doctor.remedies import AT_RATE
+from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, MotionSet
 from prbench.checking.doctor.tremor import SMOOTHED_OVER, Tremor, smoothed
-from prbench.checking.doctor.types import Diagnosis
 from prbench.skeleton import TOES, WRISTS, Joint
 
 _EDGE = 0.2  # of a movement's peak speed: where it begins and ends

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.methods.body_size import wrong_unit
 from prbench.skeleton import N_JOINTS, bone_lengths
 

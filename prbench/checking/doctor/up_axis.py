@@ -6,8 +6,7 @@ import numpy as np
 
 from prbench.checking.doctor.anatomy import body_up, front, left_of_hips, sidedness
 from prbench.checking.doctor.axes import EXCHANGES, UP, Exchange, nearest_axis
-from prbench.checking.doctor.motion_set import Finding, MotionSet, no_finding
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 
 _CLEAR, _TILTED = 35.0, 25.0  # degrees between bodies and an axis
 
