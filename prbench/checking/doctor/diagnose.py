@@ -6,22 +6,32 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from prbench.checking.doctor.body import examine_body
-from prbench.checking.doctor.facing import examine_facing
-from prbench.checking.doctor.finite import examine_finite
-from prbench.checking.doctor.first_frame import examine_first_frame
-from prbench.checking.doctor.floor import examine_floor
+from prbench.checking.doctor.body import examine_body, examine_finite, examine_scale, examine_unit
+from prbench.checking.doctor.clock import examine_clock
+from prbench.checking.doctor.facing import examine_facing, examine_root
+from prbench.checking.doctor.floor import examine_first_frame, examine_floor, examine_position
+from prbench.checking.doctor.frame_rate import examine_frame_rate
 from prbench.checking.doctor.joint_order import examine_joint_order
 from prbench.checking.doctor.left_right import examine_left_right
 from prbench.checking.doctor.length import examine_length
-from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Examination, Expected, MotionSet
-from prbench.checking.doctor.position import examine_position
+from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Examination, Expected, Finding, MotionSet
 from prbench.checking.doctor.quality import examine_quality
-from prbench.checking.doctor.root import examine_root
+from prbench.checking.doctor.recorded_clock import examine_recorded_clock
 from prbench.checking.doctor.shape import examine_shape
-from prbench.checking.doctor.time import examine_time
-from prbench.checking.doctor.unit import examine_scale, examine_unit
 from prbench.checking.doctor.up_axis import examine_up_axis
+
+
+def examine_time(motion_set: MotionSet) -> Finding:
+    """One diagnosis of the clock: a stumbling clock also changes speeds, and a wrong rate also moves instants."""
+    findings = []
+    for examine in (examine_clock, examine_recorded_clock):  # what the recording proves outweighs a suspicion
+        findings.append(examine(motion_set))
+        if any(diagnosis.certain for diagnosis in findings[-1].diagnoses):
+            return findings[-1]
+    suspicion = next((finding for finding in findings if finding.diagnoses), Finding((), motion_set))
+    rest = examine_frame_rate(suspicion.motion_set)
+    return Finding((*suspicion.diagnoses, *rest.diagnoses), rest.motion_set)
+
 
 _EXAMINATIONS: tuple[Examination, ...] = (
     examine_shape,

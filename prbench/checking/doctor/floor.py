@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prbench.checking.doctor.facing import headings, turned, wrapped
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
@@ -89,3 +90,81 @@ def _levelled(motion: np.ndarray, drift: _Drift) -> np.ndarray:
     """The motion without its drift, on the floor."""
     level = motion - np.linspace(0.0, drift.rise, len(motion))[:, None, None] * _UP
     return level - level[..., 1].min() * _UP
+
+
+_FAR, _NEAR = 0.25, 0.10  # metres
+_GROUND = [0, 2]
+
+
+def examine_position(motion_set: MotionSet) -> Finding:
+    """Compare where the pelvis begins with the initial pose, or with the origin."""
+    if motion_set.pinned:
+        return no_finding(motion_set)
+    off = motion_set.first_poses()[:, Joint.PELVIS][:, _GROUND] - _wanted(motion_set)
+    distance = np.linalg.norm(off, axis=1)
+    typical = float(np.median(distance))
+    if typical < _NEAR:
+        return no_finding(motion_set)
+    middle = np.median(off, axis=0)
+    common = float(np.median(np.linalg.norm(off - middle, axis=1))) < 0.2 * typical
+    evidence = f"the pelvis begins {typical:.2f} m off the point over the origin (median of {len(motion_set)})"
+    if common and len(motion_set) > 1:
+        evidence += f", always near x = {middle[0]:+.2f}, z = {middle[1]:+.2f}"
+    cause = "motions are still where they were in their room" + (
+        ", all with the same shift" if common and len(motion_set) > 1 else ""
+    )
+    remedy = "Move each whole motion until its first pelvis stands over x = z = 0: prbench.representation.canonicalise."
+    certain = typical > _FAR and not motion_set.motionless
+    shifts = [np.array([x, 0.0, z]) for x, z in off]
+    undone = [motion - shift for motion, shift in zip(motion_set.motions, shifts, strict=True)]
+    return Finding((Diagnosis("position", certain, evidence, cause, remedy),), motion_set.with_motions(undone))
+
+
+def _wanted(motion_set: MotionSet) -> np.ndarray:
+    return np.array(
+        [
+            np.zeros(2) if known.initial_joints is None else known.initial_joints[Joint.PELVIS][_GROUND]
+            for known in motion_set.expected
+        ]
+    )
+
+
+_TURN, _STEP = np.deg2rad(25.0), 6.0  # radians from one frame to the next; metres a second
+_TIMES = 4.0  # what comes after it
+
+
+def examine_first_frame(motion_set: MotionSet) -> Finding:
+    """Look for a turn or a leap of the whole body between frames 0 and 1 that does not go on."""
+    long = [row for row, motion in enumerate(motion_set.motions) if len(motion) > 3]
+    if not long:
+        return no_finding(motion_set)
+    turns = np.array([wrapped(np.diff(headings(motion_set.motions[row][:3]))) for row in long])
+    pelvis = [motion_set.motions[row][:3, Joint.PELVIS] for row in long]
+    steps = np.array([np.linalg.norm(np.diff(path, axis=0), axis=1) for path in pelvis]) * motion_set.fps
+    turning = (np.abs(turns[:, 0]) > _TURN) & (np.abs(turns[:, 0]) > _TIMES * np.abs(turns[:, 1]))
+    leaping = (steps[:, 0] > _STEP) & (steps[:, 0] > _TIMES * steps[:, 1])
+    broken = turning | leaping
+    if broken.mean() <= 0.5:
+        return no_finding(motion_set)
+    kind = "facing" if turning.mean() >= leaping.mean() / 2 else "position"
+    metres, degrees = np.median(steps[broken, 0]) / motion_set.fps, np.rad2deg(np.median(np.abs(turns[broken, 0])))
+    evidence = (
+        f"from frame 0 to frame 1 the body of {motion_set.in_words(int(broken.sum()))} turns by {degrees:.0f} degrees"
+        f" and leaps by {metres:.2f} m (medians), and not in the frame after"
+    )
+    cause = "only the first frame is canonical: the initial pose was put before motions that live in another frame"
+    remedy = "Give all frames the transform of the first (prbench.representation.canonicalise moves whole motions)."
+    found = Diagnosis(kind, True, evidence, cause, remedy)
+    joined = {row: _joined(motion_set.motions[row]) for row, is_broken in zip(long, broken, strict=True) if is_broken}
+    return Finding(
+        (found,), motion_set.with_motions([joined.get(row, motion) for row, motion in enumerate(motion_set.motions)])
+    )
+
+
+def _joined(motion: np.ndarray) -> np.ndarray:
+    """The frames after the first moved rigidly, so that they go on from it."""
+    turns = wrapped(np.diff(headings(motion[:3])))
+    rest = turned(motion[1:], float(turns[1] - turns[0]))
+    path = rest[:, Joint.PELVIS]
+    rest += motion[0, Joint.PELVIS] + (path[1] - path[0]) - path[0]
+    return np.concatenate([motion[:1], rest])

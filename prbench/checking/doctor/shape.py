@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.bones import Distances, fit
+from prbench.checking.doctor.anatomy import Distances, fit
 from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Finding, MotionSet, no_finding
 from prbench.checking.doctor.orders import OTHER_ORDERS
 from prbench.representation import N_FEATURES, decode

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, MotionSet
-from prbench.checking.doctor.tremor import SMOOTHED_OVER, Tremor, smoothed
+from prbench.checking.doctor.quality import SMOOTHED_OVER, Tremor, smoothed
 from prbench.skeleton import TOES, WRISTS, Joint
 
 _EDGE = 0.2  # of a movement's peak speed: where it begins and ends
