@@ -10,10 +10,9 @@ from prbench.checking.doctor.body import examine_body, examine_finite, examine_s
 from prbench.checking.doctor.clock import examine_clock
 from prbench.checking.doctor.facing import examine_facing, examine_root
 from prbench.checking.doctor.floor import examine_first_frame, examine_floor, examine_position
-from prbench.checking.doctor.frame_rate import examine_frame_rate
+from prbench.checking.doctor.frame_rate import examine_frame_rate, examine_length
 from prbench.checking.doctor.joint_order import examine_joint_order
 from prbench.checking.doctor.left_right import examine_left_right
-from prbench.checking.doctor.length import examine_length
 from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Examination, Expected, Finding, MotionSet
 from prbench.checking.doctor.quality import examine_quality
 from prbench.checking.doctor.recorded_clock import examine_recorded_clock

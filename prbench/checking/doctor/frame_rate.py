@@ -2,12 +2,106 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, Expected, Finding, MotionSet, no_finding
-from prbench.checking.doctor.tempo import tempo_of_limbs
+from prbench.checking.doctor.quality import SMOOTHED_OVER, Tremor, smoothed
+from prbench.skeleton import TOES, WRISTS, Joint
+
+_EDGE = 0.2  # of a movement's peak speed: where it begins and ends
+_FAR = 0.3  # metres from its beginning to its end
+_ENOUGH_MOVEMENTS = 4
+_SWING, _SWING_RANGE = 0.29, (0.20, 0.40)  # seconds: usual, and what is not suspicious
+_REACH_RANGE = (0.25, 1.6)
+_FARTHEST = 7.0  # times; 120 frames a second shown at 20 make 6, and what is farther off is no clock: feet slide, say
+_ENOUGH_BENEATH_TREMOR = 12
+_EQUALLY_LONG = 0.2  # interquartile range of the logarithm; walking 0.03 to 0.18, noise on other bodies 0.22 and more
+_COARSEST = 1.9  # frames: narrower peaks are jitter
+
+
+def tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
+    """Suspicious durations of steps, or of reaches where nobody steps.
+
+    Trembling moves the places at which a swing begins and ends, and makes swings of its own. So it is smoothed away
+    first, and only steps that then last equally long count, as those of a walking person do at any rate.
+    """
+    if Tremor.of(motion_set.motions) is not None:
+        return _tempo_beneath_tremor(motion_set)
+    swings = _swings(motion_set.motions)
+    if len(swings) >= _ENOUGH_MOVEMENTS:
+        return _judged(swings, motion_set.fps, "steps", _SWING_RANGE)
+    reaches = np.concatenate(
+        [_durations(motion[:, wrist] - motion[:, Joint.PELVIS]) for motion in motion_set.motions for wrist in WRISTS]
+    )
+    return (
+        _judged(reaches, motion_set.fps, "hands' movements", _REACH_RANGE) if len(reaches) >= _ENOUGH_MOVEMENTS else ()
+    )
+
+
+def _tempo_beneath_tremor(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
+    swings = _swings([smoothed(motion) for motion in motion_set.motions])
+    if len(swings) < _ENOUGH_BENEATH_TREMOR:
+        return ()
+    spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
+    if spread > _EQUALLY_LONG:
+        return ()
+    widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
+    durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
+    return _judged(durations, motion_set.fps, "steps", _SWING_RANGE)
+
+
+def _swings(motions: Sequence[np.ndarray]) -> np.ndarray:
+    """Frames that each swing of a foot takes."""
+    return np.concatenate([_durations(motion[:, toe][:, [0, 2]]) for motion in motions for toe in TOES])
+
+
+def _judged(frames: np.ndarray, fps: float, what: str, usual: tuple[float, float]) -> tuple[Diagnosis, ...]:
+    middle = float(np.median(frames))
+    seconds = middle / fps
+    typical = float(np.sqrt(usual[0] * usual[1]))
+    if usual[0] <= seconds <= usual[1] or middle < _COARSEST or seconds > _FARTHEST * typical:
+        return ()
+    evidence = (
+        f"{len(frames)} {what} last {seconds:.2f} s (median, at {fps:g} frames a second); people's {usual[0]:g} to"
+        f" {usual[1]:g} s"
+    )
+    cause = f"motions are played too {'slowly' if seconds > usual[1] else 'fast'}"
+    if what == "steps":
+        cause += f": they look like about {middle / _SWING:.0f} frames a second shown at {fps:g}"
+    return (Diagnosis("frame-rate", False, evidence, cause, f"Check the rate at which motions were made. {AT_RATE}"),)
+
+
+def _durations(path: np.ndarray) -> np.ndarray:
+    """Frames that each movement of a joint takes, for those that begin and end within the motion and lead far."""
+    speed = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    if len(speed) < 8:
+        return np.empty(0)
+    durations, last = [], 0
+    for peak in _peaks(speed):
+        edge = _EDGE * speed[peak]
+        before, after = np.flatnonzero(speed[:peak] < edge), np.flatnonzero(speed[peak:] < edge)
+        if not before.size or not after.size or before[-1] < last:
+            continue
+        start, stop = int(before[-1]), int(peak + after[0])
+        if speed[start:stop].max() > speed[peak]:
+            continue
+        last = stop
+        if np.linalg.norm(path[stop] - path[start + 1]) > _FAR:
+            begin = start + (edge - speed[start]) / (speed[start + 1] - speed[start])
+            end = stop - (edge - speed[stop]) / (speed[stop - 1] - speed[stop])
+            durations.append(end - begin)
+    return np.array(durations)
+
+
+def _peaks(speed: np.ndarray) -> np.ndarray:
+    """Where speed is higher than before and not lower than after, if it is high at all."""
+    inner = speed[1:-1]
+    return 1 + np.flatnonzero((inner > speed[:-2]) & (inner >= speed[2:]) & (inner > 0.3 * speed.max()))
+
 
 _CONTINUES, _BEGINS_THERE = 0.8, 0.05  # cosine between velocities; metres between frame 0 and the initial pose
 _SLOWEST = 0.05  # m/s of the joints' root mean square: slower starts are noise
@@ -65,3 +159,74 @@ def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ..
     made = f"{motion_set.fps / ratio:.3g} frames a second shown at {motion_set.fps:g}"
     cause = f"motions are played too {fast}: they look like {made}"
     return (Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, AT_RATE),)
+
+
+def at_places(motion: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The motion at fractional frames, on straight lines between frames; held beyond both ends."""
+    flat = motion.reshape(len(motion), -1)
+    frames = np.arange(len(motion))
+    return np.stack([np.interp(places, frames, column) for column in flat.T], axis=1).reshape(-1, *motion.shape[1:])
+
+
+def at_length(motion: np.ndarray, n_frames: int) -> np.ndarray:
+    """The motion played in another number of frames, its ends kept."""
+    return at_places(motion, np.linspace(0, len(motion) - 1, n_frames))
+
+
+_SAME_RATIO = 0.02  # spread of the logarithm of the ratio
+_NEAR = 0.025
+_RATES = (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 40.0, 50.0, 59.94, 60.0, 90.0, 100.0, 120.0)
+
+
+def examine_length(motion_set: MotionSet) -> Finding:
+    """Compare numbers of frames: a common ratio is another frame rate, a common number is a fixed window."""
+    known = [row for row, expected in enumerate(motion_set.expected) if expected.n_frames is not None]
+    found = np.array([len(motion_set.motions[row]) for row in known])
+    asked = np.array([motion_set.expected[row].n_frames for row in known])
+    wrong = found != asked
+    if not wrong.any():
+        return no_finding(motion_set)
+    lines = f"another length in {motion_set.in_words(int(wrong.sum()))}, {_example(found, asked)}"
+    ratios = np.log((found - 1).clip(1) / (asked - 1).clip(1))
+    ratio = float(np.exp(np.median(ratios)))
+    differences = found - asked
+    undone = motion_set
+    kind, remedy = "length", "Return as many frames as were asked for (n_frames)."
+    if (differences[wrong] == -1).all():
+        cause = "the last frame is missing: 263 features hold a step to the next frame and lose one"
+        remedy += " Encode one frame more, or repeat none: extrapolate the last."
+    elif (
+        wrong.all()
+        and (rate := _rate(motion_set.fps * ratio))
+        and np.ptp(ratios) < _SAME_RATIO + 4 / float(found.min())
+    ):
+        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
+        remedy = AT_RATE
+        undone = _stretched(motion_set, known)
+    elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
+        cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
+    else:
+        cause = "motions end where the model stopped, or were stretched by a factor that is no usual frame rate"
+    diagnosis = Diagnosis(kind, True, lines, cause, remedy)
+    return Finding((diagnosis,), undone)
+
+
+def _example(found: np.ndarray, asked: np.ndarray) -> str:
+    row = int(np.argmax(found != asked))
+    ratio = np.median((found - 1).clip(1) / (asked - 1).clip(1))
+    return f"such as {found[row]} frames instead of {asked[row]}; time is stretched by {ratio:.3f} (median)"
+
+
+def _rate(exact: float) -> float | None:
+    """The usual rate that a measured one is, if it is one."""
+    nearest = min(_RATES, key=lambda rate: abs(np.log(rate / exact)))
+    return nearest if abs(np.log(nearest / exact)) < _NEAR else None
+
+
+def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
+    motions = list(motion_set.motions)
+    for row in known:
+        n_frames = motion_set.expected[row].n_frames
+        if n_frames is not None and len(motions[row]) > 1:
+            motions[row] = at_length(motions[row], n_frames)
+    return dataclasses.replace(motion_set, motions=tuple(motions))
