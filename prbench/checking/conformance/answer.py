@@ -1,20 +1,61 @@
-"""One call of a method, with everything that was seen while it was under way."""
+"""One call of a method, with everything that was seen while it was under way, and distances between two answers."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import random
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
-from prbench.checking.conformance import global_random
 from prbench.contract import Adapter, ConditionBatch, Motions
 from prbench.errors import PrbenchError
 from prbench.methods.motions import generate_checked
 from prbench.methods.threads import computing_threads
+
+
+def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
+    """Whose state is another than it was."""
+    return tuple(name for name, state in _generator_states().items() if before.get(name, state) != state)
+
+
+def _generator_states() -> dict[str, bytes]:
+    """The state of each global generator, by what a method calls to draw from it."""
+    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
+    found = {
+        "random": repr(random.getstate()).encode(),
+        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
+    }
+    torch = sys.modules.get("torch")
+    if torch is not None and hasattr(torch, "random"):
+        found["torch"] = torch.random.get_rng_state().numpy().tobytes()
+    return found
+
+
+@contextmanager
+def _generators_set_to(seed: int) -> Iterator[None]:
+    """All of them seeded, and afterwards as they were."""
+    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - put back as it was
+    torch = sys.modules.get("torch")
+    drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - a method that draws from it is found out by another seed
+    if torch is not None and drawn is not None:
+        torch.random.manual_seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(python)
+        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
+        if torch is not None and drawn is not None:
+            torch.random.set_rng_state(drawn)
+
 
 STATE_SEED = 20_240_607
 """Of the global generators before every call, so that only the check that is about them sees them at work."""
@@ -70,14 +111,14 @@ class _Watched:
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
         """Generate, and compare the batch and the global generators with what they were."""
         before = {name: getattr(batch, name).copy() for name in _COPIED if getattr(batch, name) is not None}
-        states = global_random.states()
+        states = _generator_states()
         started = time.perf_counter()
         try:
             self.returned = self.adapter.generate(batch, seed=seed)
             self.answered = True
         finally:
             self.seconds += time.perf_counter() - started
-            self.drew_from.update(global_random.touched(states))
+            self.drew_from.update(_generators_touched(states))
             after = {name: getattr(batch, name) for name in before}
             self.overwritten |= {name for name in before if not np.array_equal(before[name], after[name])}
         return self.returned  # type: ignore[return-value] - whatever it is, the harness checks it
@@ -97,7 +138,7 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     motions, halvings, error = None, 0, ""
     own = dataclasses.replace(batch)
     try:
-        with computing_threads(threads), global_random.set_to(state_seed):
+        with computing_threads(threads), _generators_set_to(state_seed):
             motions, halvings = generate_checked(
                 watched,  # type: ignore[arg-type] - its other attributes are the method's
                 own,
@@ -119,3 +160,42 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
         overwritten=tuple(sorted(watched.overwritten)),
         drew_from=tuple(sorted(watched.drew_from)),
     )
+
+
+TOLERANCE = 1e-4
+"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
+
+
+def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
+    """Of each motion the largest distance of any joint in any frame between two answers, metres.
+
+    Args:
+        first: Any answer with motions.
+        second: Answers rows of the same lengths.
+        rows: Where in ``first`` each row of ``second`` stands; None for the same order.
+    """
+    places = range(len(second.batch)) if rows is None else rows
+    return np.array(
+        [
+            float(np.linalg.norm(first.motion(place) - second.motion(row), axis=-1).max())
+            for row, place in enumerate(places)
+        ]
+    )
+
+
+def same_bytes(first: Answer, second: Answer) -> bool:
+    """Whether two answers to the same batch hold the same numbers to the last bit."""
+    return all(np.array_equal(first.motion(row), second.motion(row)) for row in range(len(first.batch)))
+
+
+def metres(distance: float) -> str:
+    """A distance in the unit in which it is easily read.
+
+    >>> metres(0.034)
+    '3.4 cm'
+    """
+    if distance >= 1:
+        return f"{distance:.2f} m"
+    if distance >= 0.001:
+        return f"{distance * 100:.1f} cm"
+    return f"{distance:.1e} m" if distance else "0 m"

@@ -30,16 +30,14 @@ class Cases:
 
     source: ConditionSource
     train_folder: Path | None
-    """A dataset that has training sequences; None: invented when a method asks for it."""
+    """A dataset that has training sequences; None if it is made when a method asks for it."""
 
 
-def invented_cases() -> Cases:
-    """Twelve sequences of people who do not exist; the same in every process."""
-    from prbench.checking.conformance.people import (
-        invented_sequences,
-    )  # inventing people takes half a second to import
+def synthetic_cases() -> Cases:
+    """Make twelve sequences of synthetic people, the same in every process."""
+    from prbench.checking.conformance.synthetic_people import synthetic_sequences  # late: its imports take 0.5 s
 
-    return cases_of(invented_sequences("test", SEQUENCES))
+    return cases_of(synthetic_sequences("test", SEQUENCES))
 
 
 def cases_of(sequences: list[Sequence]) -> Cases:
@@ -71,14 +69,14 @@ def rows_of(source: ConditionSource, rows: SequenceOf[int] | np.ndarray) -> Cond
 
 
 def write_training_table(folder: Path) -> Path:
-    """Write a dataset of twelve invented training sequences, for methods that learn before they generate."""
-    from prbench.checking.conformance.people import invented_sequences
+    """Write a dataset of twelve synthetic training sequences, for methods that learn before they generate."""
+    from prbench.checking.conformance.synthetic_people import synthetic_sequences
 
-    return write_sequences(folder, invented_sequences("train", _TO_LEARN_FROM))
+    return write_sequences(folder, synthetic_sequences("train", _TO_LEARN_FROM))
 
 
 def write_sequences(folder: Path, sequences: list[Sequence]) -> Path:
-    """Write a dataset of invented sequences, sorted by id."""
+    """Write a dataset of synthetic sequences, sorted by id."""
     recordings = {row.recording_id: row for row in sequences}
     records = [
         RecordingRecord(name, row.participant_id, row.split, name, 0.0, {}, "read", "")

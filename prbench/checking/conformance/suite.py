@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.finding import Finding, Outcome, Report
-from prbench.checking.conformance.request import START_LIMIT, TIME_LIMIT, CheckRequest
+from prbench.checking.conformance.report import START_LIMIT, TIME_LIMIT, CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
 from prbench.errors import UsageError
 
@@ -37,7 +36,7 @@ class AdapterConformance:
     weights: ClassVar[Path | None] = None
     device: ClassVar[str] = "cpu"
     data: ClassVar[Path | None] = None
-    """A dataset whose test sequences are asked about; None for invented people."""
+    """A dataset whose test sequences are asked about; None for synthetic people."""
 
     time_limit: ClassVar[float] = TIME_LIMIT
     """Seconds for each call of the method."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from prbench.checking.conformance.answer import Answer
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.checking.doctor import Diagnosis, Expected, diagnose
 from prbench.contract import Condition

@@ -8,7 +8,7 @@ import numpy as np
 
 from prbench.checking.conformance.answer import Answer
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.contract import Condition, Motions
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from prbench.checking.conformance.answer import largest_changes, metres
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.comparing import largest_changes, metres
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import RICHEST_FIRST, Subject
 from prbench.contract import GIVEN, ConditionBatch
 

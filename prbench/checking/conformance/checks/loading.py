@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import find_adapter

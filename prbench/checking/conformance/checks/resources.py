@@ -9,7 +9,7 @@ import numpy as np
 import psutil
 
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.methods.methods import unload_method
 from prbench.methods.remote.adapter import RemoteAdapter

@@ -1,4 +1,4 @@
-"""Sequences of invented people, made in memory: what the check asks a method about when no table is given.
+"""Sequences of synthetic people, made in memory: what the check asks a method about when no table is given.
 
 Perfect curation of noise-free performances (docs/specification/synthetic-recordings.md), so that every pose is
 plausible, every goal is reached by the person who was recorded, and every run of a check sees the same.
@@ -24,7 +24,7 @@ _PRESET, _SEED, _RATE = "adt", 2024, 60.0  # another seed than that of the embed
 _CLIPS_OF_ONE = 6  # sequences a recording, so that several people are seen
 
 
-def invented_sequences(split: str, number: int) -> list[Sequence]:
+def synthetic_sequences(split: str, number: int) -> list[Sequence]:
     """The first sequences of a split, by id; equal in every process.
 
     Args:
