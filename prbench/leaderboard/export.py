@@ -37,6 +37,22 @@ _CSV_COLUMNS: tuple[str, ...] = (
 _TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
 _INFOS = {info.id: info for info in METRICS}
 _UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
+_JSON_VERSION = 1
+
+
+def export(leaderboard: Leaderboard, format: str) -> str:
+    """The leaderboard as text that ends in a newline.
+
+    Args:
+        leaderboard: Of :func:`prbench.leaderboard.tables.make_leaderboard`.
+        format: ``md``, ``csv`` or ``json``.
+
+    Raises:
+        UsageError: for another format.
+    """
+    if format not in FORMATS:
+        raise UsageError(f"unknown format '{format}'; known ones are: {', '.join(FORMATS)}.")
+    return FORMATS[format](leaderboard)
 
 
 def _as_csv(leaderboard: Leaderboard) -> str:
@@ -121,9 +137,6 @@ def _csv_number(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-_JSON_VERSION = 1
-
-
 def _as_json(leaderboard: Leaderboard) -> str:
     """Sorted keys, two-space indent."""
     value = {
@@ -201,18 +214,3 @@ def _json_macro(macro: MacroTable) -> dict[str, object]:
 
 
 FORMATS: dict[str, Callable[[Leaderboard], str]] = {"md": as_markdown, "csv": _as_csv, "json": _as_json}
-
-
-def export(leaderboard: Leaderboard, format: str) -> str:
-    """The leaderboard as text that ends in a newline.
-
-    Args:
-        leaderboard: Of :func:`prbench.leaderboard.tables.make_leaderboard`.
-        format: ``md``, ``csv`` or ``json``.
-
-    Raises:
-        UsageError: for another format.
-    """
-    if format not in FORMATS:
-        raise UsageError(f"unknown format '{format}'; known ones are: {', '.join(FORMATS)}.")
-    return FORMATS[format](leaderboard)

@@ -19,47 +19,11 @@ from prbench.errors import PrbenchError
 from prbench.methods.motions import generate_checked
 from prbench.methods.threads import computing_threads
 
-
-def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
-    """Whose state is another than it was."""
-    return tuple(name for name, state in _generator_states().items() if before.get(name, state) != state)
-
-
-def _generator_states() -> dict[str, bytes]:
-    """The state of each global generator, by what a method calls to draw from it."""
-    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
-    found = {
-        "random": repr(random.getstate()).encode(),
-        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
-    }
-    torch = sys.modules.get("torch")
-    if torch is not None and hasattr(torch, "random"):
-        found["torch"] = torch.random.get_rng_state().numpy().tobytes()
-    return found
-
-
-@contextmanager
-def _generators_set_to(seed: int) -> Iterator[None]:
-    """All of them seeded, and afterwards as they were."""
-    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - put back as it was
-    torch = sys.modules.get("torch")
-    drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - a method that draws from it is found out by another seed
-    if torch is not None and drawn is not None:
-        torch.random.manual_seed(seed)
-    try:
-        yield
-    finally:
-        random.setstate(python)
-        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
-        if torch is not None and drawn is not None:
-            torch.random.set_rng_state(drawn)
-
-
 STATE_SEED = 20_240_607
 """Of the global generators before every call, so that only the check that is about them sees them at work."""
 _COPIED = ("n_frames", "initial_joints", "previous_joints", "goal_joints", "goal_location")
+TOLERANCE = 1e-4
+"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +126,41 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     )
 
 
-TOLERANCE = 1e-4
-"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
+def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
+    """Whose state is another than it was."""
+    return tuple(name for name, state in _generator_states().items() if before.get(name, state) != state)
+
+
+def _generator_states() -> dict[str, bytes]:
+    """The state of each global generator, by what a method calls to draw from it."""
+    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
+    found = {
+        "random": repr(random.getstate()).encode(),
+        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
+    }
+    torch = sys.modules.get("torch")
+    if torch is not None and hasattr(torch, "random"):
+        found["torch"] = torch.random.get_rng_state().numpy().tobytes()
+    return found
+
+
+@contextmanager
+def _generators_set_to(seed: int) -> Iterator[None]:
+    """All of them seeded, and afterwards as they were."""
+    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - put back as it was
+    torch = sys.modules.get("torch")
+    drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - a method that draws from it is found out by another seed
+    if torch is not None and drawn is not None:
+        torch.random.manual_seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(python)
+        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
+        if torch is not None and drawn is not None:
+            torch.random.set_rng_state(drawn)
 
 
 def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:

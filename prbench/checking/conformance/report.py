@@ -8,6 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+TIME_LIMIT = 600.0
+"""Seconds for each call of the method, unless it is told."""
+START_LIMIT = 120.0
+"""Seconds for importing and for loading a method, as programs have to introduce themselves."""
+
 
 class Outcome(StrEnum):
     """How a check ended, from good to bad."""
@@ -95,34 +100,6 @@ class Observation:
         return Finding(check, self.outcome, self.said, remedy, numbers)
 
 
-def passed(said: str, **numbers: float) -> Observation:
-    """All is well; ``said`` holds the evidence."""
-    return Observation(Outcome.PASSED, said, numbers=numbers)
-
-
-def skipped(said: str) -> Observation:
-    """Not looked at, and why."""
-    return Observation(Outcome.SKIPPED, said)
-
-
-def warning(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
-    """Allowed, but its author should know."""
-    return Observation(Outcome.WARNING, said, remedy, numbers)
-
-
-def failed(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
-    """Against the contract, or a wrong number in every table that shows this method."""
-    return Observation(Outcome.FAILED, said, remedy, numbers)
-
-
-TIME_LIMIT = 600.0
-"""Seconds for each call of the method, unless it is told."""
-
-
-START_LIMIT = 120.0
-"""Seconds for importing and for loading a method, as programs have to introduce themselves."""
-
-
 @dataclass(frozen=True)
 class CheckRequest:
     """What to check."""
@@ -160,3 +137,23 @@ class CheckRequest:
         """The request that :meth:`as_json` wrote."""
         paths = {name: None if values[name] is None else Path(values[name]) for name in ("weights", "data")}
         return cls(**{**values, **paths})
+
+
+def passed(said: str, **numbers: float) -> Observation:
+    """All is well; ``said`` holds the evidence."""
+    return Observation(Outcome.PASSED, said, numbers=numbers)
+
+
+def skipped(said: str) -> Observation:
+    """Not looked at, and why."""
+    return Observation(Outcome.SKIPPED, said)
+
+
+def warning(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
+    """Allowed, but its author should know."""
+    return Observation(Outcome.WARNING, said, remedy, numbers)
+
+
+def failed(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
+    """Against the contract, or a wrong number in every table that shows this method."""
+    return Observation(Outcome.FAILED, said, remedy, numbers)

@@ -34,6 +34,16 @@ _MODULE = "prbench.checking.conformance.child"
 _SHOWN_LINES = 5
 _OTHERWISE = 120.0
 _HEARTBEAT = 10.0  # seconds between words about the same work
+Announce = Callable[[str, int, int], None]
+"""Called before each check with its name, its place and how many there are."""
+_GRACE = 10.0  # seconds
+_STARTS = ("import", "load")
+_FORM = ("generates", "shapes", "dtype", "finite")  # without these there is nothing to look at
+_LOST = (
+    "A run would end in the same way. Look for a deadlock, a loop that does not end, os._exit, and crashes of compiled"
+    " code under this input."
+)
+_SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-limit."
 
 
 class Lost(Exception):
@@ -148,67 +158,6 @@ class ChildProcess:
         return f"{asked}." + (f" Its last words on stderr: {told}" if told else "")
 
 
-def _descendants(pid: int) -> list[psutil.Process]:
-    with contextlib.suppress(psutil.Error):
-        return psutil.Process(pid).children(recursive=True)
-    return []
-
-
-Announce = Callable[[str, int, int], None]
-"""Called before each check with its name, its place and how many there are."""
-_GRACE = 10.0  # seconds
-_STARTS = ("import", "load")
-_FORM = ("generates", "shapes", "dtype", "finite")  # without these there is nothing to look at
-_LOST = (
-    "A run would end in the same way. Look for a deadlock, a loop that does not end, os._exit, and crashes of compiled"
-    " code under this input."
-)
-_SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-limit."
-
-
-def check(request: CheckRequest, announce: Announce | None = None) -> Report:
-    """Look at a method in every respect that the contract names.
-
-    Args:
-        request: The method, and what to ask it about.
-        announce: Told what is looked at.
-
-    Raises:
-        AdapterError: if no such method is installed.
-        InputFileError: if the TOML file does not say what it must.
-        TableError: if the table cannot be read, or has no test sequences.
-        UsageError: if the method is a control, or a program is not there.
-    """
-    started = time.perf_counter()
-    spec = _possible(request)
-    with working_folder() as folder:
-        session = _Session(
-            request, _limits(request, spec), Path(folder), announce or (lambda _name, _place, _total: None)
-        )
-        session.run([one for one in CHECKS if not one.fresh])
-        session.run([one for one in CHECKS if one.fresh])
-    places = {one.name: place for place, one in enumerate(CHECKS)}
-    findings = sorted(session.findings, key=lambda finding: places[finding.check])
-    return Report(request.method, tuple(findings), time.perf_counter() - started)
-
-
-def _possible(request: CheckRequest) -> MethodSpec:
-    """What the user got wrong is told before any process is started."""
-    if request.method in METHOD_CONTROLS:
-        raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
-    spec = method_spec(request.method, weights=request.weights, options=request.options, isolate=request.isolate)
-    if request.data is not None:
-        cases_of_table(request.data)
-    return spec
-
-
-def _limits(request: CheckRequest, spec: MethodSpec) -> TimeLimits:
-    """A program's own limits come a little earlier: they say more about what happened."""
-    if spec.program is None:
-        return TimeLimits(request.time_limit, request.start_limit)
-    return TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)
-
-
 class _Session:
     """All checks of one method, and what came of them so far."""
 
@@ -259,3 +208,52 @@ class _Session:
         hopeless = [name for name in self._lost if name in (*_STARTS, *_FORM)]
         hopeless += [name for name, outcome in self._known().items() if name == "load" and outcome is Outcome.FAILED]
         return f"not looked at before '{hopeless[0]}' passes." if hopeless else ""
+
+
+def _descendants(pid: int) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.Error):
+        return psutil.Process(pid).children(recursive=True)
+    return []
+
+
+def check(request: CheckRequest, announce: Announce | None = None) -> Report:
+    """Look at a method in every respect that the contract names.
+
+    Args:
+        request: The method, and what to ask it about.
+        announce: Told what is looked at.
+
+    Raises:
+        AdapterError: if no such method is installed.
+        InputFileError: if the TOML file does not say what it must.
+        TableError: if the table cannot be read, or has no test sequences.
+        UsageError: if the method is a control, or a program is not there.
+    """
+    started = time.perf_counter()
+    spec = _possible(request)
+    with working_folder() as folder:
+        session = _Session(
+            request, _limits(request, spec), Path(folder), announce or (lambda _name, _place, _total: None)
+        )
+        session.run([one for one in CHECKS if not one.fresh])
+        session.run([one for one in CHECKS if one.fresh])
+    places = {one.name: place for place, one in enumerate(CHECKS)}
+    findings = sorted(session.findings, key=lambda finding: places[finding.check])
+    return Report(request.method, tuple(findings), time.perf_counter() - started)
+
+
+def _possible(request: CheckRequest) -> MethodSpec:
+    """What the user got wrong is told before any process is started."""
+    if request.method in METHOD_CONTROLS:
+        raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
+    spec = method_spec(request.method, weights=request.weights, options=request.options, isolate=request.isolate)
+    if request.data is not None:
+        cases_of_table(request.data)
+    return spec
+
+
+def _limits(request: CheckRequest, spec: MethodSpec) -> TimeLimits:
+    """A program's own limits come a little earlier: they say more about what happened."""
+    if spec.program is None:
+        return TimeLimits(request.time_limit, request.start_limit)
+    return TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)

@@ -11,6 +11,8 @@ from prbench.skeleton import N_JOINTS, bone_lengths
 
 _SHAPELESS = 3.0  # times the spread of a coordinate; a body's joints have mean heights much farther apart
 _FLABBY = 0.12  # change of the distances that change least, as a share of themselves
+_POINT = 1e-6  # size of a pose that is nothing but one point, as a share of the body's size
+_SCALED = 0.10  # deviation from the scale of the initial pose's bones
 
 
 def examine_body(motion_set: MotionSet) -> Finding:
@@ -63,9 +65,6 @@ def _softness(motion_set: MotionSet) -> float:
     return float(np.sort(relative)[: len(distances.median)].mean())
 
 
-_POINT = 1e-6  # size of a pose that is nothing but one point, as a share of the body's size
-
-
 def examine_finite(motion_set: MotionSet) -> Finding:
     """Find NaN, infinity and poses whose joints all lie in one point."""
     broken = [np.asarray(~np.isfinite(motion).all(axis=(1, 2))) for motion in motion_set.motions]
@@ -116,9 +115,6 @@ def _mended(motion: np.ndarray, bad: np.ndarray) -> np.ndarray:
     flat = kept.reshape(len(kept), -1)
     times = np.arange(len(kept))
     return np.stack([np.interp(times, good, column[good]) for column in flat.T], axis=1).reshape(kept.shape)
-
-
-_SCALED = 0.10  # deviation from the scale of the initial pose's bones
 
 
 def examine_unit(motion_set: MotionSet) -> Finding:

@@ -9,32 +9,13 @@ import numpy as np
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
-
-def headings(poses: np.ndarray) -> np.ndarray:
-    """Heading of each pose, radians, 0 = +Z, as :func:`prbench.skeleton.facing_yaw` defines it. (…, 22, 3) to (…)."""
-    across = (
-        poses[..., Joint.RIGHT_HIP, :]
-        - poses[..., Joint.LEFT_HIP, :]
-        + poses[..., Joint.RIGHT_SHOULDER, :]
-        - poses[..., Joint.LEFT_SHOULDER, :]
-    )
-    return np.asarray(np.arctan2(across[..., 2], -across[..., 0]))
-
-
-def wrapped(angles: np.ndarray) -> np.ndarray:
-    """Angles between -pi and pi."""
-    return np.mod(np.asarray(angles) + np.pi, 2 * np.pi) - np.pi
-
-
-def turned(points: np.ndarray, yaw: float) -> np.ndarray:
-    """Points turned about +Y; +Z goes towards +X."""
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
-
-
 _CERTAIN, _SUSPICIOUS = np.deg2rad(25.0), np.deg2rad(15.0)
 _AGREEING = 0.9  # length of the mean of unit vectors
+_STILL = 1e-3  # metres that a pinned pelvis moves
+_WALKED = 0.12  # metres that an ankle moves over the ground: no one sits
+_SLID = 0.02  # metres that a foot moves under a pinned pelvis
+_EXACT = np.deg2rad(0.05)  # nobody keeps a heading like this
+_FEET = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]
 
 
 def examine_facing(motion_set: MotionSet) -> Finding:
@@ -73,13 +54,6 @@ def _wanted(motion_set: MotionSet) -> np.ndarray:
             for known in motion_set.expected
         ]
     )
-
-
-_STILL = 1e-3  # metres that a pinned pelvis moves
-_WALKED = 0.12  # metres that an ankle moves over the ground: no one sits
-_SLID = 0.02  # metres that a foot moves under a pinned pelvis
-_EXACT = np.deg2rad(0.05)  # nobody keeps a heading like this
-_FEET = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]
 
 
 def examine_root(motion_set: MotionSet) -> Finding:
@@ -159,3 +133,26 @@ def _seen_by_the_body(motion: np.ndarray) -> np.ndarray:
 def _on_the_floor(motion_set: MotionSet) -> MotionSet:
     lift = np.array([0.0, 1.0, 0.0])
     return motion_set.changed(lambda motion: motion - motion[..., 1].min() * lift)
+
+
+def headings(poses: np.ndarray) -> np.ndarray:
+    """Heading of each pose, radians, 0 = +Z, as :func:`prbench.skeleton.facing_yaw` defines it. (…, 22, 3) to (…)."""
+    across = (
+        poses[..., Joint.RIGHT_HIP, :]
+        - poses[..., Joint.LEFT_HIP, :]
+        + poses[..., Joint.RIGHT_SHOULDER, :]
+        - poses[..., Joint.LEFT_SHOULDER, :]
+    )
+    return np.asarray(np.arctan2(across[..., 2], -across[..., 0]))
+
+
+def wrapped(angles: np.ndarray) -> np.ndarray:
+    """Angles between -pi and pi."""
+    return np.mod(np.asarray(angles) + np.pi, 2 * np.pi) - np.pi
+
+
+def turned(points: np.ndarray, yaw: float) -> np.ndarray:
+    """Points turned about +Y; +Z goes towards +X."""
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)

@@ -16,6 +16,20 @@ _STRAIGHT = 0.7  # share of the change that a straight line explains
 _SHORTEST = 1.0  # seconds
 _ENOUGH = 3  # motions that drift alike; a single person may climb a step
 _UP = np.array([0.0, 1.0, 0.0])
+_FAR, _NEAR = 0.25, 0.10  # metres
+_GROUND = [0, 2]
+_TURN, _STEP = np.deg2rad(25.0), 6.0  # radians from one frame to the next; metres a second
+_TIMES = 4.0  # what comes after it
+
+
+@dataclass(frozen=True)
+class _Drift:
+    """How the height of the support changes in one motion."""
+
+    rise: float
+    """Metres from the first to the last frame."""
+    straightness: float
+    """Share of the variance that the line explains."""
 
 
 def examine_floor(motion_set: MotionSet) -> Finding:
@@ -42,16 +56,6 @@ def _examine_height(motion_set: MotionSet) -> Finding:
     found = Diagnosis("floor", abs(typical) > _CERTAIN, evidence, cause, remedy)
     undone = [motion - low * _UP for motion, low in zip(motion_set.motions, lowest, strict=True)]
     return Finding((found,), motion_set.with_motions(undone))
-
-
-@dataclass(frozen=True)
-class _Drift:
-    """How the height of the support changes in one motion."""
-
-    rise: float
-    """Metres from the first to the last frame."""
-    straightness: float
-    """Share of the variance that the line explains."""
 
 
 def _examine_drift(motion_set: MotionSet) -> Finding:
@@ -92,10 +96,6 @@ def _levelled(motion: np.ndarray, drift: _Drift) -> np.ndarray:
     return level - level[..., 1].min() * _UP
 
 
-_FAR, _NEAR = 0.25, 0.10  # metres
-_GROUND = [0, 2]
-
-
 def examine_position(motion_set: MotionSet) -> Finding:
     """Compare where the pelvis begins with the initial pose, or with the origin."""
     if motion_set.pinned:
@@ -127,10 +127,6 @@ def _wanted(motion_set: MotionSet) -> np.ndarray:
             for known in motion_set.expected
         ]
     )
-
-
-_TURN, _STEP = np.deg2rad(25.0), 6.0  # radians from one frame to the next; metres a second
-_TIMES = 4.0  # what comes after it
 
 
 def examine_first_frame(motion_set: MotionSet) -> Finding:

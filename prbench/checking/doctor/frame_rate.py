@@ -21,6 +21,119 @@ _FARTHEST = 7.0  # times; 120 frames a second shown at 20 make 6, and what is fa
 _ENOUGH_BENEATH_TREMOR = 12
 _EQUALLY_LONG = 0.2  # interquartile range of the logarithm; walking 0.03 to 0.18, noise on other bodies 0.22 and more
 _COARSEST = 1.9  # frames: narrower peaks are jitter
+_CONTINUES, _BEGINS_THERE = 0.8, 0.05  # cosine between velocities; metres between frame 0 and the initial pose
+_SLOWEST = 0.05  # m/s of the joints' root mean square: slower starts are noise
+_OFF = np.log(1.2)
+_AGREEING = 0.25  # interquartile range of the logarithm of the ratio
+_ENOUGH = 5
+_SAME_RATIO = 0.02  # spread of the logarithm of the ratio
+_NEAR = 0.025
+_RATES = (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 40.0, 50.0, 59.94, 60.0, 90.0, 100.0, 120.0)
+
+
+@dataclass(frozen=True)
+class _Start:
+    """How a motion goes on from the initial state."""
+
+    ratio: float
+    """First step over the step before it."""
+    cosine: float
+
+
+def examine_length(motion_set: MotionSet) -> Finding:
+    """Compare numbers of frames: a common ratio is another frame rate, a common number is a fixed window."""
+    known = [row for row, expected in enumerate(motion_set.expected) if expected.n_frames is not None]
+    found = np.array([len(motion_set.motions[row]) for row in known])
+    asked = np.array([motion_set.expected[row].n_frames for row in known])
+    wrong = found != asked
+    if not wrong.any():
+        return no_finding(motion_set)
+    lines = f"another length in {motion_set.in_words(int(wrong.sum()))}, {_example(found, asked)}"
+    ratios = np.log((found - 1).clip(1) / (asked - 1).clip(1))
+    ratio = float(np.exp(np.median(ratios)))
+    differences = found - asked
+    undone = motion_set
+    kind, remedy = "length", "Return as many frames as were asked for (n_frames)."
+    if (differences[wrong] == -1).all():
+        cause = "the last frame is missing: 263 features hold a step to the next frame and lose one"
+        remedy += " Encode one frame more, or repeat none: extrapolate the last."
+    elif (
+        wrong.all()
+        and (rate := _rate(motion_set.fps * ratio))
+        and np.ptp(ratios) < _SAME_RATIO + 4 / float(found.min())
+    ):
+        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
+        remedy = AT_RATE
+        undone = _stretched(motion_set, known)
+    elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
+        cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
+    else:
+        cause = "motions end where the model stopped, or were stretched by a factor that is no usual frame rate"
+    diagnosis = Diagnosis(kind, True, lines, cause, remedy)
+    return Finding((diagnosis,), undone)
+
+
+def _example(found: np.ndarray, asked: np.ndarray) -> str:
+    row = int(np.argmax(found != asked))
+    ratio = np.median((found - 1).clip(1) / (asked - 1).clip(1))
+    return f"such as {found[row]} frames instead of {asked[row]}; time is stretched by {ratio:.3f} (median)"
+
+
+def _rate(exact: float) -> float | None:
+    """The usual rate that a measured one is, if it is one."""
+    nearest = min(_RATES, key=lambda rate: abs(np.log(rate / exact)))
+    return nearest if abs(np.log(nearest / exact)) < _NEAR else None
+
+
+def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
+    motions = list(motion_set.motions)
+    for row in known:
+        n_frames = motion_set.expected[row].n_frames
+        if n_frames is not None and len(motions[row]) > 1:
+            motions[row] = at_length(motions[row], n_frames)
+    return dataclasses.replace(motion_set, motions=tuple(motions))
+
+
+def examine_frame_rate(motion_set: MotionSet) -> Finding:
+    """Compare first steps with initial velocities; without these, look at how long feet and hands take."""
+    if motion_set.pinned:
+        return no_finding(motion_set)
+    starts = [
+        start
+        for motion, expected in zip(motion_set.motions, motion_set.expected, strict=True)
+        if (start := _start(motion, expected, motion_set.fps)) is not None
+    ]
+    going_on = [start.ratio for start in starts if start.cosine > _CONTINUES and start.ratio > 0]
+    if len(going_on) * 2 > len(starts) and len(going_on) >= 3:
+        return Finding(_by_velocity(np.log(going_on), motion_set), motion_set)
+    return Finding(tempo_of_limbs(motion_set), motion_set)
+
+
+def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
+    initial, previous = expected.initial_joints, expected.previous_joints
+    if initial is None or previous is None or len(motion) < 2:
+        return None
+    before, after = (initial - previous).ravel(), (motion[1] - motion[0]).ravel()
+    speed = float(np.sqrt((before**2).sum() / len(initial))) * fps
+    if speed < _SLOWEST or float(np.abs(motion[0] - initial).max()) > _BEGINS_THERE:
+        return None
+    length = max(float(np.linalg.norm(before) * np.linalg.norm(after)), 1e-12)
+    return _Start(float(before @ after / (before @ before)), float(before @ after / length))
+
+
+def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ...]:
+    middle, spread = float(np.median(logs)), float(np.subtract(*np.percentile(logs, [75, 25])))
+    if abs(middle) < _OFF or spread > _AGREEING:
+        return ()
+    ratio = float(np.exp(middle))
+    evidence = (
+        f"the step from frame 0 to 1 goes on in the direction of the initial velocity and is {ratio:.2f} times as long"
+        f" (median of {len(logs)} starts in movement, middle half within {np.exp(spread / 2):.2f} times)"
+    )
+    fast = "fast" if ratio > 1 else "slowly"
+    made = f"{motion_set.fps / ratio:.3g} frames a second shown at {motion_set.fps:g}"
+    cause = f"motions are played too {fast}: they look like {made}"
+    return (Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, AT_RATE),)
 
 
 def tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
@@ -103,64 +216,6 @@ def _peaks(speed: np.ndarray) -> np.ndarray:
     return 1 + np.flatnonzero((inner > speed[:-2]) & (inner >= speed[2:]) & (inner > 0.3 * speed.max()))
 
 
-_CONTINUES, _BEGINS_THERE = 0.8, 0.05  # cosine between velocities; metres between frame 0 and the initial pose
-_SLOWEST = 0.05  # m/s of the joints' root mean square: slower starts are noise
-_OFF = np.log(1.2)
-_AGREEING = 0.25  # interquartile range of the logarithm of the ratio
-_ENOUGH = 5
-
-
-@dataclass(frozen=True)
-class _Start:
-    """How a motion goes on from the initial state."""
-
-    ratio: float
-    """First step over the step before it."""
-    cosine: float
-
-
-def examine_frame_rate(motion_set: MotionSet) -> Finding:
-    """Compare first steps with initial velocities; without these, look at how long feet and hands take."""
-    if motion_set.pinned:
-        return no_finding(motion_set)
-    starts = [
-        start
-        for motion, expected in zip(motion_set.motions, motion_set.expected, strict=True)
-        if (start := _start(motion, expected, motion_set.fps)) is not None
-    ]
-    going_on = [start.ratio for start in starts if start.cosine > _CONTINUES and start.ratio > 0]
-    if len(going_on) * 2 > len(starts) and len(going_on) >= 3:
-        return Finding(_by_velocity(np.log(going_on), motion_set), motion_set)
-    return Finding(tempo_of_limbs(motion_set), motion_set)
-
-
-def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
-    initial, previous = expected.initial_joints, expected.previous_joints
-    if initial is None or previous is None or len(motion) < 2:
-        return None
-    before, after = (initial - previous).ravel(), (motion[1] - motion[0]).ravel()
-    speed = float(np.sqrt((before**2).sum() / len(initial))) * fps
-    if speed < _SLOWEST or float(np.abs(motion[0] - initial).max()) > _BEGINS_THERE:
-        return None
-    length = max(float(np.linalg.norm(before) * np.linalg.norm(after)), 1e-12)
-    return _Start(float(before @ after / (before @ before)), float(before @ after / length))
-
-
-def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ...]:
-    middle, spread = float(np.median(logs)), float(np.subtract(*np.percentile(logs, [75, 25])))
-    if abs(middle) < _OFF or spread > _AGREEING:
-        return ()
-    ratio = float(np.exp(middle))
-    evidence = (
-        f"the step from frame 0 to 1 goes on in the direction of the initial velocity and is {ratio:.2f} times as long"
-        f" (median of {len(logs)} starts in movement, middle half within {np.exp(spread / 2):.2f} times)"
-    )
-    fast = "fast" if ratio > 1 else "slowly"
-    made = f"{motion_set.fps / ratio:.3g} frames a second shown at {motion_set.fps:g}"
-    cause = f"motions are played too {fast}: they look like {made}"
-    return (Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, AT_RATE),)
-
-
 def at_places(motion: np.ndarray, places: np.ndarray) -> np.ndarray:
     """The motion at fractional frames, on straight lines between frames; held beyond both ends."""
     flat = motion.reshape(len(motion), -1)
@@ -171,62 +226,3 @@ def at_places(motion: np.ndarray, places: np.ndarray) -> np.ndarray:
 def at_length(motion: np.ndarray, n_frames: int) -> np.ndarray:
     """The motion played in another number of frames, its ends kept."""
     return at_places(motion, np.linspace(0, len(motion) - 1, n_frames))
-
-
-_SAME_RATIO = 0.02  # spread of the logarithm of the ratio
-_NEAR = 0.025
-_RATES = (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 40.0, 50.0, 59.94, 60.0, 90.0, 100.0, 120.0)
-
-
-def examine_length(motion_set: MotionSet) -> Finding:
-    """Compare numbers of frames: a common ratio is another frame rate, a common number is a fixed window."""
-    known = [row for row, expected in enumerate(motion_set.expected) if expected.n_frames is not None]
-    found = np.array([len(motion_set.motions[row]) for row in known])
-    asked = np.array([motion_set.expected[row].n_frames for row in known])
-    wrong = found != asked
-    if not wrong.any():
-        return no_finding(motion_set)
-    lines = f"another length in {motion_set.in_words(int(wrong.sum()))}, {_example(found, asked)}"
-    ratios = np.log((found - 1).clip(1) / (asked - 1).clip(1))
-    ratio = float(np.exp(np.median(ratios)))
-    differences = found - asked
-    undone = motion_set
-    kind, remedy = "length", "Return as many frames as were asked for (n_frames)."
-    if (differences[wrong] == -1).all():
-        cause = "the last frame is missing: 263 features hold a step to the next frame and lose one"
-        remedy += " Encode one frame more, or repeat none: extrapolate the last."
-    elif (
-        wrong.all()
-        and (rate := _rate(motion_set.fps * ratio))
-        and np.ptp(ratios) < _SAME_RATIO + 4 / float(found.min())
-    ):
-        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
-        remedy = AT_RATE
-        undone = _stretched(motion_set, known)
-    elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
-        cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
-    else:
-        cause = "motions end where the model stopped, or were stretched by a factor that is no usual frame rate"
-    diagnosis = Diagnosis(kind, True, lines, cause, remedy)
-    return Finding((diagnosis,), undone)
-
-
-def _example(found: np.ndarray, asked: np.ndarray) -> str:
-    row = int(np.argmax(found != asked))
-    ratio = np.median((found - 1).clip(1) / (asked - 1).clip(1))
-    return f"such as {found[row]} frames instead of {asked[row]}; time is stretched by {ratio:.3f} (median)"
-
-
-def _rate(exact: float) -> float | None:
-    """The usual rate that a measured one is, if it is one."""
-    nearest = min(_RATES, key=lambda rate: abs(np.log(rate / exact)))
-    return nearest if abs(np.log(nearest / exact)) < _NEAR else None
-
-
-def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
-    motions = list(motion_set.motions)
-    for row in known:
-        n_frames = motion_set.expected[row].n_frames
-        if n_frames is not None and len(motions[row]) > 1:
-            motions[row] = at_length(motions[row], n_frames)
-    return dataclasses.replace(motion_set, motions=tuple(motions))

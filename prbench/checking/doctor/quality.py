@@ -14,6 +14,7 @@ from prbench.skeleton import BONES, Joint, bone_lengths
 _TREMBLING, _TREMOR = 1.2, 0.003  # second over first differences (noise 1.7, movement 0.3); metres
 SMOOTHED_OVER = 1.5
 """Standard deviation of the Gaussian in :func:`smoothed`, frames."""
+_STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
 
 
 @dataclass(frozen=True)
@@ -40,16 +41,6 @@ class Tremor:
         if not ratios or np.median(ratios) < _TREMBLING or np.median(sizes) < _TREMOR:
             return None
         return cls(float(np.median(ratios)), float(np.median(sizes)), len(ratios))
-
-
-def smoothed(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
-    """The motion without what changes from frame to frame."""
-    from scipy.ndimage import gaussian_filter1d  # late: 0.3 s that a run and its workers do not need
-
-    return gaussian_filter1d(motion, SMOOTHED_OVER, axis=0, mode="nearest")
-
-
-_STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
 
 
 def examine_quality(motion_set: MotionSet) -> Finding:
@@ -91,3 +82,10 @@ def _trembling(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
     cause = "noise of a sampler with few steps, or frames that are generated without their neighbours"
     remedy = "Sample with more steps or smooth the joints; metrics of the head and of feet suffer from it."
     return (Diagnosis("jitter", False, evidence, cause, remedy),)
+
+
+def smoothed(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
+    """The motion without what changes from frame to frame."""
+    from scipy.ndimage import gaussian_filter1d  # late: 0.3 s that a run and its workers do not need
+
+    return gaussian_filter1d(motion, SMOOTHED_OVER, axis=0, mode="nearest")

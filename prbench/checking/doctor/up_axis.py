@@ -12,6 +12,7 @@ from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no
 
 _NAMES = "xyz"
 UP = np.array([0.0, 1.0, 0.0])
+_CLEAR, _TILTED = 35.0, 25.0  # degrees between bodies and an axis
 
 
 @dataclass(frozen=True)
@@ -53,26 +54,6 @@ class Exchange:
         return f"np.stack([{', '.join(parts)}], axis=-1)"
 
 
-EXCHANGES = tuple(
-    Exchange((first, second, third), (one, two, three))
-    for first, second, third in permutations(range(3))
-    for one, two, three in product((1, -1), repeat=3)
-)
-
-
-def nearest_axis(direction: np.ndarray) -> tuple[str, np.ndarray, float]:
-    """Name and unit vector of the signed axis next to a direction, and the angle between them in degrees."""
-    axis = int(np.abs(direction).argmax())
-    sign = 1.0 if direction[axis] >= 0 else -1.0
-    vector = np.zeros(3)
-    vector[axis] = sign
-    cosine = float(direction @ vector / max(float(np.linalg.norm(direction)), 1e-12))
-    return f"{'+' if sign > 0 else '-'}{_NAMES[axis]}", vector, float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
-
-
-_CLEAR, _TILTED = 35.0, 25.0  # degrees between bodies and an axis
-
-
 def examine_up_axis(motion_set: MotionSet) -> Finding:
     """Find the axis along which bodies stand, from their ankles to their heads."""
     poses = motion_set.poses()
@@ -111,3 +92,20 @@ def _best(motion_set: MotionSet, axis: np.ndarray, *, mirrored: bool) -> Exchang
 def _leaning(evidence: str) -> Diagnosis:
     cause = "the world is tilted (gravity was not estimated, or a camera's frame was kept), or people lean or lie"
     return Diagnosis("up-axis", False, evidence, cause, "Turn the world so that gravity points along -y.")
+
+
+def nearest_axis(direction: np.ndarray) -> tuple[str, np.ndarray, float]:
+    """Name and unit vector of the signed axis next to a direction, and the angle between them in degrees."""
+    axis = int(np.abs(direction).argmax())
+    sign = 1.0 if direction[axis] >= 0 else -1.0
+    vector = np.zeros(3)
+    vector[axis] = sign
+    cosine = float(direction @ vector / max(float(np.linalg.norm(direction)), 1e-12))
+    return f"{'+' if sign > 0 else '-'}{_NAMES[axis]}", vector, float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
+
+
+EXCHANGES = tuple(
+    Exchange((first, second, third), (one, two, three))
+    for first, second, third in permutations(range(3))
+    for one, two, three in product((1, -1), repeat=3)
+)

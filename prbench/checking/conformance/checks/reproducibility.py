@@ -19,6 +19,12 @@ _OWN_GENERATORS = Remedy(
     "Draw from one generator a sequence, made of the noise_seed of its row alone (numpy.random.default_rng(noise_seed),"
     " SplitMix64 …).",
 )
+_ROUNDING = np.float32(1e-6)  # metres; about the last digit of a float32 position some metres away
+_AMPLIFIED = 30.0  # how much more than such a nudge another batch may move a motion of a method that amplifies rounding
+_OWN_ROW = (
+    "Every row is complete in itself: draw its noise from its own noise_seed, mask padding in attention, losses and"
+    " averages, and let no statistic (batch normalisation, the longest row, a common stopping rule) run over rows."
+)
 
 
 @check("determinism", "the same batch gives the same motions", of_motions=True)
@@ -112,34 +118,6 @@ def process(subject: Subject) -> Iterator[Observation]:
     yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
 
 
-def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
-    """Equal bytes pass, rounding is a remark, anything else a failure."""
-    if second.motions is None:
-        return failed(f"{when}: {second.error}", remedy)
-    if same_bytes(first, second):
-        return passed(f"{when}: the same bytes.", change_m=0.0)
-    moved = largest_changes(first, second).max()
-    if moved <= TOLERANCE:
-        return warning(
-            f"{when}: joints moved by up to {moved:.1e} m.",
-            "That is rounding; resumed runs may differ in the last digits."
-            " torch.use_deterministic_algorithms(True) names the operations.",
-            change_m=moved,
-        )
-    return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
-
-
-CHECKS = (determinism, global_random, noise_seed, process, single_row, batch)
-
-
-_ROUNDING = np.float32(1e-6)  # metres; about the last digit of a float32 position some metres away
-_AMPLIFIED = 30.0  # how much more than such a nudge another batch may move a motion of a method that amplifies rounding
-_OWN_ROW = (
-    "Every row is complete in itself: draw its noise from its own noise_seed, mask padding in attention, losses and"
-    " averages, and let no statistic (batch normalisation, the longest row, a common stopping rule) run over rows."
-)
-
-
 @check("single-row", "a batch of one sequence works", of_motions=True)
 def single_row(subject: Subject) -> Iterator[Observation]:
     """The first sequence alone."""
@@ -178,6 +156,23 @@ def batch(subject: Subject) -> Iterator[Observation]:
     yield _judged(subject, first, moved)
 
 
+def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
+    """Equal bytes pass, rounding is a remark, anything else a failure."""
+    if second.motions is None:
+        return failed(f"{when}: {second.error}", remedy)
+    if same_bytes(first, second):
+        return passed(f"{when}: the same bytes.", change_m=0.0)
+    moved = largest_changes(first, second).max()
+    if moved <= TOLERANCE:
+        return warning(
+            f"{when}: joints moved by up to {moved:.1e} m.",
+            "That is rounding; resumed runs may differ in the last digits."
+            " torch.use_deterministic_algorithms(True) names the operations.",
+            change_m=moved,
+        )
+    return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
+
+
 def _judged(subject: Subject, first: Answer, moved: dict[str, float]) -> Observation:
     most = max(moved.values())
     told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
@@ -214,3 +209,6 @@ def _rows(whole: ConditionBatch, rows: list[int]) -> ConditionBatch:
         elif isinstance(values, np.ndarray):
             changed[field.name] = values[rows]
     return dataclasses.replace(whole, **changed)
+
+
+CHECKS = (determinism, global_random, noise_seed, process, single_row, batch)
