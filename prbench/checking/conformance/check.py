@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from prbench.checking.conformance.report import Finding, Observation, Outcome, failed, skipped
 from prbench.checking.conformance.subject import Subject
 
-Examine = Callable[[Subject], Iterable[Observation]]
+_Examine = Callable[[Subject], Iterable[Observation]]
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Check:
     name: str
     title: str
     """What is asked, for lists and headings."""
-    examine: Examine
+    examine: _Examine
     needs: tuple[str, ...] = ()
     """Checks that must not have failed; a fault that explains others is reported alone."""
     of_motions: bool = False
@@ -29,10 +29,10 @@ class Check:
 
 def check(
     name: str, title: str, *, needs: tuple[str, ...] = (), of_motions: bool = False, fresh: bool = False
-) -> Callable[[Examine], Check]:
+) -> Callable[[_Examine], Check]:
     """Make a check of a function; the arguments are those of :class:`Check`."""
 
-    def made(examine: Examine) -> Check:
+    def made(examine: _Examine) -> Check:
         return Check(name, title, examine, needs, of_motions, fresh)
 
     return made

@@ -34,7 +34,7 @@ _MODULE = "prbench.checking.conformance.child"
 _SHOWN_LINES = 5
 _OTHERWISE = 120.0
 _HEARTBEAT = 10.0  # seconds between words about the same work
-Announce = Callable[[str, int, int], None]
+_Announce = Callable[[str, int, int], None]
 """Called before each check with its name, its place and how many there are."""
 _GRACE = 10.0  # seconds
 _STARTS = ("import", "load")
@@ -46,12 +46,12 @@ _LOST = (
 _SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-limit."
 
 
-class Lost(Exception):
+class _Lost(Exception):
     """The child crashed, or the method did not come to an end; the text says so."""
 
 
 @dataclass(frozen=True)
-class Event:
+class _Event:
     """A finding, a word about what takes so long, or the beginning of the next check."""
 
     finding: Finding | None = None
@@ -59,7 +59,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class TimeLimits:
+class _TimeLimits:
     """Seconds."""
 
     call: float
@@ -74,7 +74,7 @@ class TimeLimits:
         return self.call if event == "asking" else max(self.call, _OTHERWISE)
 
 
-class ChildProcess:
+class _ChildProcess:
     """Runs some checks in a process of its own, which may crash or hang."""
 
     def __init__(self, request: CheckRequest, checks: list[str], known: Mapping[str, str], folder: Path) -> None:
@@ -97,7 +97,7 @@ class ChildProcess:
         self._lines: queue.Queue[bytes] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
 
-    def __enter__(self) -> ChildProcess:
+    def __enter__(self) -> _ChildProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -109,7 +109,7 @@ class ChildProcess:
         self._process.wait()
         self._log.close()
 
-    def events(self, limits: TimeLimits) -> Iterator[Event]:
+    def events(self, limits: _TimeLimits) -> Iterator[_Event]:
         """What the child does, until it has done everything.
 
         Raises:
@@ -121,20 +121,20 @@ class ChildProcess:
             while (line := self._next(min(_HEARTBEAT, limit - (time.monotonic() - began)))) is None:
                 waited = time.monotonic() - began
                 if waited >= limit:
-                    raise Lost(f"no end after {limit:g} s{self._story()}")
-                yield Event(waiting=f"{self._doing or 'while at work'}, {waited:.0f} s so far".removeprefix("while "))
+                    raise _Lost(f"no end after {limit:g} s{self._story()}")
+                yield _Event(waiting=f"{self._doing or 'while at work'}, {waited:.0f} s so far".removeprefix("while "))
             if not line:
-                raise Lost(f"the process of the method {exit_story(self._process.wait())}{self._story()}")
+                raise _Lost(f"the process of the method {exit_story(self._process.wait())}{self._story()}")
             message = json.loads(line)
             if message["event"] == "end":
                 return
             self._doing = message.get("text", "")
             limit = limits.of(message["event"])
             if message["event"] == "check":
-                yield Event()
+                yield _Event()
             elif message["event"] == "finding":
                 found = message["finding"]
-                yield Event(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
+                yield _Event(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
 
     def _next(self, patience: float) -> bytes | None:
         """The next line, empty at the end; None if it does not come."""
@@ -161,7 +161,7 @@ class ChildProcess:
 class _Session:
     """All checks of one method, and what came of them so far."""
 
-    def __init__(self, request: CheckRequest, limits: TimeLimits, folder: Path, announce: Announce) -> None:
+    def __init__(self, request: CheckRequest, limits: _TimeLimits, folder: Path, announce: _Announce) -> None:
         self.request, self.limits, self.folder, self.announce = request, limits, folder, announce
         self.findings: list[Finding] = []
         self._announced = 0
@@ -180,7 +180,7 @@ class _Session:
         """As far as one child comes; returns what is left."""
         left, under_way = list(checks), None
         known = {name: outcome.value for name, outcome in self._known().items()}
-        with ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
+        with _ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
             try:
                 for event in child.events(self.limits):
                     if event.finding is not None:
@@ -192,7 +192,7 @@ class _Session:
                         under_way, left = left[0], left[1:]
                         self._announced += 1
                         self.announce(under_way.name, self._announced, len(CHECKS))
-            except Lost as lost:
+            except _Lost as lost:
                 blamed = under_way or left.pop(0)
                 self._lost.append(blamed.name)
                 remedy = f"{_LOST} {_SLOW_START}" if blamed.name in _STARTS else _LOST
@@ -216,7 +216,7 @@ def _descendants(pid: int) -> list[psutil.Process]:
     return []
 
 
-def check(request: CheckRequest, announce: Announce | None = None) -> Report:
+def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
     """Look at a method in every respect that the contract names.
 
     Args:
@@ -252,8 +252,8 @@ def _possible(request: CheckRequest) -> MethodSpec:
     return spec
 
 
-def _limits(request: CheckRequest, spec: MethodSpec) -> TimeLimits:
+def _limits(request: CheckRequest, spec: MethodSpec) -> _TimeLimits:
     """A program's own limits come a little earlier: they say more about what happened."""
     if spec.program is None:
-        return TimeLimits(request.time_limit, request.start_limit)
-    return TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)
+        return _TimeLimits(request.time_limit, request.start_limit)
+    return _TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)

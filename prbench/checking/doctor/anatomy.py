@@ -10,9 +10,9 @@ import numpy as np
 from prbench.representation import REST_OFFSETS
 from prbench.skeleton import PARENTS, Joint
 
-LEFTS = [joint for joint in Joint if joint.name.startswith("LEFT")]
-RIGHTS = [joint for joint in Joint if joint.name.startswith("RIGHT")]
-PARTS = tuple(joint.name.removeprefix("LEFT_").lower() for joint in LEFTS)
+_LEFTS = [joint for joint in Joint if joint.name.startswith("LEFT")]
+_RIGHTS = [joint for joint in Joint if joint.name.startswith("RIGHT")]
+PARTS = tuple(joint.name.removeprefix("LEFT_").lower() for joint in _LEFTS)
 """What exists on both sides, from the hips to the wrists."""
 _NEGLIGIBLE = 1e-9
 _NAMES = tuple(joint.name.lower() for joint in Joint)
@@ -113,7 +113,7 @@ def front(poses: np.ndarray) -> np.ndarray:
 def sideways_agreement(poses: np.ndarray) -> np.ndarray:
     """For hips, knees … wrists whether left lies on the side of the left hip: 1 always, -1 never; (8 parts,)."""
     hips = left_of_hips(poses)
-    sideways = ((poses[:, LEFTS] - poses[:, RIGHTS]) * hips[:, None]).sum(axis=-1)
+    sideways = ((poses[:, _LEFTS] - poses[:, _RIGHTS]) * hips[:, None]).sum(axis=-1)
     return sideways.mean(axis=0) / np.maximum(np.abs(sideways).mean(axis=0), _NEGLIGIBLE)
 
 
@@ -125,7 +125,7 @@ def sidedness(poses: np.ndarray, left: np.ndarray) -> np.ndarray:
 def with_sides(index: Sequence[int], exchanged: np.ndarray) -> list[int]:
     """An index of joints with left and right exchanged for some of :data:`PARTS`."""
     result = list(index)
-    for left, right, swap in zip(LEFTS, RIGHTS, exchanged, strict=True):
+    for left, right, swap in zip(_LEFTS, _RIGHTS, exchanged, strict=True):
         if swap:
             result[left], result[right] = result[right], result[left]
     return result

@@ -22,7 +22,7 @@ _FRESH_START = 1.7  # first step after a hold, in steps that follow it
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class _Steps:
     """From each frame of a motion to the next: mean distance that joints move, metres."""
 
     sizes: np.ndarray
@@ -31,7 +31,7 @@ class Steps:
     """Cosine between each step and the next, over all joints: near 1 in movement, anything in jitter."""
 
     @classmethod
-    def of(cls, motion: np.ndarray) -> Steps:
+    def of(cls, motion: np.ndarray) -> _Steps:
         """Measure a motion."""
         steps = np.diff(motion, axis=0)
         sizes = np.linalg.norm(steps, axis=-1).mean(axis=-1)
@@ -62,7 +62,7 @@ def examine_clock(motion_set: MotionSet) -> Finding:
     """Look for frames that are repeated, left out, or held."""
     repeats = _repeats(motion_set)
     holds = _holds(repeats.motion_set)
-    uneven = () if repeats.diagnoses else examine_steps(holds.motion_set)
+    uneven = () if repeats.diagnoses else _examine_steps(holds.motion_set)
     return Finding((*repeats.diagnoses, *holds.diagnoses, *uneven), holds.motion_set)
 
 
@@ -70,7 +70,7 @@ def _repeats(motion_set: MotionSet) -> Finding:
     """Single frames that stand twice or more in the midst of movement."""
     found: dict[int, np.ndarray] = {}
     for row, motion in enumerate(motion_set.motions):
-        steps = Steps.of(motion)
+        steps = _Steps.of(motion)
         inside = _short_holds(steps)
         moving = (~steps.still).sum()
         if steps.usual > 0 and inside.sum() >= 3 and inside.sum() >= 0.03 * moving:
@@ -97,7 +97,7 @@ def _repeats(motion_set: MotionSet) -> Finding:
     return Finding((Diagnosis("clock", True, evidence, cause, AT_RATE),), motion_set.with_motions(undone))
 
 
-def _short_holds(steps: Steps) -> np.ndarray:
+def _short_holds(steps: _Steps) -> np.ndarray:
     """Still steps in runs shorter than a hold that begin and end in movement."""
     still = steps.still
     edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
@@ -159,7 +159,7 @@ def _held(motion_set: MotionSet, *, at_end: bool) -> dict[int, tuple[int, float]
     """For each motion that is held at one end: how many frames, and the speed next to them (m/s)."""
     held = {}
     for row, motion in enumerate(motion_set.motions):
-        steps = Steps.of(motion[::-1] if at_end else motion)
+        steps = _Steps.of(motion[::-1] if at_end else motion)
         moving = np.flatnonzero(~steps.still)
         if steps.usual == 0 or not moving.size or moving[0] < _SHORTEST_HOLD:
             continue
@@ -170,13 +170,13 @@ def _held(motion_set: MotionSet, *, at_end: bool) -> dict[int, tuple[int, float]
 
 
 def _without_holds(motion: np.ndarray) -> np.ndarray:
-    moving = np.flatnonzero(~Steps.of(motion).still)
+    moving = np.flatnonzero(~_Steps.of(motion).still)
     return motion[moving[0] : moving[-1] + 2] if moving.size else motion
 
 
-def examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
+def _examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     """Steps that are long and short in turns, or too long now and then."""
-    steps = [Steps.of(motion) for motion in motion_set.motions]
+    steps = [_Steps.of(motion) for motion in motion_set.motions]
     rhythm = _common_rhythm(steps, motion_set.fps)
     if rhythm is not None:
         evidence = (
@@ -200,7 +200,7 @@ def examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     return (Diagnosis("clock", True, evidence, cause, AT_TIMES),)
 
 
-def _common_rhythm(steps: Sequence[Steps], fps: float) -> _Rhythm | None:
+def _common_rhythm(steps: Sequence[_Steps], fps: float) -> _Rhythm | None:
     """The rhythm of more than half of the motions that are long enough, if there is one."""
     best: _Rhythm | None = None
     for period in range(2, _LONGEST_PERIOD + 1):
@@ -214,7 +214,7 @@ def _common_rhythm(steps: Sequence[Steps], fps: float) -> _Rhythm | None:
     return best
 
 
-def _standing_out(steps: Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
+def _standing_out(steps: _Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
     """How much each inner step stands out from its two neighbours (log), and where all three are fast and straight."""
     logs = np.log(np.maximum(steps.sizes, 1e-9))
     out = logs[1:-1] - (logs[:-2] + logs[2:]) / 2
@@ -223,12 +223,12 @@ def _standing_out(steps: Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
     return out, (triples.mean(axis=1) > slow) & (np.minimum(steps.straight[1:], steps.straight[:-1]) > _STRAIGHT)
 
 
-def _moving(steps: Steps, fps: float) -> int:
+def _moving(steps: _Steps, fps: float) -> int:
     """How many steps are fast, in one direction or to and fro."""
     return int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum())
 
 
-def _rhythm(steps: Steps, period: int, fps: float) -> _Rhythm | None:
+def _rhythm(steps: _Steps, period: int, fps: float) -> _Rhythm | None:
     if len(steps.sizes) < 4 * period + 2 or steps.usual == 0:
         return None
     out, fast = _standing_out(steps, fps)
@@ -246,7 +246,7 @@ def _rhythm(steps: Steps, period: int, fps: float) -> _Rhythm | None:
     return _Rhythm(period, adjusted, float(means.max()), 1)
 
 
-def _leaps(steps: Steps, fps: float) -> int:
+def _leaps(steps: _Steps, fps: float) -> int:
     """How many single steps are about twice as long as two on each side, which agree with each other."""
     if len(steps.sizes) < 6 or steps.usual == 0:
         return 0

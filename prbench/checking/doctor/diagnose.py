@@ -20,7 +20,7 @@ from prbench.checking.doctor.shape import examine_shape
 from prbench.checking.doctor.up_axis import examine_up_axis
 
 
-def examine_time(motion_set: MotionSet) -> Finding:
+def _examine_time(motion_set: MotionSet) -> Finding:
     """One diagnosis of the clock: a stumbling clock also changes speeds, and a wrong rate also moves instants."""
     findings = []
     for examine in (examine_clock, examine_recorded_clock):  # what the recording proves outweighs a suspicion
@@ -47,7 +47,7 @@ _EXAMINATIONS: tuple[Examination, ...] = (
     examine_position,
     examine_floor,
     examine_length,
-    examine_time,
+    _examine_time,
     examine_quality,
 )
 """In the order in which faults hide one another."""

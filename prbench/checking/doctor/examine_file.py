@@ -20,12 +20,12 @@ from prbench.submitted.offline.conditions_file import ConditionsFile
 
 _COLUMNS = ("fps", "joints", "previous_joints", "goal_location")
 DEFAULT_LIMIT = 200
-DEFAULT_FPS = 20.0
+_DEFAULT_FPS = 20.0
 """The protocol's rate, for files that nothing else is known of."""
 
 
 @dataclass(frozen=True)
-class Known:
+class _Known:
     """Expectations for some motions."""
 
     expected: tuple[Expected, ...]
@@ -81,22 +81,22 @@ def examine_file(request: DoctorRequest) -> DoctorReport:
     """
     read = read_motions(request.path, limit=request.limit)
     known = _known(read.motions, request)
-    fps = request.fps or (known.fps if known is not None else None) or DEFAULT_FPS
+    fps = request.fps or (known.fps if known is not None else None) or _DEFAULT_FPS
     found = diagnose([each.values for each in read.motions], known.expected if known else None, fps=fps)
     shapes = tuple(dict.fromkeys(str(each.values.shape) for each in read.motions))[:5]
     compared = known.matched if known else 0
     return DoctorReport(request.path, read.total, len(read.motions), compared, shapes, fps, found)
 
 
-def _known(motions: tuple[NamedMotion, ...], request: DoctorRequest) -> Known | None:
-    conditions = None if request.conditions is None else from_conditions(motions, request.conditions)
-    table = from_table(motions, request.data, seed=request.seed) if request.data else None
+def _known(motions: tuple[NamedMotion, ...], request: DoctorRequest) -> _Known | None:
+    conditions = None if request.conditions is None else _from_conditions(motions, request.conditions)
+    table = _from_table(motions, request.data, seed=request.seed) if request.data else None
     if conditions is not None and table is not None:
-        return joined(table, conditions)
+        return _joined(table, conditions)
     return conditions or table
 
 
-def from_table(motions: Sequence[NamedMotion], folders: Sequence[Path], *, seed: int) -> Known:
+def _from_table(motions: Sequence[NamedMotion], folders: Sequence[Path], *, seed: int) -> _Known:
     """Match motions with rows of tables, by sequence id or by opaque id.
 
     Args:
@@ -142,7 +142,7 @@ def _rows(table: SequenceTable, ids: frozenset[str]) -> list[tuple[str, Expected
     return rows
 
 
-def from_conditions(motions: Sequence[NamedMotion], path: Path) -> Known:
+def _from_conditions(motions: Sequence[NamedMotion], path: Path) -> _Known:
     """Match motions with rows of a conditions file: by opaque id, by number, or in order where there are no names.
 
     Raises:
@@ -166,7 +166,7 @@ def _of_row(conditions: ConditionsFile, row: int) -> Expected:
     return Expected(n_frames=int(conditions.n_frames[row]), fps=float(conditions.fps[row]), **given)
 
 
-def _matched(motions: Sequence[NamedMotion], found: dict[str, Expected], what: str) -> Known:
+def _matched(motions: Sequence[NamedMotion], found: dict[str, Expected], what: str) -> _Known:
     expected = tuple(found.get(motion.name, NOTHING_KNOWN) for motion in motions)
     matched = sum(each is not NOTHING_KNOWN for each in expected)
     if not matched:
@@ -176,13 +176,13 @@ def _matched(motions: Sequence[NamedMotion], found: dict[str, Expected], what: s
             " opaque_id (with the right --seed), or leave --data and --conditions out."
         )
     rates = {each.fps for each in expected if each.fps is not None}
-    return Known(expected, matched, rates.pop() if len(rates) == 1 else None)
+    return _Known(expected, matched, rates.pop() if len(rates) == 1 else None)
 
 
-def joined(table: Known, conditions: Known) -> Known:
+def _joined(table: _Known, conditions: _Known) -> _Known:
     """Both together; what the conditions asked for (length and rate) counts, and the table adds the recorded motion."""
     expected = tuple(
         replace(mine, recorded=theirs.recorded if mine.n_frames == theirs.n_frames else None)
         for mine, theirs in zip(conditions.expected, table.expected, strict=True)
     )
-    return Known(expected, conditions.matched, conditions.fps)
+    return _Known(expected, conditions.matched, conditions.fps)

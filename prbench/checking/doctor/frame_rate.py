@@ -90,7 +90,7 @@ def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
     for row in known:
         n_frames = motion_set.expected[row].n_frames
         if n_frames is not None and len(motions[row]) > 1:
-            motions[row] = at_length(motions[row], n_frames)
+            motions[row] = _at_length(motions[row], n_frames)
     return dataclasses.replace(motion_set, motions=tuple(motions))
 
 
@@ -106,7 +106,7 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding:
     going_on = [start.ratio for start in starts if start.cosine > _CONTINUES and start.ratio > 0]
     if len(going_on) * 2 > len(starts) and len(going_on) >= 3:
         return Finding(_by_velocity(np.log(going_on), motion_set), motion_set)
-    return Finding(tempo_of_limbs(motion_set), motion_set)
+    return Finding(_tempo_of_limbs(motion_set), motion_set)
 
 
 def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
@@ -136,7 +136,7 @@ def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ..
     return (Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, AT_RATE),)
 
 
-def tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
+def _tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     """Suspicious durations of steps, or of reaches where nobody steps.
 
     Trembling moves the places at which a swing begins and ends, and makes swings of its own. So it is smoothed away
@@ -223,6 +223,6 @@ def at_places(motion: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(places, frames, column) for column in flat.T], axis=1).reshape(-1, *motion.shape[1:])
 
 
-def at_length(motion: np.ndarray, n_frames: int) -> np.ndarray:
+def _at_length(motion: np.ndarray, n_frames: int) -> np.ndarray:
     """The motion played in another number of frames, its ends kept."""
     return at_places(motion, np.linspace(0, len(motion) - 1, n_frames))

@@ -73,7 +73,7 @@ def examine_joint_order(motion_set: MotionSet) -> Finding:
 
 def _recovered(motion_set: MotionSet, distances: Distances) -> list[int] | None:
     """An order of its own, with left and right where the body's front and hips have them."""
-    index = recovered_order(distances)
+    index = _recovered_order(distances)
     if index is None:
         return None
     crossed = sideways_agreement(motion_set.poses()[:, index]) < 0
@@ -180,7 +180,7 @@ def _no_body(motion_set: MotionSet, misfit: float) -> Finding:
     return Finding((found,), motion_set, unreadable=True)
 
 
-def recovered_order(distances: Distances) -> list[int] | None:
+def _recovered_order(distances: Distances) -> list[int] | None:
     """The index that puts 22 joints into HumanML3D's order, or None if none gives a body.
 
     Exchanges pairs of joints as long as bones get better, from many starts. Distances alone do not tell left from

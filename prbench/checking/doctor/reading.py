@@ -34,7 +34,7 @@ class NamedMotion:
 
 
 @dataclass(frozen=True)
-class MotionsRead:
+class _MotionsRead:
     """The motions of a file, or some of them."""
 
     motions: tuple[NamedMotion, ...]
@@ -43,7 +43,7 @@ class MotionsRead:
 
 
 @foreign_input()
-def read_motions(path: Path, *, limit: int | None = None) -> MotionsRead:
+def read_motions(path: Path, *, limit: int | None = None) -> _MotionsRead:
     """Read motions without asking that they be right.
 
     Args:
@@ -60,7 +60,7 @@ def read_motions(path: Path, *, limit: int | None = None) -> MotionsRead:
         raise InputFileError(path, "", expected="motions", found="none")
     count = min(len(motions), limit or len(motions))
     chosen = [motions[place] for place in np.linspace(0, len(motions) - 1, count).round().astype(int)]
-    return MotionsRead(tuple(chosen), len(motions))
+    return _MotionsRead(tuple(chosen), len(motions))
 
 
 def _from_folder(path: Path) -> Iterator[NamedMotion]:

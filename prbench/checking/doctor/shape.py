@@ -38,7 +38,7 @@ _CONVERT = "prbench.representation.converters"
 
 
 @dataclass(frozen=True)
-class Reading:
+class _Reading:
     """One way to understand an array."""
 
     form: str
@@ -66,7 +66,7 @@ def examine_shape(motion_set: MotionSet) -> Finding:
     squeezed = motion_set.changed(_squeezed)
     if all(motion.ndim == 2 and N_FEATURES in motion.shape for motion in squeezed.motions):
         return _features(squeezed, evidence)
-    reading = best_reading(squeezed.motions)
+    reading = _best_reading(squeezed.motions)
     if reading is None:
         return Finding((_unknown(squeezed, evidence),), motion_set, unreadable=True)
     read = squeezed.changed(reading.convert)
@@ -133,7 +133,7 @@ def _shown(motion_set: MotionSet) -> str:
     return ", ".join(shapes[:3]) + (f" and {len(shapes) - 3} more" if len(shapes) > 3 else "")
 
 
-def best_reading(motions: tuple[np.ndarray, ...]) -> Reading | None:
+def _best_reading(motions: tuple[np.ndarray, ...]) -> _Reading | None:
     """The way to understand all arrays in which joints move most smoothly and keep their distances best."""
     shapes = [motion.shape for motion in motions]
     if len({len(shape) for shape in shapes}) != 1:
@@ -156,7 +156,7 @@ def _is_a_body(motions: tuple[np.ndarray, ...]) -> bool:
     return fit(Distances.of(finite), {joint.name.lower(): joint.value for joint in Joint}).misfit < 0.3
 
 
-def _readings_of_planes(shapes: list[tuple[int, ...]]) -> list[Reading]:
+def _readings_of_planes(shapes: list[tuple[int, ...]]) -> list[_Reading]:
     readings = []
     for order, form, remedy in (
         ((0, 1, 2), "", ""),
@@ -169,18 +169,18 @@ def _readings_of_planes(shapes: list[tuple[int, ...]]) -> list[Reading]:
         turned = [tuple(shape[axis] for axis in order) for shape in shapes]
         same = len({shape[1] for shape in turned}) == 1
         if same and turned[0][1] in _KNOWN_JOINTS and all(shape[2] == 3 for shape in turned):
-            readings.append(Reading(form, lambda motion, order=order: motion.transpose(order), remedy))
+            readings.append(_Reading(form, lambda motion, order=order: motion.transpose(order), remedy))
     if (
         not readings
         and all(shape[2] == 3 for shape in shapes)
         and len({shape[1] for shape in shapes}) == 1
         and shapes[0][1] > 8
     ):
-        readings.append(Reading("", lambda motion: motion, ""))
+        readings.append(_Reading("", lambda motion: motion, ""))
     return readings
 
 
-def _readings_of_rows(shapes: list[tuple[int, ...]]) -> list[Reading]:
+def _readings_of_rows(shapes: list[tuple[int, ...]]) -> list[_Reading]:
     width = shapes[0][-1]
     if (
         len(shapes[0]) != 2
@@ -192,12 +192,12 @@ def _readings_of_rows(shapes: list[tuple[int, ...]]) -> list[Reading]:
     joints = width // 3
     by_axis = f"joints.reshape(-1, 3, {joints}).transpose(0, 2, 1)"
     return [
-        Reading(
+        _Reading(
             f"{joints} joints after one another, x y z each",
             lambda motion: motion.reshape(-1, joints, 3),
             f"Give every frame its joints: joints.reshape(-1, {joints}, 3).",
         ),
-        Reading(
+        _Reading(
             "all x, then all y, then all z",
             lambda motion: motion.reshape(-1, 3, joints).transpose(0, 2, 1),
             f"Give every frame its joints: {by_axis}.",

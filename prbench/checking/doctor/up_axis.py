@@ -11,12 +11,12 @@ from prbench.checking.doctor.anatomy import body_up, front, left_of_hips, sidedn
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 
 _NAMES = "xyz"
-UP = np.array([0.0, 1.0, 0.0])
+_UP = np.array([0.0, 1.0, 0.0])
 _CLEAR, _TILTED = 35.0, 25.0  # degrees between bodies and an axis
 
 
 @dataclass(frozen=True)
-class Exchange:
+class _Exchange:
     """New axis i is old axis ``axes[i]`` times ``signs[i]``."""
 
     axes: tuple[int, int, int]
@@ -58,7 +58,7 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
     """Find the axis along which bodies stand, from their ankles to their heads."""
     poses = motion_set.poses()
     up = body_up(poses).mean(axis=0)
-    name, axis, angle = nearest_axis(up)
+    name, axis, angle = _nearest_axis(up)
     evidence = (
         f"bodies (ankles to head) point along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}), {angle:.0f} degrees from {name}"
     )
@@ -82,10 +82,10 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
     return Finding((found,), motion_set.changed(exchange))
 
 
-def _best(motion_set: MotionSet, axis: np.ndarray, *, mirrored: bool) -> Exchange:
+def _best(motion_set: MotionSet, axis: np.ndarray, *, mirrored: bool) -> _Exchange:
     """Of the exchanges that take an axis to +Y the one after which first poses face +Z most nearly."""
     facing = front(motion_set.first_poses()).mean(axis=0)
-    fitting = [each for each in EXCHANGES if (each(axis) == UP).all() and each.mirrors is mirrored]
+    fitting = [each for each in _EXCHANGES if (each(axis) == _UP).all() and each.mirrors is mirrored]
     return max(fitting, key=lambda each: (round(float(each(facing)[2]), 1), each.plain, each.signs))
 
 
@@ -94,7 +94,7 @@ def _leaning(evidence: str) -> Diagnosis:
     return Diagnosis("up-axis", False, evidence, cause, "Turn the world so that gravity points along -y.")
 
 
-def nearest_axis(direction: np.ndarray) -> tuple[str, np.ndarray, float]:
+def _nearest_axis(direction: np.ndarray) -> tuple[str, np.ndarray, float]:
     """Name and unit vector of the signed axis next to a direction, and the angle between them in degrees."""
     axis = int(np.abs(direction).argmax())
     sign = 1.0 if direction[axis] >= 0 else -1.0
@@ -104,8 +104,8 @@ def nearest_axis(direction: np.ndarray) -> tuple[str, np.ndarray, float]:
     return f"{'+' if sign > 0 else '-'}{_NAMES[axis]}", vector, float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
 
 
-EXCHANGES = tuple(
-    Exchange((first, second, third), (one, two, three))
+_EXCHANGES = tuple(
+    _Exchange((first, second, third), (one, two, three))
     for first, second, third in permutations(range(3))
     for one, two, three in product((1, -1), repeat=3)
 )

@@ -15,15 +15,15 @@ from prbench.contract import Condition
 from prbench.methods.coordinates import coordinate_problem
 from prbench.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
 
-AWAY_WARNING, AWAY_FAILURE = 0.25, 1.5
+_AWAY_WARNING, _AWAY_FAILURE = 0.25, 1.5
 """Metres between the first pelvis and the canonical origin, on the ground (median over sequences)."""
-TURNED_WARNING, TURNED_FAILURE = 30.0, 90.0
+_TURNED_WARNING, _TURNED_FAILURE = 30.0, 90.0
 """Degrees between the first heading and +Z (median)."""
-FLOOR_WARNING, FLOOR_FAILURE = 0.10, 0.50
+_FLOOR_WARNING, _FLOOR_FAILURE = 0.10, 0.50
 """Metres between the lowest joint of a motion and Y = 0 (median)."""
-INITIAL_WARNING = 0.10
+_INITIAL_WARNING = 0.10
 """Metres between the first frame and the initial pose, mean over joints (median over sequences)."""
-BONES_WARNING, BONES_FAILURE = 0.10, 0.50
+_BONES_WARNING, _BONES_FAILURE = 0.10, 0.50
 """Relative change of bone lengths (median over bones and sequences)."""
 
 _NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
@@ -100,9 +100,9 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
         )
         numbers = {"away_m": away, "turned_deg": turned, "floor_m": floor}
         still = subject.declared.motionless  # an average pose stands where the average person stood
-        if not still and (away > AWAY_FAILURE or turned > TURNED_FAILURE or abs(floor) > FLOOR_FAILURE):
+        if not still and (away > _AWAY_FAILURE or turned > _TURNED_FAILURE or abs(floor) > _FLOOR_FAILURE):
             yield failed(text, _CANONICAL, **numbers)
-        elif away > AWAY_WARNING or turned > TURNED_WARNING or abs(floor) > FLOOR_WARNING:
+        elif away > _AWAY_WARNING or turned > _TURNED_WARNING or abs(floor) > _FLOOR_WARNING:
             yield warning(text, _CANONICAL, **numbers)
         else:
             yield passed(text, **numbers)
@@ -127,7 +127,7 @@ def initial_pose(subject: Subject) -> Iterator[Observation]:
             f" (median; largest {100 * max(errors):.1f} cm; mean over joints)."
         )
         numbers = {"error_m": float(np.median(errors)), "largest_error_m": max(errors)}
-        if np.median(errors) > INITIAL_WARNING:
+        if np.median(errors) > _INITIAL_WARNING:
             yield warning(text, "Frame 0 is the initial pose, not the frame after it.", **numbers)
         else:
             yield passed(text, **numbers)
@@ -161,9 +161,9 @@ def bones(subject: Subject) -> Iterator[Observation]:
                 "These are not 22 joints of a body in metres: are positions filled in at all, and not only rotations?",
                 **numbers,
             )
-        elif worst > BONES_FAILURE:
+        elif worst > _BONES_FAILURE:
             yield failed(text, "Check that all 22 joints are positions of one body in Joint order.", **numbers)
-        elif worst > BONES_WARNING:
+        elif worst > _BONES_WARNING:
             yield warning(
                 text,
                 "Predict rotations, or put the bones back to their length (bone by bone from the pelvis).",
@@ -194,7 +194,7 @@ def goal(subject: Subject) -> Iterator[Observation]:
         yield skipped("it is given no goal.")
 
 
-def millimetres(length: float) -> str:
+def _millimetres(length: float) -> str:
     """A length in millimetres."""
     return f"{1000 * length:.1f} mm"
 

@@ -16,7 +16,7 @@ from prbench.errors import PrbenchError
 from prbench.methods.adapters import find_adapter
 from prbench.methods.weights import used_weights, weights_digest
 
-IMPORT_WARNING = 1.0
+_IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""
 _HEAVY = ("torch", "tensorflow", "jax", "transformers", "pytorch_lightning", "lightning")
 _NO_SUCH_OPTION, _NO_SUCH_WEIGHTS = "prbench-no-such-option", Path("prbench-no-such-weights")
@@ -50,7 +50,7 @@ def imports(subject: Subject) -> Iterator[Observation]:
         return
     seconds = time.perf_counter() - started
     heavy = [name for name in _HEAVY if name in sys.modules and name not in before]
-    if heavy or seconds > IMPORT_WARNING:
+    if heavy or seconds > _IMPORT_WARNING:
         along = f" and brings {', '.join(heavy)} along" if heavy else ""
         yield warning(f"importing {target} takes {seconds:.2f} s{along}.", _LATE, import_s=seconds)
     else:

@@ -18,7 +18,7 @@ from prbench.methods.remote.process import EXIT_SECONDS
 
 _ROUNDS, _FEWEST_ROUNDS, _SETTLING = 14, 8, 3
 _PATIENCE = 20.0  # seconds for all rounds
-GROWTH_WARNING, GROWTH_FAILURE = 32 * 1024, 128 * 1024
+_GROWTH_WARNING, _GROWTH_FAILURE = 32 * 1024, 128 * 1024
 """Bytes a motion that stay behind; 128 KiB are 2.2 GiB in a run over 18,000 sequences."""
 _LEAST_GROWTH = 4 * 1024 * 1024  # bytes in all that count as growth
 
@@ -41,7 +41,7 @@ def memory(subject: Subject) -> Iterator[Observation]:
             if error := subject.ask(usual.batch).error:
                 yield failed(f"in repeated batches: {error}", "Give back what a batch has taken.")
                 return
-            resident.append(resident_bytes())
+            resident.append(_resident_bytes())
     finally:
         gc.unfreeze()
     growth = growth_per_round(np.array(resident[_SETTLING:], dtype=np.float64)) / len(usual.batch)
@@ -49,9 +49,9 @@ def memory(subject: Subject) -> Iterator[Observation]:
     text = f"{growth / 1024:.0f} KiB a motion stayed behind over {rounds} batches; {total:.0f} MiB in all."
     remedy = "Keep nothing of a batch: look for lists and caches that grow, and for torch graphs (torch.no_grad())."
     numbers = {"growth_bytes_a_motion": growth, "resident_mib": total}
-    if growth >= GROWTH_FAILURE:
+    if growth >= _GROWTH_FAILURE:
         yield failed(text, remedy, **numbers)
-    elif growth >= GROWTH_WARNING:
+    elif growth >= _GROWTH_WARNING:
         yield warning(text, remedy, **numbers)
     else:
         yield passed(f"no growth over {rounds} batches; {total:.0f} MiB in all.", **numbers)
@@ -93,7 +93,7 @@ def exits(subject: Subject) -> Iterator[Observation]:
     )
 
 
-def resident_bytes() -> int:
+def _resident_bytes() -> int:
     """Memory of this process and its children; what has just ended counts no more."""
     gc.collect()
     own = psutil.Process()
