@@ -19,7 +19,7 @@ from prbench.submitted.verification import RunChecker, recording_key
 
 @dataclass(frozen=True)
 class ComparedMetric:
-    """One metric of one dataset; the difference is first - second."""
+    """A metric on one dataset; the difference is first - second."""
 
     dataset: str
     info: MetricInfo
@@ -71,7 +71,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
 
 
 def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
-    """Why the scores of a run are unverified; empty if they are not."""
+    """Return why the scores of a run are unverified, or an empty text."""
     record = next(table for table in run.record.tables if table.dataset == dataset)
     why = checker.check(run, record).unverified
     return f"{run.path}: {why}" if why else ""

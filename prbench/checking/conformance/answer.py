@@ -1,4 +1,4 @@
-"""One call of a method, with everything that was seen while it was under way, and distances between two answers."""
+"""Asks a method for motions, notes everything that happens during the call, and compares two answers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from prbench.methods.motions import generate_checked
 from prbench.methods.threads import computing_threads
 
 STATE_SEED = 20_240_607
-"""Of the global generators before every call, so that only the check that is about them sees them at work."""
+"""Seed of the global generators before every call. Only the check of global generators uses another one."""
 _COPIED = ("n_frames", "initial_joints", "previous_joints", "goal_joints", "goal_location")
 TOLERANCE = 1e-4
 """Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
@@ -28,18 +28,18 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method made of a batch."""
+    """The answer of a method to a batch."""
 
     batch: ConditionBatch
     """At the table's rate."""
     motions: Motions | None
     """Checked but for their distance from the origin, float32, at the table's rate; None if they are no motions."""
     error: str = ""
-    """Why, in the harness's words."""
+    """The reason, as the harness words it."""
     returned: object = None
-    """What the method itself gave back."""
+    """The object that the method itself returned."""
     answered: bool = False
-    """It came to its end without raising."""
+    """True if the method returned without raising."""
     seconds: float = 0.0
     halvings: int = 0
     overwritten: tuple[str, ...] = ()
@@ -49,18 +49,18 @@ class Answer:
 
     @property
     def raised(self) -> bool:
-        """The method gave nothing back."""
+        """True if the method returned nothing."""
         return not self.answered
 
     def motion(self, row: int) -> Float[np.ndarray, "frames 22 3"]:
-        """One motion without padding."""
+        """Return one motion without padding, metres."""
         assert self.motions is not None
         return self.motions.joints[row, : int(self.batch.n_frames[row])]
 
 
 @dataclass
 class _Watched:
-    """The method as the harness sees it, with an eye on what goes in and comes out."""
+    """Wraps a method and records what goes in and what comes out."""
 
     adapter: Adapter
     returned: object = None
@@ -89,7 +89,7 @@ class _Watched:
 
 
 def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, threads: int) -> Answer:
-    """One call, as a run makes it; whatever the method raises becomes part of the answer.
+    """Call the method as a run does; whatever it raises becomes part of the answer.
 
     Args:
         adapter: The method.
@@ -127,12 +127,12 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
 
 
 def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
-    """Whose state is another than it was."""
+    """Return the names of the generators whose state differs from ``before``."""
     return tuple(name for name, state in _generator_states().items() if before.get(name, state) != state)
 
 
 def _generator_states() -> dict[str, bytes]:
-    """The state of each global generator, by what a method calls to draw from it."""
+    """Map the name of each global generator to its state."""
     _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
     found = {
         "random": repr(random.getstate()).encode(),
@@ -146,7 +146,7 @@ def _generator_states() -> dict[str, bytes]:
 
 @contextmanager
 def _generators_set_to(seed: int) -> Iterator[None]:
-    """All of them seeded, and afterwards as they were."""
+    """Seed all global generators, and restore their states at the end."""
     python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - put back as it was
     torch = sys.modules.get("torch")
     drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
@@ -164,7 +164,7 @@ def _generators_set_to(seed: int) -> Iterator[None]:
 
 
 def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
-    """Of each motion the largest distance of any joint in any frame between two answers, metres.
+    """Return for each motion the largest distance of any joint in any frame between two answers, metres.
 
     Args:
         first: Any answer with motions.
@@ -181,12 +181,12 @@ def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None
 
 
 def same_bytes(first: Answer, second: Answer) -> bool:
-    """Whether two answers to the same batch hold the same numbers to the last bit."""
+    """Return True if two answers to the same batch hold the same numbers to the last bit."""
     return all(np.array_equal(first.motion(row), second.motion(row)) for row in range(len(first.batch)))
 
 
 def metres(distance: float) -> str:
-    """A distance in the unit in which it is easily read.
+    """Write a distance in a unit that is easy to read.
 
     >>> metres(0.034)
     '3.4 cm'

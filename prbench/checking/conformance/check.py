@@ -1,4 +1,4 @@
-"""What a check is, and how checks are made one after the other; what one of them meets never ends the others."""
+"""Defines checks and makes them one after the other; an error in one of them never ends the others."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Check:
 
     name: str
     title: str
-    """What is asked, for lists and headings."""
+    """The question, for lists and headings."""
     examine: _Examine
     needs: tuple[str, ...] = ()
     """Checks that must not have failed; a fault that explains others is reported alone."""
     of_motions: bool = False
-    """It needs a condition under which the method generates motions that the harness accepts."""
+    """True if it needs a condition under which the method generates motions that the harness accepts."""
     fresh: bool = False
-    """It looks at a method in a process that has done nothing else."""
+    """True if it looks at a method in a process that has done nothing else."""
 
 
 def check(
@@ -45,7 +45,7 @@ def examine(
     known: Mapping[str, Outcome] | None = None,
     announce: Callable[[Check], None] | None = None,
 ) -> Iterator[Finding]:
-    """Findings as they come.
+    """Make checks and yield their findings.
 
     Args:
         subject: The method.
@@ -64,7 +64,7 @@ def examine(
 
 
 def worst_of(findings: Iterable[Finding]) -> Outcome:
-    """How a check ended that found all this."""
+    """Return the worst outcome of the findings of one check."""
     order = (Outcome.SKIPPED, Outcome.PASSED, Outcome.WARNING, Outcome.FAILED)
     return max((finding.outcome for finding in findings), key=order.index, default=Outcome.SKIPPED)
 

@@ -52,7 +52,7 @@ class _Lost(Exception):
 
 @dataclass(frozen=True)
 class _Event:
-    """A finding, a word about what takes so long, or the beginning of the next check."""
+    """A finding, a message about work that takes long, or the beginning of the next check."""
 
     finding: Finding | None = None
     waiting: str = ""
@@ -68,7 +68,7 @@ class _TimeLimits:
     """For importing it, and for loading it."""
 
     def of(self, event: str) -> float:
-        """What may follow an event of the child; whatever is not the method's own work has two minutes or more."""
+        """Return the limit after an event of the child; the harness's own work has two minutes or more."""
         if event == "starting":
             return self.start
         return self.call if event == "asking" else max(self.call, _OTHERWISE)
@@ -110,7 +110,7 @@ class _ChildProcess:
         self._log.close()
 
     def events(self, limits: _TimeLimits) -> Iterator[_Event]:
-        """What the child does, until it has done everything.
+        """Yield what the child does, until it has done everything.
 
         Raises:
             Lost: if it crashed, or the method took longer.
@@ -137,7 +137,7 @@ class _ChildProcess:
                 yield _Event(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
 
     def _next(self, patience: float) -> bytes | None:
-        """The next line, empty at the end; None if it does not come."""
+        """Return the next line, empty at the end, or None if none comes in time."""
         try:
             return self._lines.get(timeout=max(patience, 0.01))
         except queue.Empty:
@@ -150,7 +150,7 @@ class _ChildProcess:
         self._lines.put(b"")
 
     def _story(self) -> str:
-        """What was under way, and the last words on stderr."""
+        """Describe the work in progress and quote the last lines of stderr."""
         asked = f", {self._doing}" if self._doing else ""
         self._log.seek(0)
         lines = [line for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
@@ -159,7 +159,7 @@ class _ChildProcess:
 
 
 class _Session:
-    """All checks of one method, and what came of them so far."""
+    """All checks of one method, and their findings so far."""
 
     def __init__(self, request: CheckRequest, limits: _TimeLimits, folder: Path, announce: _Announce) -> None:
         self.request, self.limits, self.folder, self.announce = request, limits, folder, announce
@@ -168,16 +168,16 @@ class _Session:
         self._lost: list[str] = []
 
     def run(self, checks: list[Check]) -> None:
-        """Checks in one process, or in as many as are needed."""
+        """Make checks in one process, or in as many as crashes require."""
         left = list(checks)
         while left:
-            if why := self._hopeless():
+            if why := self._blocked():
                 self.findings += [skipped(why).of(one.name) for one in left]
                 return
             left = self._in_one_child(left)
 
     def _in_one_child(self, checks: list[Check]) -> list[Check]:
-        """As far as one child comes; returns what is left."""
+        """Make checks in one child until it ends; return the checks that are left."""
         left, under_way = list(checks), None
         known = {name: outcome.value for name, outcome in self._known().items()}
         with _ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
@@ -203,11 +203,11 @@ class _Session:
         names = {finding.check for finding in self.findings}
         return {name: worst_of(finding for finding in self.findings if finding.check == name) for name in names}
 
-    def _hopeless(self) -> str:
-        """Why nothing more can be looked at; empty if it can."""
-        hopeless = [name for name in self._lost if name in (*_STARTS, *_FORM)]
-        hopeless += [name for name, outcome in self._known().items() if name == "load" and outcome is Outcome.FAILED]
-        return f"not looked at before '{hopeless[0]}' passes." if hopeless else ""
+    def _blocked(self) -> str:
+        """Return why no further check can be made, or an empty text."""
+        blocking = [name for name in self._lost if name in (*_STARTS, *_FORM)]
+        blocking += [name for name, outcome in self._known().items() if name == "load" and outcome is Outcome.FAILED]
+        return f"not looked at before '{blocking[0]}' passes." if blocking else ""
 
 
 def _descendants(pid: int) -> list[psutil.Process]:
@@ -221,7 +221,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
 
     Args:
         request: The method, and what to ask it about.
-        announce: Told what is looked at.
+        announce: Called with what is checked.
 
     Raises:
         AdapterError: if no such method is installed.
@@ -243,7 +243,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
 
 
 def _possible(request: CheckRequest) -> MethodSpec:
-    """What the user got wrong is told before any process is started."""
+    """Raise the user's mistakes before any process is started."""
     if request.method in METHOD_CONTROLS:
         raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
     spec = method_spec(request.method, weights=request.weights, options=request.options, isolate=request.isolate)
@@ -253,7 +253,7 @@ def _possible(request: CheckRequest) -> MethodSpec:
 
 
 def _limits(request: CheckRequest, spec: MethodSpec) -> _TimeLimits:
-    """A program's own limits come a little earlier: they say more about what happened."""
+    """Return limits a little longer than a program's own, whose messages say more about what happened."""
     if spec.program is None:
         return _TimeLimits(request.time_limit, request.start_limit)
     return _TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)

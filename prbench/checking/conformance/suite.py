@@ -25,7 +25,7 @@ class ConformanceWarning(UserWarning):
 
 
 class AdapterConformance:
-    """One test a check; the method is examined once, with the first of them.
+    """Holds one test for each check; the first test examines the method, and the others read the report.
 
     A subclass, whose name begins with ``Test``, says what to check.
     """
@@ -48,7 +48,7 @@ class AdapterConformance:
 
     @classmethod
     def report(cls) -> Report:
-        """What was found, made once a class.
+        """Return the report, made once for each class.
 
         Raises:
             UsageError: if the class names no method.

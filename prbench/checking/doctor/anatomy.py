@@ -1,4 +1,7 @@
-"""What a body shows by itself, whatever axes and names it was given: directions and lengths of bones."""
+"""Measures directions and bone lengths of bodies, whatever axes and names they were given.
+
+Poses are (poses, 22, 3) in any unit and any world, right-handed or not; every function turns and moves along with it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from prbench.skeleton import PARENTS, Joint
 _LEFTS = [joint for joint in Joint if joint.name.startswith("LEFT")]
 _RIGHTS = [joint for joint in Joint if joint.name.startswith("RIGHT")]
 PARTS = tuple(joint.name.removeprefix("LEFT_").lower() for joint in _LEFTS)
-"""What exists on both sides, from the hips to the wrists."""
+"""Names of the parts that exist on both sides, from the hips to the wrists."""
 _NEGLIGIBLE = 1e-9
 _NAMES = tuple(joint.name.lower() for joint in Joint)
 _LENGTHS = np.linalg.norm(REST_OFFSETS, axis=1)
@@ -37,7 +40,7 @@ BONE_LENGTHS = np.array([length for _, _, length in _BONES])
 
 @dataclass(frozen=True)
 class Fit:
-    """How joints in one order compare with a body."""
+    """The bones of joints in one order, compared with those of people."""
 
     misfit: float
     """Mean difference between the lengths of bones and people's, as a share of the mean length; 0 is perfect."""
@@ -46,7 +49,7 @@ class Fit:
 
     @property
     def badness(self) -> float:
-        """One number to compare orders by."""
+        """The number by which orders are compared."""
         return self.misfit + self.stretch
 
 
@@ -72,28 +75,28 @@ class Distances:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors of length one; those without a length stay zero."""
+    """Scale vectors to length one; those without a length stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > _NEGLIGIBLE, vectors / np.maximum(length, _NEGLIGIBLE), 0.0)
 
 
 def body_up(poses: np.ndarray) -> np.ndarray:
-    """From the ankles to the head, (poses, 3)."""
+    """Return the direction from the ankles to the head, (poses, 3)."""
     return unit(poses[:, Joint.HEAD] - _middle(poses, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE))
 
 
 def left_of_hips(poses: np.ndarray) -> np.ndarray:
-    """From the right hip to the left one as they are named, (poses, 3)."""
+    """Return the direction from the right hip to the left one as they are named, (poses, 3)."""
     return unit(poses[:, Joint.LEFT_HIP] - poses[:, Joint.RIGHT_HIP])
 
 
 def left_of_shoulders(poses: np.ndarray) -> np.ndarray:
-    """From the right shoulder to the left one as they are named, (poses, 3)."""
+    """Return the direction from the right shoulder to the left one as they are named, (poses, 3)."""
     return unit(poses[:, Joint.LEFT_SHOULDER] - poses[:, Joint.RIGHT_SHOULDER])
 
 
 def front(poses: np.ndarray) -> np.ndarray:
-    """Where toes point, knees bend and the head lies before the neck; elbows bend the other way; (poses, 3).
+    """Return where toes point, knees bend and the head lies before the neck; elbows bend backwards; (poses, 3).
 
     Names of left and right do not matter, nor does the handedness of the world.
     """
@@ -111,19 +114,19 @@ def front(poses: np.ndarray) -> np.ndarray:
 
 
 def sideways_agreement(poses: np.ndarray) -> np.ndarray:
-    """For hips, knees … wrists whether left lies on the side of the left hip: 1 always, -1 never; (8 parts,)."""
+    """Return for each part how often its left lies on the side of the left hip: 1 always, -1 never; (8 parts,)."""
     hips = left_of_hips(poses)
     sideways = ((poses[:, _LEFTS] - poses[:, _RIGHTS]) * hips[:, None]).sum(axis=-1)
     return sideways.mean(axis=0) / np.maximum(np.abs(sideways).mean(axis=0), _NEGLIGIBLE)
 
 
 def sidedness(poses: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """+1 where ``left`` lies to the left of the front, seen with the body's head up; -1 where it lies to the right."""
+    """Return +1 where ``left`` lies to the left of the front, -1 where it lies to the right; the head is up."""
     return (np.cross(left, body_up(poses)) * front(poses)).sum(axis=-1)
 
 
 def with_sides(index: Sequence[int], exchanged: np.ndarray) -> list[int]:
-    """An index of joints with left and right exchanged for some of :data:`PARTS`."""
+    """Exchange left and right in an index of joints, for some of :data:`PARTS`."""
     result = list(index)
     for left, right, swap in zip(_LEFTS, _RIGHTS, exchanged, strict=True):
         if swap:
@@ -140,7 +143,7 @@ def _sum(poses: np.ndarray, one: int, other: int) -> np.ndarray:
 
 
 def _bend(poses: np.ndarray, upper: int, middle: int, lower: int) -> np.ndarray:
-    """How far the middle joint of a limb lies from the middle between its ends."""
+    """Return the vector from the middle between the ends of a limb to its middle joint."""
     return poses[:, middle] - _middle(poses, upper, lower)
 
 

@@ -1,11 +1,11 @@
-"""Whether the numbers are positions of a body at all: standardised joints and velocities are not."""
+"""Checks that the numbers are positions of a body in metres: finite, not standardised, no velocities."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from prbench.checking.doctor.anatomy import Distances
-from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding, on_straight_lines
 from prbench.methods.body_size import wrong_unit
 from prbench.skeleton import N_JOINTS, bone_lengths
 
@@ -16,7 +16,7 @@ _SCALED = 0.10  # deviation from the scale of the initial pose's bones
 
 
 def examine_body(motion_set: MotionSet) -> Finding:
-    """Bodies have joints in different places on average, and bones that keep their lengths."""
+    """Require joints in different places on average, and bones that keep their lengths."""
     shape, softness = _shape(motion_set), _softness(motion_set)
     if shape >= _SHAPELESS or (softness < _FLABBY and shape > 1.0):
         return no_finding(motion_set)
@@ -28,7 +28,7 @@ def examine_body(motion_set: MotionSet) -> Finding:
 
 
 def not_positions(motion_set: MotionSet, evidence: str) -> Diagnosis | None:
-    """What else the numbers may be, from their size."""
+    """Tell standardised positions and velocities from the size of the numbers; None for neither."""
     poses = motion_set.poses()
     middle, spread = float(np.median(np.abs(poses.mean(axis=0)))), float(poses.std())
     numbers = f"{evidence}; the numbers have a standard deviation of {spread:.2g}, means of {middle:.2g} (median)"
@@ -48,7 +48,7 @@ def _noise(evidence: str) -> Diagnosis:
 
 
 def _shape(motion_set: MotionSet) -> float:
-    """Distance between mean places of joints on the axis that separates them best, in standard deviations."""
+    """Return the distance between mean joints on the axis that separates them best, in standard deviations."""
     poses = motion_set.poses()
     if len(poses) < 2:
         return np.inf
@@ -58,7 +58,7 @@ def _shape(motion_set: MotionSet) -> float:
 
 
 def _softness(motion_set: MotionSet) -> float:
-    """Mean relative change of the distances that change least, as many as there are joints."""
+    """Return the mean relative change of the distances that change least, as many as there are joints."""
     distances = Distances.of(motion_set.motions)
     upper = np.triu_indices(len(distances.median), 1)
     relative = distances.spread[upper] / np.maximum(distances.median[upper], 1e-9)
@@ -107,14 +107,11 @@ def _counted(motion_set: MotionSet, bad: list[np.ndarray], what: str) -> str:
 
 
 def _mended(motion: np.ndarray, bad: np.ndarray) -> np.ndarray:
-    """Bad frames at the end cut off, others filled in on a straight line between their neighbours."""
+    """Cut bad frames off the end, and fill in the others on straight lines between their neighbours."""
     good = np.flatnonzero(~bad)
     if len(good) == len(motion):
         return motion
-    kept = motion[: good[-1] + 1]
-    flat = kept.reshape(len(kept), -1)
-    times = np.arange(len(kept))
-    return np.stack([np.interp(times, good, column[good]) for column in flat.T], axis=1).reshape(kept.shape)
+    return on_straight_lines(motion[good], good, np.arange(good[-1] + 1))
 
 
 def examine_unit(motion_set: MotionSet) -> Finding:

@@ -1,4 +1,4 @@
-"""A clock that stumbles: frames that stand twice, ends and beginnings that stand still."""
+"""Finds frames that are repeated, left out or held at an end."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.checking.doctor.anatomy import unit
-from prbench.checking.doctor.motion_set import AT_RATE, AT_TIMES, Diagnosis, Finding, MotionSet
+from prbench.checking.doctor.motion_set import AT_RATE, AT_TIMES, Diagnosis, Finding, MotionSet, on_straight_lines
 
 _STILL = 1e-4  # of a motion's usual step: the same frame again
 _LONGEST_PERIOD = 8
@@ -23,7 +23,7 @@ _FRESH_START = 1.7  # first step after a hold, in steps that follow it
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """From each frame of a motion to the next: mean distance that joints move, metres."""
+    """The steps from each frame of a motion to the next."""
 
     sizes: np.ndarray
     usual: float
@@ -42,7 +42,7 @@ class _Steps:
 
     @property
     def still(self) -> np.ndarray:
-        """Steps that lead nowhere."""
+        """True for steps that lead nowhere."""
         return self.sizes <= _STILL * self.usual
 
 
@@ -67,7 +67,7 @@ def examine_clock(motion_set: MotionSet) -> Finding:
 
 
 def _repeats(motion_set: MotionSet) -> Finding:
-    """Single frames that stand twice or more in the midst of movement."""
+    """Find single frames that are repeated in the midst of movement."""
     found: dict[int, np.ndarray] = {}
     for row, motion in enumerate(motion_set.motions):
         steps = _Steps.of(motion)
@@ -98,7 +98,7 @@ def _repeats(motion_set: MotionSet) -> Finding:
 
 
 def _short_holds(steps: _Steps) -> np.ndarray:
-    """Still steps in runs shorter than a hold that begin and end in movement."""
+    """Find still steps in short runs that begin and end in movement."""
     still = steps.still
     edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
     chosen = np.zeros_like(still)
@@ -109,19 +109,17 @@ def _short_holds(steps: _Steps) -> np.ndarray:
 
 
 def _filled_in(motion: np.ndarray, repeated: np.ndarray) -> np.ndarray:
-    """Straight lines over the frames that were repeated."""
+    """Replace repeated frames by straight lines between their neighbours."""
     kept = np.flatnonzero(np.concatenate(([True], ~repeated)))
-    flat = motion.reshape(len(motion), -1)
-    times = np.arange(len(motion))
-    return np.stack([np.interp(times, kept, column[kept]) for column in flat.T], axis=1).reshape(motion.shape)
+    return on_straight_lines(motion[kept], kept, np.arange(len(motion)))
 
 
 def _holds(motion_set: MotionSet) -> Finding:
-    """Ends and beginnings that stand still although the body is in full speed next to them."""
+    """Find ends and beginnings that stand still although the body moves at full speed next to them."""
     ends = _hold(
         motion_set,
         at_end=True,
-        told="the last {frames} frames (median) of {motions} are one and the same; in {abrupt} the body stops from"
+        text="the last {frames} frames (median) of {motions} are one and the same; in {abrupt} the body stops from"
         " {speed:.2f} m/s (median) at once",
         cause="the end was padded with the last frame: the motion is shorter than was asked for",
         remedy="Generate the asked number of frames, or let the motion take the asked time by interpolation.",
@@ -129,7 +127,7 @@ def _holds(motion_set: MotionSet) -> Finding:
     starts = _hold(
         motion_set,
         at_end=False,
-        told="the first {frames} frames (median) of {motions} are one and the same; in {abrupt} the body then starts"
+        text="the first {frames} frames (median) of {motions} are one and the same; in {abrupt} the body then starts"
         " at {speed:.2f} m/s (median)",
         cause="the motion comes too late: the first frame was repeated, or the clock starts before the motion",
         remedy="Begin with the motion's own first frame; frame 0 is 2 s before the prime.",
@@ -139,24 +137,20 @@ def _holds(motion_set: MotionSet) -> Finding:
     return Finding(diagnoses, motion_set.with_motions(held) if diagnoses else motion_set)
 
 
-def _hold(motion_set: MotionSet, *, at_end: bool, told: str, cause: str, remedy: str) -> tuple[Diagnosis, ...]:
-    """One side: certain if most of the motions that are held there are in full speed next to it."""
+def _hold(motion_set: MotionSet, *, at_end: bool, text: str, cause: str, remedy: str) -> tuple[Diagnosis, ...]:
+    """Diagnose one end; certain if most of the motions that are held there move at full speed next to it."""
     held = _held(motion_set, at_end=at_end)
     if len(held) * 3 < len(motion_set):
         return ()
     abrupt = sum(speed > _FULL_SPEED for _, speed in held.values())
     frames = int(np.median([count for count, _ in held.values()])) + (not at_end)
-    motions = motion_set.in_words(len(held))
-    evidence = told.format(frames=frames, motions=motions, abrupt=abrupt, speed=_median_speed(held))
+    speed = float(np.median([speed for _, speed in held.values()]))
+    evidence = text.format(frames=frames, motions=motion_set.in_words(len(held)), abrupt=abrupt, speed=speed)
     return (Diagnosis("clock", abrupt * 2 > len(held), evidence, cause, remedy),)
 
 
-def _median_speed(held: dict[int, tuple[int, float]]) -> float:
-    return float(np.median([speed for _, speed in held.values()]))
-
-
 def _held(motion_set: MotionSet, *, at_end: bool) -> dict[int, tuple[int, float]]:
-    """For each motion that is held at one end: how many frames, and the speed next to them (m/s)."""
+    """Map the row of each motion held at one end to the held frames and the speed next to them (m/s)."""
     held = {}
     for row, motion in enumerate(motion_set.motions):
         steps = _Steps.of(motion[::-1] if at_end else motion)
@@ -175,7 +169,7 @@ def _without_holds(motion: np.ndarray) -> np.ndarray:
 
 
 def _examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
-    """Steps that are long and short in turns, or too long now and then."""
+    """Find steps that are long and short in turns, or too long now and then."""
     steps = [_Steps.of(motion) for motion in motion_set.motions]
     rhythm = _common_rhythm(steps, motion_set.fps)
     if rhythm is not None:
@@ -201,7 +195,7 @@ def _examine_steps(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
 
 
 def _common_rhythm(steps: Sequence[_Steps], fps: float) -> _Rhythm | None:
-    """The rhythm of more than half of the motions that are long enough, if there is one."""
+    """Return the rhythm of more than half of the motions that are long enough, if there is one."""
     best: _Rhythm | None = None
     for period in range(2, _LONGEST_PERIOD + 1):
         measured = [found for found in (_rhythm(each, period, fps) for each in steps) if found is not None]
@@ -215,7 +209,7 @@ def _common_rhythm(steps: Sequence[_Steps], fps: float) -> _Rhythm | None:
 
 
 def _standing_out(steps: _Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """How much each inner step stands out from its two neighbours (log), and where all three are fast and straight."""
+    """Return how much each inner step exceeds its two neighbours (log), and where all three are fast and straight."""
     logs = np.log(np.maximum(steps.sizes, 1e-9))
     out = logs[1:-1] - (logs[:-2] + logs[2:]) / 2
     slow = max(0.5 * steps.usual, _SLOW / fps)
@@ -224,7 +218,7 @@ def _standing_out(steps: _Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _moving(steps: _Steps, fps: float) -> int:
-    """How many steps are fast, in one direction or to and fro."""
+    """Count the steps that are fast, in one direction or to and fro."""
     return int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum())
 
 
@@ -247,7 +241,7 @@ def _rhythm(steps: _Steps, period: int, fps: float) -> _Rhythm | None:
 
 
 def _leaps(steps: _Steps, fps: float) -> int:
-    """How many single steps are about twice as long as two on each side, which agree with each other."""
+    """Count single steps that are about twice as long as two on each side, which agree with each other."""
     if len(steps.sizes) < 6 or steps.usual == 0:
         return 0
     windows = np.lib.stride_tricks.sliding_window_view(steps.sizes, 5)

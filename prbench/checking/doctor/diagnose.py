@@ -1,4 +1,4 @@
-"""All examinations in their order, each on motions that are free of the faults before it."""
+"""Runs all examinations in their order, each on motions that are free of the faults found before it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from prbench.checking.doctor.up_axis import examine_up_axis
 
 
 def _examine_time(motion_set: MotionSet) -> Finding:
-    """One diagnosis of the clock: a stumbling clock also changes speeds, and a wrong rate also moves instants."""
+    """Return one diagnosis of time: uneven time also changes speeds, and a wrong rate also moves instants."""
     findings = []
-    for examine in (examine_clock, examine_recorded_clock):  # what the recording proves outweighs a suspicion
+    for examine in (examine_clock, examine_recorded_clock):  # a proof by the recording outweighs a suspicion
         findings.append(examine(motion_set))
         if any(diagnosis.certain for diagnosis in findings[-1].diagnoses):
             return findings[-1]

@@ -1,4 +1,4 @@
-"""From a file to its diagnoses: what ``prbench doctor`` does."""
+"""Reads a file of motions, finds what was expected of them, and diagnoses them: ``prbench doctor``."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class _Known:
     """Expectations for some motions."""
 
     expected: tuple[Expected, ...]
-    """One a motion, in their order."""
+    """One expectation for each motion, in their order."""
     matched: int
-    """How many of them are known."""
+    """Number of motions with a known expectation."""
     fps: float | None
     """The rate that they were asked for at, if they agree."""
 
 
 @dataclass(frozen=True)
 class DoctorRequest:
-    """What to look at, and what to compare it with."""
+    """A file to examine, and what to compare it with."""
 
     path: Path
     data: tuple[Path, ...] = ()
@@ -53,22 +53,22 @@ class DoctorRequest:
 
 @dataclass(frozen=True)
 class DoctorReport:
-    """What was looked at and what was found."""
+    """The result of examining a file."""
 
     path: Path
     total: int
     """Motions in the file."""
     examined: int
     compared: int
-    """How many of them were compared with what was asked for."""
+    """Number of motions that were compared with what was asked for."""
     shapes: tuple[str, ...]
-    """Of the arrays, each once, in the order of the file; at most five."""
+    """Different shapes of the arrays, in the order of the file; at most five."""
     fps: float
     diagnoses: tuple[Diagnosis, ...]
 
     @property
     def certain(self) -> bool:
-        """Whether something is wrong for sure."""
+        """True if a diagnosis is certain."""
         return any(diagnosis.certain for diagnosis in self.diagnoses)
 
 
@@ -180,7 +180,7 @@ def _matched(motions: Sequence[NamedMotion], found: dict[str, Expected], what: s
 
 
 def _joined(table: _Known, conditions: _Known) -> _Known:
-    """Both together; what the conditions asked for (length and rate) counts, and the table adds the recorded motion."""
+    """Join both: lengths and rates are those of the conditions, and the table adds the recorded motion."""
     expected = tuple(
         replace(mine, recorded=theirs.recorded if mine.n_frames == theirs.n_frames else None)
         for mine, theirs in zip(conditions.expected, table.expected, strict=True)

@@ -1,4 +1,4 @@
-"""First frames that face another way than +Z."""
+"""Finds first frames that face another way than +Z, and motions that lost their path or their heading."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def examine_root(motion_set: MotionSet) -> Finding:
 
 
 def _moves(motion: np.ndarray) -> bool:
-    """Whether limbs move against the pelvis."""
+    """Return True if limbs move against the pelvis."""
     if len(motion) < 5:
         return False
     return float(np.ptp(_seen_by_the_body(motion), axis=0).max()) > 0.05
@@ -116,18 +116,15 @@ def _one_heading(motion_set: MotionSet, moving: list[int]) -> Diagnosis | None:
 
 
 def _stays_over_the_origin(motion: np.ndarray) -> bool:
-    """Whether the pelvis is pinned there, and feet slide under it; who only reaches has feet that stand."""
+    """Return True if the pelvis is pinned there while feet slide; in a mere reach feet stand still."""
     ground = motion[..., [0, 2]]
     feet = float(np.ptp(ground[:, _FEET], axis=0).max())
     return float(np.abs(ground[:, Joint.PELVIS]).max()) < _STILL and feet > _SLID
 
 
 def _seen_by_the_body(motion: np.ndarray) -> np.ndarray:
-    """Joints relative to the pelvis and its heading: what turns or moves as a whole does not show."""
-    limbs, yaw = motion - motion[:, :1], -headings(motion)[:, None]
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    x, z = limbs[..., 0], limbs[..., 2]
-    return np.stack([cosine * x + sine * z, limbs[..., 1], cosine * z - sine * x], axis=-1)
+    """Return joints relative to the pelvis and its heading, so that rigid movement of the whole body vanishes."""
+    return turned(motion - motion[:, :1], -headings(motion)[:, None])
 
 
 def _on_the_floor(motion_set: MotionSet) -> MotionSet:
@@ -136,7 +133,7 @@ def _on_the_floor(motion_set: MotionSet) -> MotionSet:
 
 
 def headings(poses: np.ndarray) -> np.ndarray:
-    """Heading of each pose, radians, 0 = +Z, as :func:`prbench.skeleton.facing_yaw` defines it. (…, 22, 3) to (…)."""
+    """Return the heading of each pose, as :func:`prbench.skeleton.facing_yaw` defines it; (…, 22, 3) to (…)."""
     across = (
         poses[..., Joint.RIGHT_HIP, :]
         - poses[..., Joint.LEFT_HIP, :]
@@ -147,12 +144,13 @@ def headings(poses: np.ndarray) -> np.ndarray:
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:
-    """Angles between -pi and pi."""
+    """Wrap angles to [-pi, pi)."""
     return np.mod(np.asarray(angles) + np.pi, 2 * np.pi) - np.pi
 
 
-def turned(points: np.ndarray, yaw: float) -> np.ndarray:
-    """Points turned about +Y; +Z goes towards +X."""
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+def turned(points: np.ndarray, yaw: float | np.ndarray) -> np.ndarray:
+    """Turn points (…, 3) about +Y by radians; +Z goes towards +X."""
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    x, y, z = np.moveaxis(points, -1, 0)
     return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)

@@ -1,4 +1,4 @@
-"""Bodies that float over the floor or sink into it, always alike or more and more."""
+"""Finds motions in the wrong place: off the floor, off the origin, or torn from their first frame."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TIMES = 4.0  # what comes after it
 
 @dataclass(frozen=True)
 class _Drift:
-    """How the height of the support changes in one motion."""
+    """Change of the lowest height in one motion."""
 
     rise: float
     """Metres from the first to the last frame."""
@@ -91,7 +91,7 @@ def _drift(motion: np.ndarray, fps: float) -> _Drift:
 
 
 def _levelled(motion: np.ndarray, drift: _Drift) -> np.ndarray:
-    """The motion without its drift, on the floor."""
+    """Remove the drift and put the motion on the floor."""
     level = motion - np.linspace(0.0, drift.rise, len(motion))[:, None, None] * _UP
     return level - level[..., 1].min() * _UP
 
@@ -158,7 +158,7 @@ def examine_first_frame(motion_set: MotionSet) -> Finding:
 
 
 def _joined(motion: np.ndarray) -> np.ndarray:
-    """The frames after the first moved rigidly, so that they go on from it."""
+    """Move the frames after the first rigidly, so that they go on from it."""
     turns = wrapped(np.diff(headings(motion[:3])))
     rest = turned(motion[1:], float(turns[1] - turns[0]))
     path = rest[:, Joint.PELVIS]

@@ -1,14 +1,21 @@
-"""Motions that are played too fast or too slowly."""
+"""Finds motions of a wrong length, or that are played too fast or too slowly."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import AT_RATE, Diagnosis, Expected, Finding, MotionSet, no_finding
+from prbench.checking.doctor.motion_set import (
+    AT_RATE,
+    Diagnosis,
+    Expected,
+    Finding,
+    MotionSet,
+    no_finding,
+    on_straight_lines,
+)
 from prbench.checking.doctor.quality import SMOOTHED_OVER, Tremor, smoothed
 from prbench.skeleton import TOES, WRISTS, Joint
 
@@ -33,7 +40,7 @@ _RATES = (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 40.0, 50.0
 
 @dataclass(frozen=True)
 class _Start:
-    """How a motion goes on from the initial state."""
+    """The first step of a motion, compared with the step before it."""
 
     ratio: float
     """First step over the step before it."""
@@ -80,7 +87,7 @@ def _example(found: np.ndarray, asked: np.ndarray) -> str:
 
 
 def _rate(exact: float) -> float | None:
-    """The usual rate that a measured one is, if it is one."""
+    """Round a measured rate to the nearest common rate, or return None if none is within 2.5 %."""
     nearest = min(_RATES, key=lambda rate: abs(np.log(rate / exact)))
     return nearest if abs(np.log(nearest / exact)) < _NEAR else None
 
@@ -90,8 +97,9 @@ def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
     for row in known:
         n_frames = motion_set.expected[row].n_frames
         if n_frames is not None and len(motions[row]) > 1:
-            motions[row] = _at_length(motions[row], n_frames)
-    return dataclasses.replace(motion_set, motions=tuple(motions))
+            frames = np.arange(len(motions[row]))
+            motions[row] = on_straight_lines(motions[row], frames, np.linspace(0, frames[-1], n_frames))
+    return motion_set.with_motions(motions)
 
 
 def examine_frame_rate(motion_set: MotionSet) -> Finding:
@@ -137,7 +145,10 @@ def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ..
 
 
 def _tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
-    """Suspicious durations of steps, or of reaches where nobody steps.
+    """Find suspicious durations of steps, or of reaches where nobody steps.
+
+    A foot's swing lasts nearly the same at any walking speed: its speed stays above a fifth of its peak for 0.27 to
+    0.31 s in synthetic people and 0.2 to 0.3 s in recorded ones. Hands take 0.3 to 1.5 s. So this is only a suspicion.
 
     Trembling moves the places at which a swing begins and ends, and makes swings of its own. So it is smoothed away
     first, and only steps that then last equally long count, as those of a walking person do at any rate.
@@ -168,7 +179,7 @@ def _tempo_beneath_tremor(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
 
 
 def _swings(motions: Sequence[np.ndarray]) -> np.ndarray:
-    """Frames that each swing of a foot takes."""
+    """Return the frames that each swing of a foot takes."""
     return np.concatenate([_durations(motion[:, toe][:, [0, 2]]) for motion in motions for toe in TOES])
 
 
@@ -189,7 +200,7 @@ def _judged(frames: np.ndarray, fps: float, what: str, usual: tuple[float, float
 
 
 def _durations(path: np.ndarray) -> np.ndarray:
-    """Frames that each movement of a joint takes, for those that begin and end within the motion and lead far."""
+    """Return the frames of each movement of a joint that begins and ends within the motion and leads far."""
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1)
     if len(speed) < 8:
         return np.empty(0)
@@ -211,18 +222,6 @@ def _durations(path: np.ndarray) -> np.ndarray:
 
 
 def _peaks(speed: np.ndarray) -> np.ndarray:
-    """Where speed is higher than before and not lower than after, if it is high at all."""
+    """Return the frames of local maxima of speed above 30 % of its maximum."""
     inner = speed[1:-1]
     return 1 + np.flatnonzero((inner > speed[:-2]) & (inner >= speed[2:]) & (inner > 0.3 * speed.max()))
-
-
-def at_places(motion: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The motion at fractional frames, on straight lines between frames; held beyond both ends."""
-    flat = motion.reshape(len(motion), -1)
-    frames = np.arange(len(motion))
-    return np.stack([np.interp(places, frames, column) for column in flat.T], axis=1).reshape(-1, *motion.shape[1:])
-
-
-def _at_length(motion: np.ndarray, n_frames: int) -> np.ndarray:
-    """The motion played in another number of frames, its ends kept."""
-    return at_places(motion, np.linspace(0, len(motion) - 1, n_frames))

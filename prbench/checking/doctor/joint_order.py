@@ -1,4 +1,4 @@
-"""Joints in another order than HumanML3D's, or of another skeleton."""
+"""Finds joints in another order than HumanML3D's, and those of another skeleton."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LOOSENESS = 0.5  # of the last guess: how much chance may change a joint's like
 _GOOD = 0.16  # misfit that shuffled joints do not reach by chance
 _PART_OF = np.array([PARTS.index(joint.name.lower().split("_")[-1]) if "_" in joint.name else -1 for joint in Joint])
 _CHOICES = np.array([[part >= 0 and bits[part] for part in _PART_OF] for bits in product((False, True), repeat=8)])
-"""Which joints take their mirror image's place, one row a way to exchange parts."""
+"""(256, 22); one row for each choice of exchanged parts, True where a joint takes its mirror image's place."""
 _SIZES = (1.65, 1.45, 1.25)  # metres between the joints of a pose that lie farthest apart: standing, working, sitting
 _REST = np.zeros((N_JOINTS, 3))
 for _joint in range(1, N_JOINTS):
@@ -72,7 +72,7 @@ def examine_joint_order(motion_set: MotionSet) -> Finding:
 
 
 def _recovered(motion_set: MotionSet, distances: Distances) -> list[int] | None:
-    """An order of its own, with left and right where the body's front and hips have them."""
+    """Recover an unknown order, with left and right where the body's front and hips have them."""
     index = _recovered_order(distances)
     if index is None:
         return None
@@ -82,7 +82,7 @@ def _recovered(motion_set: MotionSet, distances: Distances) -> list[int] | None:
 
 
 def _side(motion_set: MotionSet, index: Sequence[int]) -> float:
-    """Whether left is left of the front under an order: 1 if so, -1 if not."""
+    """Return 1 if left is left of the front under an order, -1 if it is right of it, 0 if unclear."""
     poses = motion_set.poses()[:, list(index)]
     return float(np.sign(sidedness(poses, left_of_hips(poses)).mean().round(1)))
 
@@ -95,7 +95,7 @@ def _reordered(motion_set: MotionSet, index: Sequence[int], before: float, after
 
 
 def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
-    """Another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
+    """Diagnose another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
     n_joints = len(distances.median)
     evidence = f"{n_joints} joints a frame instead of 22"
     mapped = {
@@ -125,7 +125,7 @@ def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
 
 
 def _exchanged_pairs(motion_set: MotionSet, distances: Distances) -> Finding:
-    """Single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
+    """Find single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
     agreement = sideways_agreement(motion_set.poses())
     before = fit(distances, _OWN.places()).badness
     crossed, gain = agreement < _CROSSED, _GAIN
@@ -158,7 +158,7 @@ def _exchanged_pairs(motion_set: MotionSet, distances: Distances) -> Finding:
 
 
 def _best_exchange(distances: Distances, parts: np.ndarray) -> np.ndarray:
-    """Of all ways to exchange left and right of some of these parts the one with the best bones."""
+    """Return the choice of exchanged parts that gives the best bones."""
     choices = [parts & np.array(bits) for bits in product((False, True), repeat=len(PARTS))]
     unique = list({tuple(choice): choice for choice in choices}.values())
     return min(unique, key=lambda choice: _badness(distances, with_sides(range(N_JOINTS), choice)))
@@ -205,7 +205,7 @@ def _recovered_order(distances: Distances) -> list[int] | None:
 
 
 def _misfit_at_own_size(distances: Distances, orders: np.ndarray) -> np.ndarray:
-    """The cost of orders whose bodies may have any size."""
+    """Return the cost of each order if its body may have any size."""
     one, other = BONE_ENDS
     ends = orders[:, one], orders[:, other]
     lengths = distances.median[ends]
@@ -214,7 +214,7 @@ def _misfit_at_own_size(distances: Distances, orders: np.ndarray) -> np.ndarray:
 
 
 def _guess(distances: Distances, looseness: float, generator: np.random.Generator) -> np.ndarray:
-    """Joints assigned one after another by how alike their distances to all others are to those in a standing body."""
+    """Assign joints one after another by how alike their distances to all others are to those in a standing body."""
     here, there = _profiles(distances.median), _profiles(_STANDING)
     unlike = np.abs(here[None] - there[:, None]).mean(axis=-1)
     unlike += looseness * unlike.mean() * generator.standard_normal(unlike.shape)
@@ -255,13 +255,13 @@ def _descended(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> t
 
 
 def _sides_exchanged(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """The best of an order's relatives, improved as far as exchanging single joints goes."""
+    """Return the best of an order's relatives, improved as far as exchanging single joints goes."""
     relatives = _relatives(order)
     return _descended(relatives[int(cost(relatives).argmin())], cost)
 
 
 def _relatives(order: np.ndarray) -> np.ndarray:
-    """All orders that exchange left and right of single parts, such as both knees, or an ankle and its foot."""
+    """Return all orders that exchange left and right of single parts, such as both knees, or an ankle and its foot."""
     variants = [order]
     for ankle, foot in ((Joint.LEFT_ANKLE, Joint.LEFT_FOOT), (Joint.RIGHT_ANKLE, Joint.RIGHT_FOOT)):
         for variant in tuple(variants):  # a shin is about as long as from the knee to the toes

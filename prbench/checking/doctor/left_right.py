@@ -1,4 +1,4 @@
-"""Left and right exchanged, by name or by a mirrored world."""
+"""Finds left and right exchanged, by name or by a mirrored world."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _whole(motion_set: MotionSet, evidence: str) -> Finding:
 
 
 def _is_mirrored(motion_set: MotionSet) -> tuple[bool | None, str]:
-    """Whether the world is mirrored rather than the names exchanged, and how that shows; None if nothing shows it."""
+    """Return True for a mirrored world, False for exchanged names, None if nothing tells; and the reason."""
     for source, judged in (("initial pose", _by_initial_pose(motion_set)), ("goal", _by_goal(motion_set))):
         if judged is not None:
             mirrored, one, other = judged
@@ -124,13 +124,13 @@ def _decided(in_mirror: float, exchanged: float) -> tuple[bool, float, float] | 
 
 
 def _apart(poses: np.ndarray, others: np.ndarray) -> float:
-    """Median distance of joints, positions over the ground left out."""
+    """Return the median distance of joints relative to their pelvises, metres."""
     centred, others = poses - poses[:, :1], others - others[:, :1]
     return float(np.median(np.linalg.norm(centred - others, axis=-1)))
 
 
 def _by_bones(motion_set: MotionSet) -> tuple[bool | None, str]:
-    """SMPL's bodies are not quite symmetric: their right hip is longer than the left one, and so on."""
+    """Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one."""
     lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
     people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
     pairs = [(joint - 1, other - 1) for joint, other in enumerate(MIRRORED_JOINTS) if joint < other]

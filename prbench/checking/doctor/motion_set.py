@@ -19,18 +19,18 @@ class Diagnosis:
     kind: str
     """``unit``, ``up-axis``, ``facing`` …: docs/doctor.md lists them all."""
     certain: bool
-    """Wrong for sure; otherwise only suspicious."""
+    """True if the motions are wrong for sure, False if they are only suspicious."""
     evidence: str
-    """The numbers."""
+    """The measured numbers, in a sentence."""
     cause: str
-    """What most often leads to such numbers."""
+    """The most frequent reason for such numbers."""
     remedy: str
-    """What to change, naming the converter where there is one."""
+    """The change to make, with the converter where there is one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What is known beside one motion; canonical frame, metres. Whatever is None is not looked at."""
+    """What was asked of one motion; canonical frame, metres. None means unknown and is not examined."""
 
     initial_joints: Float[np.ndarray, "22 3"] | None = None
     """The frame that the motion should begin with."""
@@ -41,7 +41,7 @@ class Expected:
     goal_location: Float[np.ndarray, " 3"] | None = None
     """The place that a wrist should reach."""
     n_frames: int | None = None
-    """How many frames were asked for."""
+    """Number of frames that were asked for."""
     fps: float | None = None
     """Frames a second that were asked for."""
     recorded: Float[np.ndarray, "frames 22 3"] | None = None
@@ -58,36 +58,36 @@ class MotionSet:
     motions: tuple[np.ndarray, ...]
     """Each (frames, joints, 3) float64, once the shape is known."""
     expected: tuple[Expected, ...]
-    """One a motion."""
+    """One expectation for each motion."""
     fps: float
     pinned: bool = False
-    """The pelvis does not move by fault, so that nothing can be said about place and floor."""
+    """True if a fault keeps the pelvis in place, so that nothing can be said about place and floor."""
 
     def __len__(self) -> int:
         return len(self.motions)
 
     def changed(self, change: Callable[[np.ndarray], np.ndarray]) -> MotionSet:
-        """The same with a change to each motion."""
+        """Return the set with each motion changed."""
         return dataclasses.replace(self, motions=tuple(change(motion) for motion in self.motions))
 
     def with_motions(self, motions: Sequence[np.ndarray]) -> MotionSet:
-        """The same with other motions in their places."""
+        """Return the set with other motions in their places."""
         return dataclasses.replace(self, motions=tuple(motions))
 
     def only(self, rows: Sequence[int]) -> MotionSet:
-        """The same without the other motions."""
+        """Return the set of some rows."""
         return dataclasses.replace(
             self, motions=tuple(self.motions[row] for row in rows), expected=tuple(self.expected[row] for row in rows)
         )
 
     def without_lengths(self) -> MotionSet:
-        """The same, with nothing expected of lengths: a fault that was found has changed them."""
+        """Return the set with nothing expected of lengths, because a fault has changed them."""
         expected = tuple(dataclasses.replace(each, n_frames=None) for each in self.expected)
         return dataclasses.replace(self, expected=expected)
 
     @property
     def motionless(self) -> bool:
-        """Whether no motion moves, as those of a baseline that holds one pose."""
+        """True if no motion moves, as those of a baseline that holds one pose."""
         return all(float(np.ptp(motion, axis=0).max()) < 1e-6 for motion in self.motions)
 
     def in_words(self, count: int) -> str:
@@ -97,30 +97,30 @@ class MotionSet:
         return f"all {count} motions" if count == len(self) else f"{count} of {len(self)} motions"
 
     def poses(self) -> np.ndarray:
-        """Some poses of every motion, evenly spread, (poses, joints, 3)."""
+        """Return evenly spread poses of every motion, (poses, joints, 3)."""
         return np.concatenate([spread_poses(motion) for motion in self.motions])
 
     def first_poses(self) -> np.ndarray:
-        """The first pose of every motion, (motions, joints, 3)."""
+        """Return the first pose of every motion, (motions, joints, 3)."""
         return np.stack([motion[0] for motion in self.motions])
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What one examination found."""
+    """The result of one examination."""
 
     diagnoses: tuple[Diagnosis, ...]
     motion_set: MotionSet
-    """With the fault undone, so that it leads to no second diagnosis."""
+    """The motions with the fault undone, so that it leads to no second diagnosis."""
     unreadable: bool = False
-    """The fault cannot be undone and hides everything that would be looked at later."""
+    """True if the fault cannot be undone and hides everything that would be looked at later."""
 
 
 Examination = Callable[[MotionSet], Finding]
 
 
 def no_finding(motion_set: MotionSet) -> Finding:
-    """Nothing found."""
+    """Return the finding of an examination that found no fault."""
     return Finding((), motion_set)
 
 
@@ -129,3 +129,19 @@ AT_RATE = (
     " attribute of an adapter, a key in the hello of a program."
 )
 AT_TIMES = "Resample on the frames' own times: prbench.representation.converters.at_times."
+
+
+def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Interpolate poses linearly; the first and the last pose are held beyond both ends.
+
+    Args:
+        poses: Known poses, (known, joints, 3).
+        frames: Their frame numbers, increasing, (known,).
+        places: Wanted frame numbers, may be fractional, (wanted,).
+
+    Returns:
+        Poses at these places, (wanted, joints, 3).
+    """
+    flat = poses.reshape(len(poses), -1)
+    columns = [np.interp(places, frames, column) for column in flat.T]
+    return np.stack(columns, axis=1).reshape(-1, *poses.shape[1:])

@@ -1,4 +1,4 @@
-"""Bodies that tremble or stretch: the fault of a model rather than of its conversion, so never certain."""
+"""Finds bodies that tremble or stretch: the fault of a model rather than of its conversion, so never certain."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Tremor:
     """Second over first differences of the joints relative to the pelvis."""
     metres: float
     motions: int
-    """How many were long enough to look at."""
+    """Number of motions that were long enough."""
 
     @classmethod
     def of(cls, motions: Sequence[Float[np.ndarray, "_frames 22 3"]]) -> Tremor | None:
@@ -85,7 +85,7 @@ def _trembling(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
 
 
 def smoothed(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
-    """The motion without what changes from frame to frame."""
+    """Smooth the motion over frames."""
     from scipy.ndimage import gaussian_filter1d  # late: 0.3 s that a run and its workers do not need
 
     return gaussian_filter1d(motion, SMOOTHED_OVER, axis=0, mode="nearest")

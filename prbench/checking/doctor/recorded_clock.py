@@ -1,4 +1,4 @@
-"""The clock of motions that follow recorded ones: rate, delay and slide against the table's own time."""
+"""Finds a wrong rate, delay or slide of motions that follow recorded ones, against the table's own time."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _MATCHED = 24  # motions that are matched at most, evenly spread
 
 @dataclass(frozen=True, eq=False)
 class _Match:
-    """Which recorded frame each frame shows."""
+    """The recorded frames that the frames of a motion show."""
 
     places: np.ndarray
     left: float
     """Mean distance of joints after matching, metres."""
     before: float
-    """The same, frame by frame."""
+    """Mean distance of joints frame by frame, metres."""
     moves: np.ndarray
     """Frames at which the recorded body moves, so that time can be read off it."""
 
@@ -71,7 +71,7 @@ def _judged(copies: list[_Match], motion_set: MotionSet) -> list[Diagnosis]:
 
 
 def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
-    """Dynamic time warping of poses, coarse enough for long motions."""
+    """Match poses by dynamic time warping, of every third joint only, so that long motions stay cheap."""
     apart = np.linalg.norm(motion[:, None, ::3] - recorded[None, :, ::3], axis=-1).mean(axis=-1)
     total = np.full((len(motion) + 1, len(recorded) + 1), np.inf)
     total[0, :] = 0.0  # may begin at any recorded frame
@@ -90,7 +90,7 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
 
 
 def _traced(total: np.ndarray) -> np.ndarray:
-    """Mean recorded frame of each frame along the cheapest way."""
+    """Return the mean recorded frame of each frame along the cheapest path."""
     row, column = len(total) - 1, int(total[-1, 1:].argmin()) + 1
     ways: list[list[int]] = [[] for _ in range(row)]
     while row > 0 and column > 0:
@@ -105,7 +105,7 @@ def _traced(total: np.ndarray) -> np.ndarray:
 
 
 def _line(match: _Match) -> tuple[float, float, float]:
-    """Slope, start and largest departure (95 %) of the straight line through the frames in movement."""
+    """Return slope, start and largest departure (95 %) of the straight line through the frames in movement."""
     frames = np.flatnonzero(match.moves)
     if len(frames) < 8:
         frames = np.arange(len(match.places))

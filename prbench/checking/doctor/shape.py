@@ -1,4 +1,4 @@
-"""Arrays of other shapes than (frames, 22, 3): flat frames, swapped axes, features, body parameters."""
+"""Recognises arrays of other shapes than (frames, 22, 3): flat frames, swapped axes, features, body parameters."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _CONVERT = "prbench.representation.converters"
 
 @dataclass(frozen=True)
 class _Reading:
-    """One way to understand an array."""
+    """An interpretation of an array."""
 
     form: str
     convert: Callable[[np.ndarray], np.ndarray]
-    """To (frames, joints, 3)."""
+    """Turns the array into (frames, joints, 3)."""
     remedy: str
 
 
@@ -77,7 +77,7 @@ def examine_shape(motion_set: MotionSet) -> Finding:
 
 
 def _unbatched(motion_set: MotionSet) -> MotionSet:
-    """Arrays with a batch axis as one motion a row; what was expected then belongs to no row."""
+    """Split arrays with a batch axis into one motion for each row; expectations then fit no row."""
     if not any(_has_batch_axis(motion.shape) for motion in motion_set.motions):
         return motion_set
     rows = [row for motion in motion_set.motions for row in (motion if _has_batch_axis(motion.shape) else [motion])]
@@ -93,7 +93,7 @@ def _has_batch_axis(shape: tuple[int, ...]) -> bool:
 
 
 def _squeezed(motion: np.ndarray) -> np.ndarray:
-    """Without axes of length one, except where a motion has a single frame."""
+    """Drop axes of length one, except where a motion has a single frame."""
     if motion.ndim <= 3 and (motion.shape[-2:] == (N_JOINTS, 3) or (motion.ndim == 2 and motion.shape[0] == 1)):
         return motion.reshape(-1, *motion.shape[-2:]) if motion.shape[-2:] == (N_JOINTS, 3) else motion
     return np.squeeze(motion)
@@ -134,7 +134,7 @@ def _shown(motion_set: MotionSet) -> str:
 
 
 def _best_reading(motions: tuple[np.ndarray, ...]) -> _Reading | None:
-    """The way to understand all arrays in which joints move most smoothly and keep their distances best."""
+    """Return the interpretation of all arrays in which joints move most smoothly and keep their distances best."""
     shapes = [motion.shape for motion in motions]
     if len({len(shape) for shape in shapes}) != 1:
         return None
@@ -149,7 +149,7 @@ def _best_reading(motions: tuple[np.ndarray, ...]) -> _Reading | None:
 
 
 def _is_a_body(motions: tuple[np.ndarray, ...]) -> bool:
-    """Whether the bones are people's, in HumanML3D's order."""
+    """Return True if the bones are people's, in HumanML3D's order."""
     if motions[0].shape[1] != N_JOINTS:
         return False
     finite = tuple(np.nan_to_num(motion) for motion in motions)
@@ -206,7 +206,7 @@ def _readings_of_rows(shapes: list[tuple[int, ...]]) -> list[_Reading]:
 
 
 def _restlessness(motions: tuple[np.ndarray, ...]) -> float:
-    """How much a body's distances change from frame to frame, as a share of its size; little if axes are right."""
+    """Return how much a body's distances change between frames, as a share of its size; small if axes are right."""
     changes = []
     for motion in motions:
         some = np.nan_to_num(motion[: min(len(motion), 64)])

@@ -1,4 +1,4 @@
-"""Another axis than +Y points up."""
+"""Finds another axis than +Y that points up."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class _Exchange:
 
     @property
     def mirrors(self) -> bool:
-        """Whether it turns a right-handed world into a left-handed one."""
+        """True if it turns a right-handed world into a left-handed one."""
         return bool(np.linalg.det(self.matrix) < 0)
 
     @property
@@ -36,7 +36,7 @@ class _Exchange:
 
     @property
     def plain(self) -> bool:
-        """Whether only two axes are exchanged, or one is negated: the usual slips that mirror the world."""
+        """True if only two axes are exchanged, or one is negated: the usual slips that mirror the world."""
         moved = sum(axis != place for place, axis in enumerate(self.axes))
         negated = sum(sign < 0 for sign in self.signs)
         return (moved, negated) in {(2, 0), (0, 1)}
@@ -83,7 +83,7 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
 
 
 def _best(motion_set: MotionSet, axis: np.ndarray, *, mirrored: bool) -> _Exchange:
-    """Of the exchanges that take an axis to +Y the one after which first poses face +Z most nearly."""
+    """Return the exchange that takes ``axis`` to +Y and leaves first poses facing +Z most nearly."""
     facing = front(motion_set.first_poses()).mean(axis=0)
     fitting = [each for each in _EXCHANGES if (each(axis) == _UP).all() and each.mirrors is mirrored]
     return max(fitting, key=lambda each: (round(float(each(facing)[2]), 1), each.plain, each.signs))

@@ -1,4 +1,4 @@
-"""Does a body move, in the frame that the contract asks for, from where it stood to the goal?"""
+"""Checks that a body moves from where it stood to the goal, in the frame that the contract asks for."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CANONICAL = (
 
 @check("doctor", "no sign of a wrong frame rate, axis, unit, joint order …", of_motions=True)
 def doctor(subject: Subject) -> Iterator[Observation]:
-    """What ``prbench doctor`` says about the motions, with the conditions as expectations."""
+    """Run ``prbench doctor`` on the motions, with the conditions as expectations."""
     found = 0
     for condition in subject.working:
         diagnoses = _diagnosed(subject, condition)
@@ -56,7 +56,7 @@ def doctor(subject: Subject) -> Iterator[Observation]:
 
 
 def _too_far(answer: Answer) -> str:
-    """What would end a run although every coordinate is a number; empty if nothing would."""
+    """Return what would end a run although every coordinate is a number, or an empty text."""
     for row in range(len(answer.batch)):
         if problem := coordinate_problem(answer.motion(row)):
             return f"sequence #{row}, {problem}"
@@ -74,7 +74,7 @@ def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
 
 
 def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Condition]) -> Observation | None:
-    """What keeps a measurement from telling anything new; None if nothing does."""
+    """Return a skip if a diagnosed fault already explains a measurement, else None."""
     for condition in conditions:
         for diagnosis in _diagnosed(subject, condition):
             if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
@@ -84,7 +84,7 @@ def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Con
 
 @check("canonical-frame", "motions begin at the origin, face +Z and stand on the floor", of_motions=True)
 def canonical_frame(subject: Subject) -> Iterator[Observation]:
-    """Place and heading of the first frames, height of the lowest joints."""
+    """Measure place and heading of the first frames, and the height of the lowest joints."""
     if hidden := _hidden_by(subject, _ELSEWHERE | {"floor"}, subject.working):
         yield hidden
         return
@@ -110,7 +110,7 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
 
 @check("initial-pose", "motions begin with the pose that they were given", of_motions=True)
 def initial_pose(subject: Subject) -> Iterator[Observation]:
-    """Distance between the first frame and ``initial_joints``."""
+    """Measure the distance between the first frame and ``initial_joints``."""
     given = [condition for condition in subject.working if subject.standard(condition).batch.initial_joints is not None]
     if hidden := _hidden_by(subject, _ELSEWHERE, given):
         yield hidden
@@ -137,7 +137,7 @@ def initial_pose(subject: Subject) -> Iterator[Observation]:
 
 @check("bone-lengths", "one body, of one size, all the time", of_motions=True)
 def bones(subject: Subject) -> Iterator[Observation]:
-    """Change of bone lengths within a motion, and against the initial pose."""
+    """Measure how bone lengths change within a motion, and differ from the initial pose."""
     if hidden := _hidden_by(subject, _NO_BODY, subject.working):
         yield hidden
         return
@@ -157,7 +157,7 @@ def bones(subject: Subject) -> Iterator[Observation]:
         worst = max(change, numbers.get("against_initial_pose", 0.0))
         if shortest < 0.01:
             yield failed(
-                f"under {condition.value}: the bones are {millimetres(shortest)} long.",
+                f"under {condition.value}: the bones are {1000 * shortest:.1f} mm long.",
                 "These are not 22 joints of a body in metres: are positions filled in at all, and not only rotations?",
                 **numbers,
             )
@@ -175,7 +175,7 @@ def bones(subject: Subject) -> Iterator[Observation]:
 
 @check("goal", "how near it comes to the goal", of_motions=True)
 def goal(subject: Subject) -> Iterator[Observation]:
-    """Distance to the goal at the end; reported, never judged: that is what a run is for."""
+    """Report the distance to the goal at the end; a run judges it, not this check."""
     given = [name for name in subject.working if name in (Condition.GOAL_LOCATION, Condition.GOAL_POSE)]
     if hidden := _hidden_by(subject, _ELSEWHERE | {"heading"}, given):
         yield hidden
@@ -192,11 +192,6 @@ def goal(subject: Subject) -> Iterator[Observation]:
         )
     if not given:
         yield skipped("it is given no goal.")
-
-
-def _millimetres(length: float) -> str:
-    """A length in millimetres."""
-    return f"{1000 * length:.1f} mm"
 
 
 def _expected(answer: Answer) -> list[Expected]:

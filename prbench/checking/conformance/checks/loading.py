@@ -1,4 +1,4 @@
-"""Can it be loaded cheaply, what does it say about itself, and does it refuse what it does not know?"""
+"""Checks that a method loads cheaply, declares what the harness needs, and refuses unknown settings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _LATE = "Import heavy packages and open weights inside load() or generate(), not
 
 @check("import", "importing its module is cheap")
 def imports(subject: Subject) -> Iterator[Observation]:
-    """Seconds, and heavy packages that come along."""
+    """Measure the seconds, and name heavy packages that are imported with it."""
     if not subject.is_installed:
         yield skipped("a program imports nothing into the harness.")
         return
@@ -84,7 +84,7 @@ def load(subject: Subject) -> Iterator[Observation]:
 
 @check("settings", "unknown options and weights are refused", needs=("load",))
 def settings(subject: Subject) -> Iterator[Observation]:
-    """A misspelt option must not lead to a number in a table as if it had been understood."""
+    """Require that unknown options are refused, since a misspelt one would change nothing and be recorded."""
     options = (*subject.spec.options, (_NO_SUCH_OPTION, "1"))
     if _loads(subject, options=tuple(sorted(options))):
         yield failed(
@@ -103,7 +103,7 @@ def settings(subject: Subject) -> Iterator[Observation]:
 
 @check("weights", "the weights that it names are there", needs=("load",))
 def weights(subject: Subject) -> Iterator[Observation]:
-    """What ``weights_for`` says, twice, for each condition."""
+    """Ask ``weights_for`` twice for each condition."""
     if subject.is_program:
         yield _named_by_program(subject)
         return
@@ -139,7 +139,7 @@ def weights(subject: Subject) -> Iterator[Observation]:
 
 
 def _named_by_program(subject: Subject) -> Observation:
-    """What its hello says; the handshake has checked the form."""
+    """Report the weights of a program's hello, whose form the handshake has checked."""
     named = getattr(subject.adapter, "weights", {})
     if not named:
         return skipped("its hello names no weights; a run records the path that its user gives.")
@@ -149,7 +149,7 @@ def _named_by_program(subject: Subject) -> Observation:
 
 
 def _loads(subject: Subject, **changed: object) -> bool:
-    """Whether the method can be loaded with other settings."""
+    """Return True if the method can be loaded with other settings."""
     spec = replace(subject.spec, fit_folder=None, table_folder=None, **changed)  # type: ignore[arg-type]
     try:
         spec.load()

@@ -1,4 +1,4 @@
-"""Check that the same input and noise seed give the same motion, in any batch and in any process."""
+"""Checks that the same input and noise seed give the same motion, in any batch and in any process."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from prbench.checking.conformance.answer import STATE_SEED, TOLERANCE, Answer, largest_changes, metres, same_bytes
+from prbench.checking.conformance.cases import rows_of
 from prbench.checking.conformance.check import check
 from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
-from prbench.contract import ConditionBatch
 
 _OWN_GENERATORS = Remedy(
     "Draw from one generator a sequence, made of its noise_seed alone:"
@@ -29,7 +29,7 @@ _OWN_ROW = (
 
 @check("determinism", "the same batch gives the same motions", of_motions=True)
 def determinism(subject: Subject) -> Iterator[Observation]:
-    """The usual batch again, after another one."""
+    """Ask for the usual batch again, after another one."""
     first = subject.standard(subject.main)
     subject.ask(subject.batch(subject.rows[:1], subject.main, sample=7))
     again = subject.ask(first.batch)
@@ -41,7 +41,7 @@ def determinism(subject: Subject) -> Iterator[Observation]:
 
 @check("global-random", "nothing is drawn from global generators", needs=("determinism",), of_motions=True)
 def global_random(subject: Subject) -> Iterator[Observation]:
-    """The usual batch with other states of Python's, NumPy's and torch's global generators."""
+    """Ask for the usual batch with other states of Python's, NumPy's and torch's global generators."""
     if subject.is_program:
         yield skipped("a program's generators are its own; 'determinism' and 'process' see what they would change.")
         return
@@ -64,7 +64,7 @@ def global_random(subject: Subject) -> Iterator[Observation]:
 
 @check("noise-seed", "noise_seed is the only source of chance", needs=("determinism", "global-random"), of_motions=True)
 def noise_seed(subject: Subject) -> Iterator[Observation]:
-    """The usual batch for another run's seed and opaque ids; then with other noise seeds."""
+    """Ask for the usual batch with another run's seed and opaque ids, then with other noise seeds."""
     first = subject.standard(subject.main)
     renamed = tuple(name[::-1] for name in first.batch.opaque_id)
     other_run = subject.ask(dataclasses.replace(first.batch, opaque_id=renamed), seed=1)
@@ -97,7 +97,7 @@ def noise_seed(subject: Subject) -> Iterator[Observation]:
 
 @check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
 def process(subject: Subject) -> Iterator[Observation]:
-    """The first batch of all, in a process that has done nothing else."""
+    """Ask for the very first batch in a process that has done nothing else."""
     kept = subject.first_motions()
     if kept is None:
         yield skipped("there are no motions of the first process to compare with.")
@@ -120,7 +120,7 @@ def process(subject: Subject) -> Iterator[Observation]:
 
 @check("single-row", "a batch of one sequence works", of_motions=True)
 def single_row(subject: Subject) -> Iterator[Observation]:
-    """The first sequence alone."""
+    """Ask for the first sequence alone."""
     answer = subject.ask(subject.batch(subject.rows[:1], subject.main))
     if answer.motions is None:
         yield failed(
@@ -138,7 +138,7 @@ def single_row(subject: Subject) -> Iterator[Observation]:
     of_motions=True,
 )
 def batch(subject: Subject) -> Iterator[Observation]:
-    """The usual sequences in reverse, and in two parts."""
+    """Ask for the usual sequences in reverse, and in two parts."""
     first = subject.standard(subject.main)
     n = len(first.batch)
     if n < 2:
@@ -148,7 +148,7 @@ def batch(subject: Subject) -> Iterator[Observation]:
     moved: dict[str, float] = {}
     for name, parts in orders.items():
         for part in parts:
-            answer = subject.ask(_rows(first.batch, part))
+            answer = subject.ask(rows_of(first.batch, part))
             if answer.motions is None:
                 yield failed(f"the same sequences {name}: {answer.error}", _OWN_ROW)
                 return
@@ -157,7 +157,7 @@ def batch(subject: Subject) -> Iterator[Observation]:
 
 
 def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
-    """Equal bytes pass, rounding is a remark, anything else a failure."""
+    """Pass equal bytes, warn of rounding, and fail anything else."""
     if second.motions is None:
         return failed(f"{when}: {second.error}", remedy)
     if same_bytes(first, second):
@@ -191,24 +191,12 @@ def _judged(subject: Subject, first: Answer, moved: dict[str, float]) -> Observa
 
 
 def _amplified(subject: Subject, first: Answer) -> float:
-    """How far motions move if their input changes in the last digit: nothing but rounding differs then."""
+    """Return how far motions move, in metres, if their input changes in the last digit only."""
     if first.batch.initial_joints is None:
         return 0.0
     nudged = dataclasses.replace(first.batch, initial_joints=first.batch.initial_joints + _ROUNDING)
     answer = subject.ask(nudged)
     return 0.0 if answer.motions is None else float(largest_changes(first, answer).max())
-
-
-def _rows(whole: ConditionBatch, rows: list[int]) -> ConditionBatch:
-    """Some rows of a batch in another order."""
-    changed: dict[str, object] = {}
-    for field in dataclasses.fields(whole):
-        values = getattr(whole, field.name)
-        if isinstance(values, tuple):
-            changed[field.name] = tuple(values[row] for row in rows)
-        elif isinstance(values, np.ndarray):
-            changed[field.name] = values[rows]
-    return dataclasses.replace(whole, **changed)
 
 
 CHECKS = (determinism, global_random, noise_seed, process, single_row, batch)

@@ -1,4 +1,4 @@
-"""What generating takes: memory that is given back, and seconds."""
+"""Checks the memory and the time that generating takes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LEAST_GROWTH = 4 * 1024 * 1024  # bytes in all that count as growth
 
 @check("memory", "memory does not grow from batch to batch", needs=("determinism",), of_motions=True)
 def memory(subject: Subject) -> Iterator[Observation]:
-    """Resident memory of this process and all that it started, after each of many equal batches."""
+    """Measure resident memory of this process and its children after each of many equal batches."""
     usual = subject.standard(subject.main)
     rounds = min(_ROUNDS, int(_PATIENCE / max(usual.seconds, 1e-6)))
     if rounds < _FEWEST_ROUNDS:
@@ -59,7 +59,7 @@ def memory(subject: Subject) -> Iterator[Observation]:
 
 @check("speed", "how long it takes", of_motions=True)
 def speed(subject: Subject) -> Iterator[Observation]:
-    """Seconds of the first batch, which pays for what loads on first use, and of a usual one."""
+    """Measure the seconds of the first batch, which pays for what loads on first use, and of a usual one."""
     first, usual = subject.first_answer, subject.standard(subject.main)
     a_motion = usual.seconds / len(usual.batch)
     yield passed(
@@ -94,7 +94,7 @@ def exits(subject: Subject) -> Iterator[Observation]:
 
 
 def _resident_bytes() -> int:
-    """Memory of this process and its children; what has just ended counts no more."""
+    """Return the memory of this process and its living children."""
     gc.collect()
     own = psutil.Process()
     total = own.memory_info().rss
@@ -107,7 +107,7 @@ def _resident_bytes() -> int:
 
 
 def growth_per_round(resident: np.ndarray) -> float:
-    """Bytes that a round leaves behind: the median of all slopes (Theil and Sen), 0 unless most rounds add to it.
+    """Return the bytes that a round adds: the median of all slopes (Theil and Sen), 0 unless most rounds add.
 
     Args:
         resident: Bytes after each round, settled.
