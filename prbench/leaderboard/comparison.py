@@ -60,13 +60,15 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
     unverified = tuple(_unverified(run, name, checker or RunChecker()) for run in runs for name in shared)
-    scores = {name: paired_scores(*runs, name) for name in shared}
-    found = compare({key: pair for name in shared for key, pair in scores[name].items()})
+    scores: dict[str, PairedValues] = {}
+    for name in shared:
+        scores |= paired_scores(*runs, name)
+    found = compare(scores)
     infos = {info.id: info for info in METRICS}
-    metrics = [
-        ComparedMetric(dataset, infos[metric], comparison)
-        for (dataset, metric), comparison in ((key.split("\n"), comparison) for key, comparison in found.items())
-    ]
+    metrics = []
+    for key, comparison in found.items():
+        dataset, metric = key.split("\n")
+        metrics.append(ComparedMetric(dataset, infos[metric], comparison))
     return RunComparison(tuple(metrics), tuple(filter(None, unverified)))
 
 

@@ -99,7 +99,9 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
         threads: Of NumPy's and torch's libraries.
     """
     watched = _Watched(adapter)
-    motions, halvings, error = None, 0, ""
+    motions = None
+    halvings = 0
+    error = ""
     own = dataclasses.replace(batch)
     try:
         with computing_threads(threads), _generators_set_to(state_seed):
@@ -147,7 +149,8 @@ def _generator_states() -> dict[str, bytes]:
 @contextmanager
 def _generators_set_to(seed: int) -> Iterator[None]:
     """Seed all global generators, and restore their states at the end."""
-    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - put back as it was
+    python = random.getstate()
+    legacy = np.random.get_state()  # noqa: NPY002 - put back as it was
     torch = sys.modules.get("torch")
     drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
     random.seed(seed)

@@ -162,7 +162,10 @@ class _Session:
     """All checks of one method, and their findings so far."""
 
     def __init__(self, request: CheckRequest, limits: _TimeLimits, folder: Path, announce: _Announce) -> None:
-        self.request, self.limits, self.folder, self.announce = request, limits, folder, announce
+        self.request = request
+        self.limits = limits
+        self.folder = folder
+        self.announce = announce
         self.findings: list[Finding] = []
         self._announced = 0
         self._lost: list[str] = []
@@ -178,7 +181,8 @@ class _Session:
 
     def _in_one_child(self, checks: list[Check]) -> list[Check]:
         """Make checks in one child until it ends; return the checks that are left."""
-        left, under_way = list(checks), None
+        left = list(checks)
+        under_way = None
         known = {name: outcome.value for name, outcome in self._known().items()}
         with _ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
             try:

@@ -39,7 +39,9 @@ class Subject:
     """
 
     def __init__(self, spec: MethodSpec, cases: Cases, folder: Path) -> None:
-        self.spec, self.cases, self.folder = spec, cases, folder
+        self.spec = spec
+        self.cases = cases
+        self.folder = folder
         self.overwritten: set[str] = set()
         """Fields of batches that the method wrote into."""
         self.drew_from: set[str] = set()
@@ -147,7 +149,8 @@ class Subject:
 
     def takes(self, n_frames: int) -> bool:
         """Return True if a sequence of this length at the table's rate stays below ``max_frames``."""
-        limit, rate = self.declared.max_frames, self.declared.native_fps
+        limit = self.declared.max_frames
+        rate = self.declared.native_fps
         if rate is not None:
             n_frames = int(native_frames(np.array([n_frames]), fps=self.cases.source.fps, native_fps=rate)[0])
         return limit is None or n_frames <= limit

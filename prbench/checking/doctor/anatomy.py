@@ -65,7 +65,8 @@ class Distances:
     @classmethod
     def of(cls, motions: tuple[np.ndarray, ...]) -> Distances:
         """Measure motions of one number of joints."""
-        every, spreads = [], []
+        every = []
+        spreads = []
         for motion in motions:
             some = motion[np.linspace(0, len(motion) - 1, min(len(motion), 24)).astype(int)]
             apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)

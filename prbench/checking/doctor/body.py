@@ -17,7 +17,8 @@ _SCALED = 0.10  # deviation from the scale of the initial pose's bones
 
 def examine_body(motion_set: MotionSet) -> Finding:
     """Require joints in different places on average, and bones that keep their lengths."""
-    shape, softness = _shape(motion_set), _softness(motion_set)
+    shape = _shape(motion_set)
+    softness = _softness(motion_set)
     if shape >= _SHAPELESS or (softness < _FLABBY and shape > 1.0):
         return no_finding(motion_set)
     evidence = (
@@ -30,7 +31,8 @@ def examine_body(motion_set: MotionSet) -> Finding:
 def not_positions(motion_set: MotionSet, evidence: str) -> Diagnosis | None:
     """Tell standardised positions and velocities from the size of the numbers; None for neither."""
     poses = motion_set.poses()
-    middle, spread = float(np.median(np.abs(poses.mean(axis=0)))), float(poses.std())
+    middle = float(np.median(np.abs(poses.mean(axis=0))))
+    spread = float(poses.std())
     numbers = f"{evidence}; the numbers have a standard deviation of {spread:.2g}, means of {middle:.2g} (median)"
     if spread < 0.2:
         cause = "these look like steps from frame to frame (velocities), not like positions"
@@ -129,7 +131,8 @@ def examine_scale(motion_set: MotionSet) -> Finding:
     if not known or motion_set.motions[0].shape[1] != N_JOINTS:
         return no_finding(motion_set)
     ratios = np.array([_size_ratio(motion_set.motions[row], motion_set.expected[row].initial_joints) for row in known])
-    ratio, agreeing = float(np.median(ratios)), float(np.ptp(np.percentile(ratios, [10, 90])))
+    ratio = float(np.median(ratios))
+    agreeing = float(np.ptp(np.percentile(ratios, [10, 90])))
     if abs(ratio - 1) < _SCALED or agreeing > _SCALED / 2:
         return no_finding(motion_set)
     evidence = f"bones are {ratio:.3f} times as long as those of the initial poses (10 to 90 %: ± {agreeing / 2:.3f})"

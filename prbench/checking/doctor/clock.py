@@ -14,8 +14,10 @@ _STILL = 1e-4  # of a motion's usual step: the same frame again
 _LONGEST_PERIOD = 8
 _SLOW = 0.08  # m/s, mean of the joints: below, noise is larger than steps
 _STRAIGHT = 0.6  # cosine between steps of one movement
-_RHYTHM, _STAND_OUT = 0.5, 0.3  # share of the variance explained; log of a step over the mean of its neighbours
-_TOO_LONG, _LEVEL = 1.6, 1.35  # a step over its neighbours; their own ratio
+_RHYTHM = 0.5  # share of the variance explained
+_STAND_OUT = 0.3  # log of a step over the mean of its neighbours
+_TOO_LONG = 1.6  # a step over its neighbours
+_LEVEL = 1.35  # the ratio of its neighbours to each other
 _SHORTEST_HOLD = 4  # frames that stand still at an end
 _FULL_SPEED = 0.10  # m/s, mean of the joints: a body cannot stop from it within a frame
 _FRESH_START = 1.7  # first step after a hold, in steps that follow it
@@ -198,7 +200,7 @@ def _common_rhythm(steps: Sequence[_Steps], fps: float) -> _Rhythm | None:
     """Return the rhythm of more than half of the motions that are long enough, if there is one."""
     best: _Rhythm | None = None
     for period in range(2, _LONGEST_PERIOD + 1):
-        measured = [found for found in (_rhythm(each, period, fps) for each in steps) if found is not None]
+        measured = [found for each in steps if (found := _rhythm(each, period, fps)) is not None]
         strong = [found for found in measured if found.explained > _RHYTHM and found.stands_out > _STAND_OUT]
         if not measured or len(strong) * 2 <= len(measured):
             continue
@@ -246,6 +248,7 @@ def _leaps(steps: _Steps, fps: float) -> int:
         return 0
     windows = np.lib.stride_tricks.sliding_window_view(steps.sizes, 5)
     neighbours = windows[:, [0, 1, 3, 4]]
-    low, high = neighbours.min(axis=1), neighbours.max(axis=1)
+    low = neighbours.min(axis=1)
+    high = neighbours.max(axis=1)
     agreeing = (high < _LEVEL * low) & (low > max(0.7 * steps.usual, _SLOW / fps))
     return int((agreeing & (windows[:, 2] > _TOO_LONG * neighbours.mean(axis=1))).sum())

@@ -125,8 +125,11 @@ def _from_table(motions: Sequence[NamedMotion], folders: Sequence[Path], *, seed
 def _rows(table: SequenceTable, ids: frozenset[str]) -> list[tuple[str, Expected]]:
     rows = []
     for chunk in table.chunks(columns=_COLUMNS, ids=ids):
-        joints, offsets = chunk.joints, chunk.offsets
-        previous, goals, rates = chunk.poses("previous_joints"), chunk.vectors("goal_location"), chunk.numbers("fps")
+        joints = chunk.joints
+        offsets = chunk.offsets
+        previous = chunk.poses("previous_joints")
+        goals = chunk.vectors("goal_location")
+        rates = chunk.numbers("fps")
         for row, name in enumerate(chunk.sequence_ids):
             recorded = np.array(joints[offsets[row] : offsets[row + 1]], dtype=np.float64)
             expected = Expected(

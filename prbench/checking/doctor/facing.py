@@ -9,7 +9,8 @@ import numpy as np
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
-_CERTAIN, _SUSPICIOUS = np.deg2rad(25.0), np.deg2rad(15.0)
+_CERTAIN = np.deg2rad(25.0)  # from the wanted heading
+_SUSPICIOUS = np.deg2rad(15.0)
 _AGREEING = 0.9  # length of the mean of unit vectors
 _STILL = 1e-3  # metres that a pinned pelvis moves
 _WALKED = 0.12  # metres that an ankle moves over the ground: no one sits
@@ -33,7 +34,8 @@ def examine_facing(motion_set: MotionSet) -> Finding:
         cause = "motions are turned as a whole, by the axes of another program or a canonical frame of its own"
         undone = motion_set.changed(lambda motion: turned(motion, -float(np.angle(mean))))
     else:
-        lowest, highest = np.rad2deg(off.min()), np.rad2deg(off.max())
+        lowest = np.rad2deg(off.min())
+        highest = np.rad2deg(off.max())
         evidence = (
             f"first frames face all ways: {degrees:.0f} degrees off +Z (median), from {lowest:.0f} to {highest:.0f}"
         )

@@ -10,15 +10,20 @@ from prbench.checking.doctor.facing import headings, turned, wrapped
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.skeleton import Joint
 
-_CERTAIN, _SUSPICIOUS = 0.08, 0.04  # metres
-_STRONG_DRIFT, _DRIFT, _SLIGHT_DRIFT = 0.30, 0.12, 0.07  # metres over a motion
+_CERTAIN = 0.08  # metres over or under the floor
+_SUSPICIOUS = 0.04  # metres
+_STRONG_DRIFT = 0.30  # metres over a motion, for which few motions suffice
+_DRIFT = 0.12  # metres over a motion that are certain in several motions
+_SLIGHT_DRIFT = 0.07  # metres over a motion that count at all
 _STRAIGHT = 0.7  # share of the change that a straight line explains
 _SHORTEST = 1.0  # seconds
 _ENOUGH = 3  # motions that drift alike; a single person may climb a step
 _UP = np.array([0.0, 1.0, 0.0])
-_FAR, _NEAR = 0.25, 0.10  # metres
+_FAR = 0.25  # metres between the first pelvis and its place on the ground: certain
+_NEAR = 0.10  # metres: not even suspicious
 _GROUND = [0, 2]
-_TURN, _STEP = np.deg2rad(25.0), 6.0  # radians from one frame to the next; metres a second
+_TURN = np.deg2rad(25.0)  # radians from one frame to the next
+_STEP = 6.0  # metres a second
 _TIMES = 4.0  # what comes after it
 
 
@@ -143,7 +148,8 @@ def examine_first_frame(motion_set: MotionSet) -> Finding:
     if broken.mean() <= 0.5:
         return no_finding(motion_set)
     kind = "facing" if turning.mean() >= leaping.mean() / 2 else "position"
-    metres, degrees = np.median(steps[broken, 0]) / motion_set.fps, np.rad2deg(np.median(np.abs(turns[broken, 0])))
+    metres = np.median(steps[broken, 0]) / motion_set.fps
+    degrees = np.rad2deg(np.median(np.abs(turns[broken, 0])))
     evidence = (
         f"from frame 0 to frame 1 the body of {motion_set.in_words(int(broken.sum()))} turns by {degrees:.0f} degrees"
         f" and leaps by {metres:.2f} m (medians), and not in the frame after"

@@ -22,13 +22,15 @@ from prbench.skeleton import TOES, WRISTS, Joint
 _EDGE = 0.2  # of a movement's peak speed: where it begins and ends
 _FAR = 0.3  # metres from its beginning to its end
 _ENOUGH_MOVEMENTS = 4
-_SWING, _SWING_RANGE = 0.29, (0.20, 0.40)  # seconds: usual, and what is not suspicious
-_REACH_RANGE = (0.25, 1.6)
+_SWING = 0.29  # seconds, usual
+_SWING_RANGE = (0.20, 0.40)  # seconds that are not suspicious
+_REACH_RANGE = (0.25, 1.6)  # seconds that are not suspicious
 _FARTHEST = 7.0  # times; 120 frames a second shown at 20 make 6, and what is farther off is no clock: feet slide, say
 _ENOUGH_BENEATH_TREMOR = 12
 _EQUALLY_LONG = 0.2  # interquartile range of the logarithm; walking 0.03 to 0.18, noise on other bodies 0.22 and more
 _COARSEST = 1.9  # frames: narrower peaks are jitter
-_CONTINUES, _BEGINS_THERE = 0.8, 0.05  # cosine between velocities; metres between frame 0 and the initial pose
+_CONTINUES = 0.8  # cosine between velocities
+_BEGINS_THERE = 0.05  # metres between frame 0 and the initial pose
 _SLOWEST = 0.05  # m/s of the joints' root mean square: slower starts are noise
 _OFF = np.log(1.2)
 _AGREEING = 0.25  # interquartile range of the logarithm of the ratio
@@ -60,7 +62,8 @@ def examine_length(motion_set: MotionSet) -> Finding:
     ratio = float(np.exp(np.median(ratios)))
     differences = found - asked
     undone = motion_set
-    kind, remedy = "length", "Return as many frames as were asked for (n_frames)."
+    kind = "length"
+    remedy = "Return as many frames as were asked for (n_frames)."
     if (differences[wrong] == -1).all():
         cause = "the last frame is missing: 263 features hold a step to the next frame and lose one"
         remedy += " Encode one frame more, or repeat none: extrapolate the last."
@@ -69,7 +72,8 @@ def examine_length(motion_set: MotionSet) -> Finding:
         and (rate := _rate(motion_set.fps * ratio))
         and np.ptp(ratios) < _SAME_RATIO + 4 / float(found.min())
     ):
-        kind, cause = "frame-rate", f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
+        kind = "frame-rate"
+        cause = f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
         remedy = AT_RATE
         undone = _stretched(motion_set, known)
     elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
@@ -118,10 +122,12 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding:
 
 
 def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
-    initial, previous = expected.initial_joints, expected.previous_joints
+    initial = expected.initial_joints
+    previous = expected.previous_joints
     if initial is None or previous is None or len(motion) < 2:
         return None
-    before, after = (initial - previous).ravel(), (motion[1] - motion[0]).ravel()
+    before = (initial - previous).ravel()
+    after = (motion[1] - motion[0]).ravel()
     speed = float(np.sqrt((before**2).sum() / len(initial))) * fps
     if speed < _SLOWEST or float(np.abs(motion[0] - initial).max()) > _BEGINS_THERE:
         return None
@@ -130,7 +136,8 @@ def _start(motion: np.ndarray, expected: Expected, fps: float) -> _Start | None:
 
 
 def _by_velocity(logs: np.ndarray, motion_set: MotionSet) -> tuple[Diagnosis, ...]:
-    middle, spread = float(np.median(logs)), float(np.subtract(*np.percentile(logs, [75, 25])))
+    middle = float(np.median(logs))
+    spread = float(np.subtract(*np.percentile(logs, [75, 25])))
     if abs(middle) < _OFF or spread > _AGREEING:
         return ()
     ratio = float(np.exp(middle))
@@ -204,13 +211,16 @@ def _durations(path: np.ndarray) -> np.ndarray:
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1)
     if len(speed) < 8:
         return np.empty(0)
-    durations, last = [], 0
+    durations = []
+    last = 0
     for peak in _peaks(speed):
         edge = _EDGE * speed[peak]
-        before, after = np.flatnonzero(speed[:peak] < edge), np.flatnonzero(speed[peak:] < edge)
+        before = np.flatnonzero(speed[:peak] < edge)
+        after = np.flatnonzero(speed[peak:] < edge)
         if not before.size or not after.size or before[-1] < last:
             continue
-        start, stop = int(before[-1]), int(peak + after[0])
+        start = int(before[-1])
+        stop = int(peak + after[0])
         if speed[start:stop].max() > speed[peak]:
             continue
         last = stop

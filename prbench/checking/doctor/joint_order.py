@@ -41,10 +41,16 @@ _STANDING = np.linalg.norm(_REST[:, None] - _REST, axis=-1)
 """Distances between the joints of a body that stands with its arms hanging."""
 _SWAPS = np.array(list(combinations(range(N_JOINTS), 2)))
 _OWN = Order("HumanML3D", tuple(joint.name.lower() for joint in Joint))
-_FITS, _IMPOSSIBLE = 0.3, 0.4  # misfit of the bones; right bodies have 0.03 to 0.15, shuffled ones 0.6
+# Misfit of the bones: right bodies have 0.03 to 0.15, shuffled ones 0.6.
+_FITS = 0.3
+_IMPOSSIBLE = 0.4
 _ALIKE = 0.03  # difference of two orders that only exchange left and right
-_CROSSED, _NOT_CROSSED = -0.3, 0.5  # agreement of a pair with the hips (anatomy.sideways_agreement)
-_GAIN, _CLEAR_GAIN = 0.0015, 0.012  # of the bones' misfit: where pairs lie crossed, and where they do not
+# Agreement of a pair with the hips (anatomy.sideways_agreement).
+_CROSSED = -0.3
+_NOT_CROSSED = 0.5
+# Gain of the bones' misfit by an exchange: where pairs lie crossed, and where they do not.
+_GAIN = 0.0015
+_CLEAR_GAIN = 0.012
 _ARMS = np.array([part in ("collar", "shoulder", "elbow", "wrist") for part in PARTS])
 _NOT_HIPS = np.array([part != "hip" for part in PARTS])
 
@@ -98,12 +104,9 @@ def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
     """Diagnose another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
     n_joints = len(distances.median)
     evidence = f"{n_joints} joints a frame instead of 22"
-    mapped = {
-        name: tuple(each.to_22(motion) for motion in motion_set.motions)
-        for name, each in JOINT_MAPS.items()
-        if len(each.source_joints) == n_joints
-    }
-    misfits = {name: _badness(Distances.of(motions), range(N_JOINTS)) for name, motions in mapped.items()}
+    fitting = {name: each for name, each in JOINT_MAPS.items() if len(each.source_joints) == n_joints}
+    mapped = {name: motion_set.changed(each.to_22) for name, each in fitting.items()}
+    misfits = {name: _badness(Distances.of(each.motions), range(N_JOINTS)) for name, each in mapped.items()}
     best = min(misfits, key=lambda name: misfits[name], default=None)
     if best is not None and misfits[best] < _FITS:
         evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
@@ -111,7 +114,7 @@ def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
         if best.startswith("smpl"):
             remedy += " That is joints[:, :22]."
         found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)
-        return Finding((found,), motion_set.with_motions(mapped[best]))
+        return Finding((found,), mapped[best])
     known = {each: fit(distances, each.places()).misfit for each in OTHER_ORDERS if len(each.joints) == n_joints}
     order = min(known, key=lambda each: known[each], default=None)
     if order is not None and known[order] < 2 * _FITS:
@@ -128,13 +131,15 @@ def _exchanged_pairs(motion_set: MotionSet, distances: Distances) -> Finding:
     """Find single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
     agreement = sideways_agreement(motion_set.poses())
     before = fit(distances, _OWN.places()).badness
-    crossed, gain = agreement < _CROSSED, _GAIN
+    crossed = agreement < _CROSSED
+    gain = _GAIN
     if (crossed == _NOT_HIPS).all():
         crossed = ~crossed
     elif crossed.any() and not (crossed == _ARMS).all():
         crossed = _best_exchange(distances, crossed)
     if not crossed.any():
-        crossed, gain = _best_exchange(distances, _NOT_HIPS), _CLEAR_GAIN
+        crossed = _best_exchange(distances, _NOT_HIPS)
+        gain = _CLEAR_GAIN
         crossed = crossed if (agreement[crossed] < _NOT_CROSSED).all() else np.zeros_like(crossed)
     if (crossed == _ARMS).all() or (crossed == ~_ARMS).all() or not crossed.any():
         return no_finding(motion_set)  # whole limbs: left_right.py
@@ -186,7 +191,9 @@ def _recovered_order(distances: Distances) -> list[int] | None:
     Exchanges pairs of joints as long as bones get better, from many starts. Distances alone do not tell left from
     right.
     """
-    best, lowest, confirmed = None, np.inf, 0
+    best = None
+    lowest = np.inf
+    confirmed = 0
     generator = named_generator("doctor", "joint order")
     for start in range(_STARTS):
         cost = _cost(distances, distances.median.max() / _SIZES[start % len(_SIZES)])
@@ -195,7 +202,9 @@ def _recovered_order(distances: Distances) -> list[int] | None:
             index, value = _sides_exchanged(index, cost)
         confirmed += abs(value - lowest) < 1e-9
         if value < lowest - 1e-9:
-            best, lowest, confirmed = index, value, 0
+            best = index
+            lowest = value
+            confirmed = 0
         if lowest < _GOOD and confirmed == 3:
             break
     if best is None or lowest > _GOOD:
@@ -215,14 +224,16 @@ def _misfit_at_own_size(distances: Distances, orders: np.ndarray) -> np.ndarray:
 
 def _guess(distances: Distances, looseness: float, generator: np.random.Generator) -> np.ndarray:
     """Assign joints one after another by how alike their distances to all others are to those in a standing body."""
-    here, there = _profiles(distances.median), _profiles(_STANDING)
+    here = _profiles(distances.median)
+    there = _profiles(_STANDING)
     unlike = np.abs(here[None] - there[:, None]).mean(axis=-1)
     unlike += looseness * unlike.mean() * generator.standard_normal(unlike.shape)
     order = np.empty(N_JOINTS, dtype=int)
     for _ in range(N_JOINTS):
         place, joint = np.unravel_index(unlike.argmin(), unlike.shape)
         order[place] = joint
-        unlike[place], unlike[:, joint] = np.inf, np.inf
+        unlike[place] = np.inf
+        unlike[:, joint] = np.inf
     return order
 
 
@@ -251,7 +262,8 @@ def _descended(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> t
         best = int(values.argmin())
         if values[best] >= value - 1e-12:
             return order, value
-        order, value = neighbours[best], float(values[best])
+        order = neighbours[best]
+        value = float(values[best])
 
 
 def _sides_exchanged(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:

@@ -19,7 +19,8 @@ from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.skeleton import N_JOINTS, bone_lengths
 
 _WRONG_SIDE = -0.5  # mean cosine between the front of toes and knees and the one that left and right say
-_ASYMMETRIC, _ALIKE = 0.004, 0.9  # of a skeleton's left and right bones: mean log ratio, correlation
+_ASYMMETRIC = 0.004  # mean log ratio of left to right bones
+_ALIKE = 0.9  # correlation of these ratios with SMPL's
 _ARMS = np.array([part in ("collar", "shoulder", "elbow", "wrist") for part in PARTS])
 
 
@@ -63,11 +64,16 @@ def _whole(motion_set: MotionSet, evidence: str) -> Finding:
             "left and right joints are exchanged, or the world is mirrored (an axis negated, or two exchanged);"
             " for a symmetric body the two give the same numbers"
         )
-        kind, remedy = "left-right", f"{remedy_names} If the world is mirrored instead: {flip}."
+        kind = "left-right"
+        remedy = f"{remedy_names} If the world is mirrored instead: {flip}."
     elif mirrored:
-        kind, cause, remedy = "mirrored", f"the world is mirrored ({reason})", remedy_mirrored
+        kind = "mirrored"
+        cause = f"the world is mirrored ({reason})"
+        remedy = remedy_mirrored
     else:
-        kind, cause, remedy = "left-right", f"left and right joints are exchanged ({reason})", remedy_names
+        kind = "left-right"
+        cause = f"left and right joints are exchanged ({reason})"
+        remedy = remedy_names
     undo_by_axis = mirrored or toes_backwards
     signs = np.where(np.arange(3) == axis, -1.0, 1.0)
     found = Diagnosis(kind, True, evidence, cause, remedy)
@@ -125,16 +131,18 @@ def _decided(in_mirror: float, exchanged: float) -> tuple[bool, float, float] | 
 
 def _apart(poses: np.ndarray, others: np.ndarray) -> float:
     """Return the median distance of joints relative to their pelvises, metres."""
-    centred, others = poses - poses[:, :1], others - others[:, :1]
-    return float(np.median(np.linalg.norm(centred - others, axis=-1)))
+    difference = (poses - poses[:, :1]) - (others - others[:, :1])
+    return float(np.median(np.linalg.norm(difference, axis=-1)))
 
 
 def _by_bones(motion_set: MotionSet) -> tuple[bool | None, str]:
     """Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one."""
     lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
     people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
-    pairs = [(joint - 1, other - 1) for joint, other in enumerate(MIRRORED_JOINTS) if joint < other]
-    here, there = (np.array([of[one] - of[other] for one, other in pairs]) for of in (lengths, people))
+    one = [joint - 1 for joint, mirrored in enumerate(MIRRORED_JOINTS) if joint < mirrored]
+    other = [MIRRORED_JOINTS[joint + 1] - 1 for joint in one]
+    here = lengths[one] - lengths[other]
+    there = people[one] - people[other]
     if np.abs(here).mean() < _ASYMMETRIC:
         return None, ""
     alike = float(np.corrcoef(here, there)[0, 1])

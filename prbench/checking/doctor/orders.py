@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from prbench.skeleton import CHAINS, Joint
 
 _NAMES = tuple(joint.name.lower() for joint in Joint)
-_LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("collar", "shoulder", "elbow", "wrist")
+_LEG = ("hip", "knee", "ankle", "foot")
+_ARM = ("collar", "shoulder", "elbow", "wrist")
 _TRUNK = ("spine1", "spine2", "spine3")
 _TOP = ("neck", "head")
 

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet
 from prbench.skeleton import BONES, Joint, bone_lengths
 
-_TREMBLING, _TREMOR = 1.2, 0.003  # second over first differences (noise 1.7, movement 0.3); metres
+_TREMBLING = 1.2  # second over first differences (noise 1.7, movement 0.3)
+_TREMOR = 0.003  # metres
 SMOOTHED_OVER = 1.5
 """Standard deviation of the Gaussian in :func:`smoothed`, frames."""
 _STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
@@ -30,7 +31,8 @@ class Tremor:
     @classmethod
     def of(cls, motions: Sequence[Float[np.ndarray, "_frames 22 3"]]) -> Tremor | None:
         """Measure motions; None if they do not tremble, or are too short to tell."""
-        ratios, sizes = [], []
+        ratios = []
+        sizes = []
         for motion in motions:
             if len(motion) <= 4:
                 continue

@@ -196,7 +196,8 @@ def _frames(cell: pa.Scalar, path: Path, row: int) -> np.ndarray:
         raise InputFileError(
             path, where, expected="a list of frames", found=str(cell.type) if cell.is_valid else "null"
         )
-    values, count = cell.values, len(cell.values)
+    values = cell.values
+    count = len(cell.values)
     while pa.types.is_nested(values.type):
         if pa.types.is_struct(values.type) or pa.types.is_map(values.type):
             raise InputFileError(path, where, expected="lists of numbers", found=str(values.type))

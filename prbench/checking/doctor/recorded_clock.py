@@ -9,8 +9,10 @@ import numpy as np
 from prbench.checking.doctor.motion_set import AT_RATE, AT_TIMES, Diagnosis, Finding, MotionSet, no_finding
 
 _MOVES = 0.10  # metres that joints leave the first pose by, in the mean
-_COPY, _BETTER = 0.03, 0.5  # metres left after matching; share of what is left without it
-_SLIDE, _DELAY = 0.10, 0.10  # seconds off a straight line; at the beginning
+_COPY = 0.03  # metres left after matching
+_BETTER = 0.5  # share of the distance without matching
+_SLIDE = 0.10  # seconds off a straight line
+_DELAY = 0.10  # seconds at the beginning
 _RATE = 0.04
 _MATCHED = 24  # motions that are matched at most, evenly spread
 
@@ -91,7 +93,8 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
 
 def _traced(total: np.ndarray) -> np.ndarray:
     """Return the mean recorded frame of each frame along the cheapest path."""
-    row, column = len(total) - 1, int(total[-1, 1:].argmin()) + 1
+    row = len(total) - 1
+    column = int(total[-1, 1:].argmin()) + 1
     ways: list[list[int]] = [[] for _ in range(row)]
     while row > 0 and column > 0:
         ways[row - 1].append(column - 1)

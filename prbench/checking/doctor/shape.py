@@ -54,8 +54,7 @@ def examine_shape(motion_set: MotionSet) -> Finding:
     if all(motion.ndim == 3 and motion.shape[1:] == (N_JOINTS, 3) and len(motion) for motion in motion_set.motions):
         return no_finding(motion_set)
     evidence = f"expected (frames, 22, 3), found {_shown(motion_set)}"
-    if any(motion.size == 0 for motion in motion_set.motions):
-        empty = sum(motion.size == 0 for motion in motion_set.motions)
+    if empty := sum(motion.size == 0 for motion in motion_set.motions):
         holes = f"{empty} of {len(motion_set)} arrays hold no numbers"
         remedy = "Leave them out or generate them again."
         found = Diagnosis("shape", True, holes, "nothing was generated for them", remedy)
@@ -80,7 +79,9 @@ def _unbatched(motion_set: MotionSet) -> MotionSet:
     """Split arrays with a batch axis into one motion for each row; expectations then fit no row."""
     if not any(_has_batch_axis(motion.shape) for motion in motion_set.motions):
         return motion_set
-    rows = [row for motion in motion_set.motions for row in (motion if _has_batch_axis(motion.shape) else [motion])]
+    rows: list[np.ndarray] = []
+    for motion in motion_set.motions:
+        rows += list(motion) if _has_batch_axis(motion.shape) else [motion]
     known = motion_set.expected if len(rows) == len(motion_set) else (NOTHING_KNOWN,) * len(rows)
     return dataclasses.replace(motion_set, motions=tuple(rows), expected=known)
 
@@ -166,30 +167,23 @@ def _readings_of_planes(shapes: list[tuple[int, ...]]) -> list[_Reading]:
         ((1, 0, 2), "(joints, frames, 3)", "Exchange the first two axes: joints.transpose(1, 0, 2)."),
         ((1, 2, 0), "(3, frames, joints)", "Move the coordinates to the end: joints.transpose(1, 2, 0)."),
     ):
-        turned = [tuple(shape[axis] for axis in order) for shape in shapes]
-        same = len({shape[1] for shape in turned}) == 1
-        if same and turned[0][1] in _KNOWN_JOINTS and all(shape[2] == 3 for shape in turned):
+        _, joints, coordinates = order
+        numbers = {(shape[joints], shape[coordinates]) for shape in shapes}
+        if len(numbers) == 1 and shapes[0][joints] in _KNOWN_JOINTS and shapes[0][coordinates] == 3:
             readings.append(_Reading(form, lambda motion, order=order: motion.transpose(order), remedy))
-    if (
-        not readings
-        and all(shape[2] == 3 for shape in shapes)
-        and len({shape[1] for shape in shapes}) == 1
-        and shapes[0][1] > 8
-    ):
+    # A skeleton without a map is still a body: joint_order.py says what to do with it.
+    one_number = {shape[1:] for shape in shapes} == {(shapes[0][1], 3)}
+    if not readings and one_number and shapes[0][1] > 8:
         readings.append(_Reading("", lambda motion: motion, ""))
     return readings
 
 
 def _readings_of_rows(shapes: list[tuple[int, ...]]) -> list[_Reading]:
     width = shapes[0][-1]
-    if (
-        len(shapes[0]) != 2
-        or any(shape[-1] != width for shape in shapes)
-        or width % 3
-        or width // 3 not in _KNOWN_JOINTS
-    ):
-        return []
     joints = width // 3
+    one_width = all(shape[-1] == width for shape in shapes)
+    if len(shapes[0]) != 2 or not one_width or width % 3 or joints not in _KNOWN_JOINTS:
+        return []
     by_axis = f"joints.reshape(-1, 3, {joints}).transpose(0, 2, 1)"
     return [
         _Reading(

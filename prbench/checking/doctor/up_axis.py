@@ -12,7 +12,8 @@ from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no
 
 _NAMES = "xyz"
 _UP = np.array([0.0, 1.0, 0.0])
-_CLEAR, _TILTED = 35.0, 25.0  # degrees between bodies and an axis
+_CLEAR = 35.0  # degrees between bodies and an axis, below which it is certain
+_TILTED = 25.0  # degrees from +Y that people do not lean
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
     mirrored = float(sidedness(poses, left_of_hips(poses)).mean()) < -0.5
     exchange = _best(motion_set, axis, mirrored=mirrored)
     if mirrored and not exchange.plain:  # two faults: the second is found later
-        mirrored, exchange = False, _best(motion_set, axis, mirrored=False)
+        mirrored = False
+        exchange = _best(motion_set, axis, mirrored=False)
     cause = f"{name} points up instead of +y"
     if mirrored:
         cause += f", and the world is mirrored as well: axes were exchanged or negated to {exchange} without a turn"

@@ -15,15 +15,19 @@ from prbench.contract import Condition
 from prbench.methods.coordinates import coordinate_problem
 from prbench.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
 
-_AWAY_WARNING, _AWAY_FAILURE = 0.25, 1.5
+_AWAY_WARNING = 0.25
+_AWAY_FAILURE = 1.5
 """Metres between the first pelvis and the canonical origin, on the ground (median over sequences)."""
-_TURNED_WARNING, _TURNED_FAILURE = 30.0, 90.0
+_TURNED_WARNING = 30.0
+_TURNED_FAILURE = 90.0
 """Degrees between the first heading and +Z (median)."""
-_FLOOR_WARNING, _FLOOR_FAILURE = 0.10, 0.50
+_FLOOR_WARNING = 0.10
+_FLOOR_FAILURE = 0.50
 """Metres between the lowest joint of a motion and Y = 0 (median)."""
 _INITIAL_WARNING = 0.10
 """Metres between the first frame and the initial pose, mean over joints (median over sequences)."""
-_BONES_WARNING, _BONES_FAILURE = 0.10, 0.50
+_BONES_WARNING = 0.10
+_BONES_FAILURE = 0.50
 """Relative change of bone lengths (median over bones and sequences)."""
 
 _NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
@@ -43,7 +47,8 @@ def doctor(subject: Subject) -> Iterator[Observation]:
     for condition in subject.working:
         diagnoses = _diagnosed(subject, condition)
         for diagnosis in diagnoses:
-            evidence, cause = diagnosis.evidence.rstrip("."), diagnosis.cause.rstrip(".")
+            evidence = diagnosis.evidence.rstrip(".")
+            cause = diagnosis.cause.rstrip(".")
             text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
             yield (failed if _is_failure(subject, diagnosis) else warning)(text, diagnosis.remedy)
             found += 1
@@ -224,7 +229,8 @@ def _spread(lengths: np.ndarray) -> float:
 
 def _to_goal(answer: Answer, row: int) -> tuple[float, float]:
     """Distance to the goal in the first and the last frame, metres."""
-    ends, batch = answer.motion(row)[[0, -1]], answer.batch
+    ends = answer.motion(row)[[0, -1]]
+    batch = answer.batch
     if batch.goal_location is not None:
         distances = np.linalg.norm(ends[:, WRISTS] - batch.goal_location[row], axis=-1).min(axis=1)
     else:

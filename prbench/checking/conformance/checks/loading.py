@@ -19,7 +19,8 @@ from prbench.methods.weights import used_weights, weights_digest
 _IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""
 _HEAVY = ("torch", "tensorflow", "jax", "transformers", "pytorch_lightning", "lightning")
-_NO_SUCH_OPTION, _NO_SUCH_WEIGHTS = "prbench-no-such-option", Path("prbench-no-such-weights")
+_NO_SUCH_OPTION = "prbench-no-such-option"
+_NO_SUCH_WEIGHTS = Path("prbench-no-such-weights")
 _NAME = Remedy(
     "Set name to the word that users type behind --method.", "Put the name of the method under 'name' into the hello."
 )
@@ -42,7 +43,8 @@ def imports(subject: Subject) -> Iterator[Observation]:
         return
     target = find_adapter(subject.spec.name).target.partition(":")[0]
     subject.starting(f"while importing {target}")
-    before, started = set(sys.modules), time.perf_counter()
+    before = set(sys.modules)
+    started = time.perf_counter()
     try:
         importlib.import_module(target)
     except (Exception, SystemExit):  # told by 'load', in the words that a run would use
@@ -63,7 +65,8 @@ def load(subject: Subject) -> Iterator[Observation]:
     subject.starting("while starting its program" if subject.is_program else "while loading it")
     started = time.perf_counter()
     try:
-        declared, name = subject.declared, subject.adapter.name
+        declared = subject.declared
+        name = subject.adapter.name
     except PrbenchError as error:
         yield failed(str(error), "Nothing else can be looked at before this is repaired.")
         return

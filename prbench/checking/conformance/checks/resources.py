@@ -16,9 +16,12 @@ from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.faults import exit_story
 from prbench.methods.remote.process import EXIT_SECONDS
 
-_ROUNDS, _FEWEST_ROUNDS, _SETTLING = 14, 8, 3
+_ROUNDS = 14
+_FEWEST_ROUNDS = 8
+_SETTLING = 3
 _PATIENCE = 20.0  # seconds for all rounds
-_GROWTH_WARNING, _GROWTH_FAILURE = 32 * 1024, 128 * 1024
+_GROWTH_WARNING = 32 * 1024
+_GROWTH_FAILURE = 128 * 1024
 """Bytes a motion that stay behind; 128 KiB are 2.2 GiB in a run over 18,000 sequences."""
 _LEAST_GROWTH = 4 * 1024 * 1024  # bytes in all that count as growth
 
@@ -60,7 +63,8 @@ def memory(subject: Subject) -> Iterator[Observation]:
 @check("speed", "how long it takes", of_motions=True)
 def speed(subject: Subject) -> Iterator[Observation]:
     """Measure the seconds of the first batch, which pays for what loads on first use, and of a usual one."""
-    first, usual = subject.first_answer, subject.standard(subject.main)
+    first = subject.first_answer
+    usual = subject.standard(subject.main)
     a_motion = usual.seconds / len(usual.batch)
     yield passed(
         f"first batch ({len(first.batch)}) {first.seconds:.2f} s; then {len(usual.batch)} in {usual.seconds:.2f} s:"
