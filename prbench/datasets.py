@@ -1,4 +1,4 @@
-"""Which datasets can be read: prbench's own and those of installed packages (entry-point group ``prbench.readers``).
+"""Find the datasets that can be read: prbench's own and those of installed packages (group ``prbench.readers``).
 
 A package that reads a dataset has one line under ``[project.entry-points."prbench.readers"]``, the dataset's name and
 its reader, and the manifest ``<dataset>.toml`` beside the module that the line names. Nothing of a package is imported
@@ -28,12 +28,12 @@ SYNTHETIC_PREFIX = "synthetic-"
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_NAME = 60
 _RESERVED = ("all", "synthetic")
-"""What commands mean something else by."""
+"""Words with another meaning in commands."""
 
 
 @dataclass(frozen=True)
 class InstalledReader:
-    """What package metadata say about the reader of one dataset."""
+    """Entry of a reader in package metadata."""
 
     dataset: str
     package: str
@@ -43,7 +43,7 @@ class InstalledReader:
     built_in: bool
     """It comes with prbench itself."""
     problem: str = ""
-    """Why the reader cannot be used; empty if it can."""
+    """Reason why the reader cannot be used; empty if it can."""
 
     @property
     def origin(self) -> str:

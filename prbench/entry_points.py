@@ -1,4 +1,4 @@
-"""What package metadata say about the plug-ins of a group, read so that one damaged package never hides the others.
+"""Read the plug-ins of a group from package metadata, so that one damaged package never hides the others.
 
 ``importlib.metadata.entry_points`` gives up on the first line that it cannot parse, and with it every command that
 names a plug-in. Here each package is read by itself, and what is wrong with it is said beside its name. Nothing that
@@ -32,7 +32,7 @@ class InstalledEntry:
     ours: bool
     """The package is prbench itself."""
     problem: str = ""
-    """Why the line cannot be used; empty if it can."""
+    """Reason why the line cannot be used; empty if it can."""
 
 
 def installed_entries(group: str, *, kind: str = "callable") -> Iterator[InstalledEntry]:

@@ -73,7 +73,7 @@ class Reader(Protocol):
 
     @property
     def options(self) -> ReaderOptions:
-        """What the user chose; the class of the default value tells which options there are."""
+        """The user's choices; the class of the default value tells which options there are."""
         ...
 
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -97,7 +97,7 @@ class Reader(Protocol):
 
 @runtime_checkable
 class KnowsEnds(Reader, Protocol):
-    """What a reader may do besides: say from when to when the streams of a recording reach."""
+    """A reader that can say from when to when the streams of a recording reach."""
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """Look at the ends of a recording's files, without reading them whole.
@@ -115,7 +115,7 @@ class KnowsEnds(Reader, Protocol):
 
 @runtime_checkable
 class AriaGlasses(Reader, Protocol):
-    """What the reader of a dataset of Project Aria's glasses may do besides: feed EgoAllo, and point at the scene.
+    """A reader of recordings with Project Aria's glasses: it finds EgoAllo's inputs and the scene's point cloud.
 
     Such a reader has an option ``poses`` that takes ``egoallo``.
     """
@@ -135,7 +135,7 @@ class AriaGlasses(Reader, Protocol):
 
 @runtime_checkable
 class AnnotatedByHand(Reader, Protocol):
-    """What the reader of a dataset without events may do besides: name the table into which a person writes them."""
+    """A reader of a dataset without events: it describes the table into which a person writes them."""
 
     @property
     def annotation_columns(self) -> tuple[str, ...]:
@@ -157,11 +157,11 @@ class AnnotationLine:
 
     recording_id: str
     cells: Mapping[str, object]
-    """What is known before anybody looks, by column."""
+    """Cells that are known beforehand, by column."""
     frame_rate: float
     """Frames a second of the column ``event_frame``."""
     hint: float | None
-    """When the dataset hints at an event, seconds on the recording's clock."""
+    """Time at which the dataset hints at an event, seconds on the recording's clock."""
 
 
 def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader:

@@ -1,4 +1,4 @@
-"""What is below a folder: every dataset that some reader recognises, without reading a recording."""
+"""Find every dataset below a folder that some reader recognises, without reading a recording."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def usable_readers() -> tuple[tuple[Reader, ...], tuple[str, ...]]:
 
 
 def _ask(reader: Reader, folder: Path) -> FoundDataset | BrokenDataset | None:
-    """What one reader says about one folder; None if it is none of its."""
+    """Ask one reader about one folder; None if the folder holds nothing of its dataset."""
     try:
         tree = read_synthetic_tree(folder)
         if tree is not None and tree.preset != reader.dataset:

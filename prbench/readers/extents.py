@@ -38,7 +38,7 @@ class Extent:
     """From when to when one stream reaches."""
 
     stream: str
-    """What it holds, as a person would say it."""
+    """Name of the stream in messages."""
     file: str
     """Name of the file."""
     first: float | None
@@ -46,9 +46,9 @@ class Extent:
     last: float | None
     """Time of its last sample; None if it holds none."""
     tells_span: bool = True
-    """Whether the recording lasts at least as long. Not so where a dataset's sensors run on without ground truth."""
+    """True where the recording lasts at least as long. Not so where a dataset's sensors run on without ground truth."""
     may_start_late: bool = False
-    """Whether a late start is normal."""
+    """True where a late start is normal."""
     slack: float = ONE_SYSTEM
     """Seconds by which it may begin after the recording or end before it."""
 
@@ -88,12 +88,13 @@ def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
     ends = [extent.last for extent in extents if extent.tells_span and extent.last is not None]
     if not starts or not ends:
         return ()
-    start, end = min(starts), max(ends)
+    start = min(starts)
+    end = max(ends)
     return tuple(message for extent in extents for message in _told(extent, start, end))
 
 
 def _told(extent: Extent, start: float, end: float) -> Iterator[str]:
-    """What is to be said of one stream of a recording that lasts from ``start`` to ``end``, seconds."""
+    """Say where one stream falls short of a recording that lasts from ``start`` to ``end``, seconds."""
     named = f"{extent.stream} ({extent.file})"
     if extent.last is None:
         yield f"{named} holds no sample with a time: events may be missing; {_REMEDY}"
@@ -120,7 +121,7 @@ Span = tuple[float | None, float | None]
 
 
 def can_be_looked_at(file: InputFile) -> bool:
-    """Whether the ends of a file can be seen without much work."""
+    """Return True where the ends of a file can be seen without much work."""
     return not file.member or file.size <= LARGEST_UNPACKED_FOR_ITS_END
 
 
@@ -181,7 +182,7 @@ def _scaled(first: float | None, last: float | None, seconds: float) -> Span:
 
 
 def _place(header: bytes, column: str) -> int | None:
-    """Which column it is; None where the file has none of that name."""
+    """Return the index of a column; None where the file has none of that name."""
     try:
         names = header_names(header)
     except UnicodeDecodeError:

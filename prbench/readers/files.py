@@ -56,7 +56,7 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
 
 
 def arrow_types(columns: Mapping[str, Column]) -> dict[str, pa.DataType]:
-    """What the columns are parsed to."""
+    """Map the columns' types to those of Arrow."""
     return {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
 
 
@@ -248,7 +248,8 @@ def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool)
 
 def _watched(path: Source, batches: pyarrow.csv.CSVStreamingReader) -> pa.Table:
     """The table of a long file, refused as soon as it is larger than any table: cells may be longer than their text."""
-    kept, size = [], 0
+    kept = []
+    size = 0
     for batch in batches:
         kept.append(batch)
         size += batch.nbytes

@@ -1,4 +1,4 @@
-"""What was parsed from large text files, kept in the user's cache so that the next read is a small binary one.
+"""Keep what was parsed from large text files in the user's cache, so that the next read is a small binary one.
 
 An entry belongs to one file and is used only while that file is the same: path, size, times of change (of content and
 of status), and a digest of its first and last bytes (of a file in an archive: its checksum and the archive's times).
@@ -52,7 +52,7 @@ def limit_bytes() -> int:
 
 
 def load_parsed(source: Source, wish: bytes) -> pa.Table | None:
-    """What was parsed from a source before; None if that is not known, or the source or the wish has changed.
+    """Return what was parsed from a source before; None if that is not known, or the source or the wish has changed.
 
     Args:
         source: A plain file, or one in an archive.

@@ -33,7 +33,7 @@ class ZippedFile:
 
     @property
     def shown(self) -> Path:
-        """How messages name it."""
+        """Return its name in messages."""
         return self.archive / self.member
 
     @property
@@ -46,12 +46,12 @@ Source = Path | ZippedFile
 
 
 def source_of(file: InputFile) -> Source:
-    """What to read of an input file: itself, or its member of an archive."""
+    """Return what to read of an input file: itself, or its member of an archive."""
     return ZippedFile(file.path, file.member) if file.member else file.path
 
 
 def shown(source: Source) -> Path:
-    """How messages name a source."""
+    """Return a source's name in messages."""
     return source if isinstance(source, Path) else source.shown
 
 

@@ -1,4 +1,4 @@
-"""Which hand reached: the wrist nearest to the place of an event, or no answer where the wrists do not decide.
+"""Find the hand that reached: the wrist nearest to the place of an event, or none where the wrists do not decide.
 
 A wrist is known from hand tracking, else from the body. Glasses lose a hand more often than a body estimate does, and
 the one that they lose may be the one that reached: so a single known wrist counts only close to the place.
@@ -59,12 +59,14 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
     """
     wrists = []
     for side, joint in zip(_SIDES, WRISTS, strict=True):
-        position, source = None, "tracked"
+        position = None
+        source = "tracked"
         for stream in hands:
             if stream.side == side and stream.contact == "wrist" and position is None:
                 position = _point_at(stream.times, stream.points[:, 0], stream.valid, time)
         if position is None and body is not None:
-            position, source = _point_at(body.times, body.joints[:, joint], body.valid, time), "body"
+            position = _point_at(body.times, body.joints[:, joint], body.valid, time)
+            source = "body"
         if position is not None:
             wrists.append(Wrist(side, position, source))
     return tuple(wrists)

@@ -1,4 +1,4 @@
-"""Where the files of ADT recordings lie: one flat folder each (v2.0), or one sub-folder a device (v1.x)."""
+"""Find the files of ADT recordings: one flat folder each (v2.0), or one sub-folder a device (v1.x)."""
 
 from __future__ import annotations
 
@@ -29,18 +29,25 @@ class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
     """Options of the reader of Aria Digital Twin."""
 
     poses: Literal["native", "egoallo"] = "native"
-    """Where bodies come from: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's."""
+    """Source of bodies: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's."""
     smplh_model: Path | None = None
     """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
     poses_root: Path | None = None
     """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
     gaze: Literal["release", "personalized"] = "release"
-    """Which gaze: the release's ``eyegaze.csv``, or the services' personalized one where a recording has it."""
+    """Source of gaze: the release's ``eyegaze.csv``, or the services' personalized one where a recording has it."""
 
 
-METADATA, INSTANCES, OBJECTS, BOXES = "metadata", "instances", "objects", "boxes"
-TRAJECTORY, GAZE, ASSOCIATION, CALIBRATION = "trajectory", "gaze", "association", "calibration"
-GAZE_STATUS, SLAM_STATUS = "gaze status", "slam status"
+METADATA = "metadata"
+INSTANCES = "instances"
+OBJECTS = "objects"
+BOXES = "boxes"
+TRAJECTORY = "trajectory"
+GAZE = "gaze"
+ASSOCIATION = "association"
+CALIBRATION = "calibration"
+GAZE_STATUS = "gaze status"
+SLAM_STATUS = "slam status"
 SKELETON_PREFIX = "skeleton:"
 """Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
 
@@ -78,7 +85,7 @@ class Metadata(msgspec.Struct):
     gt_time_domain: str | None = None
     """Checked when the recording is read."""
     serial: str | None = None
-    """Of the glasses; absent in v1.x, where every subtour has its own."""
+    """Serial number of the glasses; absent in v1.x, where every subtour has its own."""
     headset: str | None = None
     """None: only HOT3D's metadata names it."""
     concurrent_sequence: str | None = None
@@ -171,7 +178,7 @@ def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
 
 @foreign_input()
 def subtour_folder(metadata_path: Path, tour: Subtour) -> Path:
-    """Where the files of one pair of glasses lie.
+    """Return the folder with the files of one pair of glasses.
 
     Raises:
         InputFileError: if its name leads out of the sequence, or cannot be the name of a folder.
@@ -186,7 +193,7 @@ def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtO
 
 
 def _is_recording(folder: Path) -> bool:
-    """Whether a folder is a recording or a v1.x sequence; one that lacks its metadata is, and reading it says so."""
+    """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
     metadata_path = metadata_file(folder)
     if metadata_path is None:
         return any((folder / name).is_file() for name in _OWN_FILES)
@@ -194,7 +201,7 @@ def _is_recording(folder: Path) -> bool:
 
 
 def _is_adt(metadata_path: Path) -> bool:
-    """Whether metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
+    """Return True where metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
     try:
         return decode_json(metadata_path, METADATA_DECODER).headset is None
     except InputFileError:

@@ -86,7 +86,8 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
 
 def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
     """The optional calibration, and remarks; one whose own services call it an error is left aside."""
-    path, status = found.path(layouts.CALIBRATION), found.path(layouts.SLAM_STATUS)
+    path = found.path(layouts.CALIBRATION)
+    status = found.path(layouts.SLAM_STATUS)
     if path is None:
         return None, ()
     try:

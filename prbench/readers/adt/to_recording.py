@@ -33,7 +33,7 @@ from prbench.skeleton import invert_rigid
 from prbench.timelines import require_overlap
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"
-"""Of glasses whose size no file tells (choice: the public sample's)."""
+"""Size of glasses where no file tells it (choice: the public sample's)."""
 _SIDES: tuple[Side, Side] = ("left", "right")
 _CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
     ("wrist", adt.WRIST_JOINTS),
@@ -149,7 +149,7 @@ def object_track(entry: adt.AdtObject, *, start: float) -> ObjectTrack:
 
 
 def encloses_room(track: ObjectTrack, gaze: GazeStream) -> bool:
-    """Whether a box encloses the room, so that every ray would hit it.
+    """Return True where a box encloses the room, so that every ray would hit it.
 
     That is the dataset's own room (``ApartmentEnv``), and any box with a side above 3 m that holds a ray's origin.
     """
@@ -206,7 +206,8 @@ def _check_overlap(
         track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
     ]
     if moving:
-        starts, ends = [track.times[0] for track in moving], [track.times[-1] for track in moving]
+        starts = [track.times[0] for track in moving]
+        ends = [track.times[-1] for track in moving]
         ranges["objects"] = float(min(starts)), float(max(ends))
     require_overlap(ranges, recording=readings.recording_id)
 
@@ -218,7 +219,7 @@ def _remarks(
     body: BodyStream | None,
     wearer: adt.AdtSkeleton | None,
 ) -> tuple[str, ...]:
-    """What a user should know about these readings."""
+    """Tell the user what is unusual about these readings."""
     remarks = []
     if readings.glasses_size is None:
         remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
@@ -249,7 +250,7 @@ def _remarks(
 
 
 def _estimate_remarks(readings: adt.AdtReadings, body: BodyStream | None) -> tuple[str, ...]:
-    """What a user should know about the estimated body."""
+    """Tell the user what is unusual about the estimated body."""
     if readings.estimated_body is None or body is None:
         return (NO_OUTPUTS,)
     invalid = int((~body.valid).sum())

@@ -1,4 +1,4 @@
-"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives.
+"""Find the files of the Machine Perception Services: by name, below a folder or in archives.
 
 Source: docs/specification/aria-mps.md#folder-tree.
 """
@@ -64,7 +64,7 @@ def find_gaze_file(folder: Path) -> Path | None:
 
 
 def is_personalized(file: InputFile) -> bool:
-    """Whether a gaze file was made with the wearer's own calibration."""
+    """Return True where a gaze file was made with the wearer's own calibration."""
     return _name(file) in mps.PERSONALIZED_GAZE_FILES
 
 
@@ -119,7 +119,7 @@ _ANYTHING = msgspec.json.Decoder()
 
 
 def read_warnings(path: Source) -> tuple[str, ...]:
-    """What the operators of a stream warn of; their names vary between versions, and none is required.
+    """Read what the operators of a stream warn of; their names vary between versions, and none is required.
 
     Returns:
         One remark for each operator with the status WARNING.

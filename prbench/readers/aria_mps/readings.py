@@ -116,7 +116,8 @@ def _read(path: Source, wrist: _Columns, palm: _Columns) -> mps.WristPositions:
     table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(numbers, float)})
     time_us = table[mps.TIME_COLUMN].to_numpy()
     require_increasing(path, time_us, unit="us")
-    wrists, palms = _points(table, wrist), _points(table, palm)
+    wrists = _points(table, wrist)
+    palms = _points(table, palm)
     confidence = np.nan_to_num(column_vectors(table, confidences), nan=0.0)
     seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
     return mps.WristPositions(
@@ -148,11 +149,11 @@ class _CalibrationRow(msgspec.Struct):
 
 @dataclass(frozen=True)
 class OnlineCalibration:
-    """Where the cameras sit on the glasses, at one instant."""
+    """Places of the cameras on the glasses, at one instant."""
 
     time_us: int
     device_from_camera: dict[str, Float[np.ndarray, "4 4"]]
-    """By label: ``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``."""
+    """Maps a camera's label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``) to its pose."""
 
     @property
     def slam_baseline(self) -> float:
@@ -261,7 +262,8 @@ def _read_calibration(found: RecordingFiles) -> OnlineCalibration | None:
 
 def _read_wrists(found: RecordingFiles) -> tuple[mps.WristPositions | None, tuple[str, ...]]:
     """Wrists and palms: of the file made for them (10 Hz), else of the landmarks; None where neither is usable."""
-    wrists, landmarks = _file(found, mps.WRISTS), _file(found, mps.HAND_TRACKING)
+    wrists = _file(found, mps.WRISTS)
+    landmarks = _file(found, mps.HAND_TRACKING)
     if wrists is None and landmarks is None:
         return None, ()
     try:

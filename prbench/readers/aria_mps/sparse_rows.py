@@ -1,4 +1,4 @@
-"""Of a long CSV file only the rows around wanted times: found by searching, parsed together."""
+"""Read only the rows around wanted times of a long CSV file: found by searching, parsed together."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class TextStart:
     header: bytes
     """With its line break."""
     first_line: bytes
-    """Of the data; empty where there is none."""
+    """First line of the data; empty where there is none."""
 
     @property
     def names(self) -> list[str]:
@@ -84,7 +84,8 @@ def _mapped_blocks(path: Path, first: int, size: int) -> Iterator[Block]:
     """Blocks of a plain file: only the pages that are looked at are read, and they are given back after each block."""
     with open_regular(path) as file:
         mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last block that refers to it
-    end, begin = _end_of_content(mapped, len(mapped)), first
+    end = _end_of_content(mapped, len(mapped))
+    begin = first
     while begin < end:
         stop = min(begin + size, end)
         if stop < end:
@@ -94,7 +95,8 @@ def _mapped_blocks(path: Path, first: int, size: int) -> Iterator[Block]:
         yield Block(mapped, begin, stop)
         if stop == end:
             return
-        done, begin = begin, mapped.rfind(b"\n", begin, stop - 1) + 1
+        done = begin
+        begin = mapped.rfind(b"\n", begin, stop - 1) + 1
         if begin <= done:
             raise NotSearchable("very long lines")
         _give_back(mapped, done, begin)
@@ -107,7 +109,8 @@ def _give_back(mapped: mmap.mmap, begin: int, stop: int) -> None:
 
 
 def _unpacked_blocks(source: Source, first: int, size: int) -> Iterator[Block]:
-    buffer, filled = bytearray(size + _LONGEST_LINE), 0
+    buffer = bytearray(size + _LONGEST_LINE)
+    filled = 0
     with opened(source) as file:
         file.read(first)
         while new := cast(io.BufferedIOBase, file).readinto(memoryview(buffer)[filled : filled + size]):
@@ -125,7 +128,7 @@ def _unpacked_blocks(source: Source, first: int, size: int) -> Iterator[Block]:
 
 
 def _end_of_content(text: bytearray | mmap.mmap, end: int) -> int:
-    """Where the empty lines before ``end`` begin: behind the break of the last line that holds something."""
+    """Return where the empty lines before ``end`` begin: behind the break of the last line that holds something."""
     while end > 1 and text[end - 1] in _BREAKS and text[end - 2] in _BREAKS:
         end -= 1
     return end
@@ -172,7 +175,9 @@ def search_rows(
 def _found_text(source: Source, start: TextStart, column: int, wanted: Wanted, block: int) -> bytes:
     """The lines around the wanted times, one after the other, with their line breaks."""
     first_us = after_us = None
-    pieces, last_line, last_is_taken = [], b"", False
+    pieces = []
+    last_line = b""
+    last_is_taken = False
     for text in line_blocks(source, len(start.header), block):
         lines = TimedLines(text, column, _time_ends(start.first_line, column))
         begin_us, end_us = lines.times(np.array([text.begin, lines.last])).tolist()
@@ -183,7 +188,8 @@ def _found_text(source: Source, start: TextStart, column: int, wanted: Wanted, b
         pieces.append(lines.copied(pairs))
         last_is_taken = bool((pairs.second == lines.last).any()) or (last_is_taken and lines.last == text.begin)
         only_last = np.array([lines.last])
-        after_us, last_line = end_us, lines.copied(Lines(only_last, only_last))
+        after_us = end_us
+        last_line = lines.copied(Lines(only_last, only_last))
     if after_us is not None and not last_is_taken and wanted.beyond(after_us):
         pieces.append(last_line)
     return b"".join(pieces)

@@ -65,7 +65,7 @@ def gaze_in_world(
 
 
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
-"""Of glasses whose size no file tells."""
+"""Size of glasses where no file tells it."""
 """``world_from_source`` of every native world of the services: (x, y, z) → (x, z, -y)."""
 SAME_INSTANT = 1e-3
 """Seconds; the step of the poses."""
@@ -173,7 +173,7 @@ def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
 
 
 def _gap_remarks(device: PoseStream, gaze: GazeStream) -> tuple[str, ...]:
-    """Where the glasses were not tracked."""
+    """Tell the user where the glasses were not tracked."""
     remarks = []
     steps = np.diff(device.times)
     gaps = steps[steps > mps.LONGEST_POSE_STEP + 1e-6]

@@ -42,7 +42,7 @@ _NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
 
 
 def load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
-    """What was read before from a file that has not changed since; None if nothing was."""
+    """Return what was read before from a file that has not changed since; None if nothing was."""
     table = load_parsed(source, _WISH + wish)
     if table is None:
         return None
@@ -74,7 +74,7 @@ def keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory)
 
 NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(NUMBERS, float)}
-"""What is read; the velocities are unreliable and stay unread."""
+"""Columns that are read; the velocities are unreliable and stay unread."""
 
 
 def read_trajectory(source: Source, *, near_us: Int[np.ndarray, " m"] | None = None) -> mps.AriaTrajectory:
@@ -168,7 +168,8 @@ def has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
 def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
     """World frames of a trajectory, most frequent first, and the rows of the first."""
     encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
-    names, codes = encoded.dictionary.to_pylist(), encoded.indices.to_numpy(zero_copy_only=False)
+    names = encoded.dictionary.to_pylist()
+    codes = encoded.indices.to_numpy(zero_copy_only=False)
     counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
     ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
     kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
@@ -180,7 +181,7 @@ _BLOCK = 2**20  # bytes
 
 @dataclass(frozen=True)
 class TrajectoryCheck:
-    """What all rows of a sound trajectory say."""
+    """Facts that hold for all rows of a sound trajectory."""
 
     rows: int
     first_us: int
@@ -220,7 +221,8 @@ def check_trajectory(source: Source) -> TrajectoryCheck:
             worlds.update(
                 dict(zip(counts.field("values").to_pylist(), counts.field("counts").to_pylist(), strict=True))
             )
-            first_us, last_us = time_us[0] if first_us is None else first_us, time_us[-1]
+            first_us = time_us[0] if first_us is None else first_us
+            last_us = time_us[-1]
             rows += len(table)
     require_whole_last_line(shown(source), COLUMNS, read_header(source), tail=stream.tail)
     if first_us is None or last_us is None:

@@ -60,7 +60,8 @@ def require_belongs(
         InputFileError: if no frame falls into the tracked time, or the median distance is above 5 cm.
     """
     times = time_ns / 1e9
-    whole, cpf = cpf, _around(cpf, times)
+    whole = cpf
+    cpf = _around(cpf, times)
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
     if not posed.any():
         raise InputFileError(

@@ -1,4 +1,4 @@
-"""What a recording offers to EgoAllo: trajectory, points, wrists, and the VRS recording with the calibration."""
+"""Find a recording's inputs for EgoAllo: trajectory, points, wrists, and the VRS recording with the calibration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from prbench.readers.zipped import Source, ZippedFile, archive_members, source_o
 
 POINT_FILES = ("semidense_points.csv.gz", "global_points.csv.gz")
 Need = Literal["vrs", "points"]
-"""What EgoAllo may need besides the trajectory."""
+"""Inputs that EgoAllo may need besides the trajectory."""
 _VRS_NAMES = ("video.vrs", "recording.vrs")  # what datasets call the recording itself; others beside it are renderings
 
 
@@ -37,7 +37,7 @@ class EgoalloInputs:
     can be given as they are."""
 
     def lacking(self, needs: frozenset[Need]) -> str:
-        """What is missing of what EgoAllo needs, as a sentence; empty if nothing."""
+        """Name the missing inputs in a sentence; empty if nothing is missing."""
         missing = []
         if "vrs" in needs and self.vrs is None:
             missing.append("the VRS recording, from which it takes the calibration")

@@ -57,7 +57,7 @@ def read_smplh_rest(path: Path) -> ego.SmplhRest:
 
 
 def model_digest(path: Path) -> str:
-    """What tells two models apart: SHA-256 of their rest joints' template and directions.
+    """SHA-256 of the rest joints' template and directions, which tells two models apart.
 
     Raises:
         InputFileError: see :func:`read_smplh_rest`.
@@ -176,7 +176,9 @@ def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray |
     """Joints from the cache, if they are whole and of the wanted model (of any model where none is given)."""
     try:
         with np.load(io.BytesIO(kept.read_bytes()), allow_pickle=False) as file:
-            version, model, joints = int(file["version"]), str(file["model"]), file["joints"]
+            version = int(file["version"])
+            model = str(file["model"])
+            joints = file["joints"]
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         return None if isinstance(error, FileNotFoundError) else _forget(kept)
     fits = version == _VERSION and joints.shape == (frames, 22, 3) and joints.dtype == np.float32

@@ -1,4 +1,4 @@
-"""Where EgoAllo's outputs and its body model lie."""
+"""Find EgoAllo's outputs and its body model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
 
 
 def poses_folder(root: Path, recording_id: str, poses_root: Path | None = None) -> Path:
-    """Where ``prbench poses egoallo`` puts the outputs of a recording: below ``poses_root``, else ``root/egoallo``."""
+    """Return the folder of a recording's outputs: below ``poses_root``, else ``root/egoallo``."""
     base = root / ego.POSES_FOLDER if poses_root is None else poses_root.expanduser()
     return base / recording_id / ego.OUTPUT_FOLDER
 

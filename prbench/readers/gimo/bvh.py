@@ -82,11 +82,13 @@ class _Hierarchy:
 
     def parse(self) -> tuple[BvhJoint, ...]:
         stack: list[int] = []
-        name, is_end = "", False
+        name = ""
+        is_end = False
         while self.place < len(self.words):
             word = self._next()
             if word in ("ROOT", "JOINT"):
-                name, is_end = self._name(), False
+                name = self._name()
+                is_end = False
             elif word == "End":
                 self._next()
                 is_end = True
@@ -166,7 +168,8 @@ def _motion(path: Path, text: str, width: int) -> tuple[float, Float[np.ndarray,
     words = header.split()
     seconds, _, numbers = rest.lstrip().partition("\n")
     try:
-        count, frame_time = int(words[-1]), float(seconds)
+        count = int(words[-1])
+        frame_time = float(seconds)
         values = np.array([float(word) for word in numbers.split()])
     except (ValueError, IndexError) as error:
         raise InputFileError(path, "MOTION", expected="frames of numbers", found=str(error)) from error

@@ -17,9 +17,11 @@ from prbench.readers.gimo.dataset_csv import Row, read_lines
 SegmentKey = tuple[str, str, int, int]
 
 _REQUIRED = tuple(name for name in gimo.EVENT_COLUMNS if name != "hand")
-_ACTIONS, _HANDS = ("pick", "put"), ("left", "right", "")
+_ACTIONS = ("pick", "put")
+_HANDS = ("left", "right", "")
 _MOST_DIGITS = 9  # of a frame number
-_YES, _NO = ("yes", "y", "true", "1", "x"), ("no", "n", "false", "0", "")
+_YES = ("yes", "y", "true", "1", "x")
+_NO = ("no", "n", "false", "0", "")
 
 
 @dataclass(frozen=True)
@@ -33,17 +35,17 @@ class EventRow:
     action: str
     hand: gimo.Hand | None
     confirmed: bool
-    """Whether a person stands behind it: lines that nobody confirmed are no events."""
+    """True where a person confirmed the line; lines that nobody confirmed are no events."""
 
 
 @dataclass(frozen=True)
 class SegmentEvents:
-    """What is known about the picks of one segment."""
+    """The known picks of one segment."""
 
     events: tuple[gimo.EventFrame, ...]
     remarks: tuple[str, ...] = ()
     reason: str | None = None
-    """Why there are none."""
+    """Reason why there are none."""
 
 
 def read_events(path: Path) -> tuple[EventRow, ...]:
@@ -149,7 +151,8 @@ def _row(path: Path, line: int, cells: Mapping[str, str]) -> EventRow:
     frame = None if not text and not confirmed else _frame(path, line, "event_frame", text)
     if frame is not None and not start <= frame <= end:
         raise _wrong(path, line, "event_frame", f"a frame from {start} to {end}", str(frame))
-    action, hand = cells.get("action", "").lower(), cells.get("hand", "").lower()
+    action = cells.get("action", "").lower()
+    hand = cells.get("hand", "").lower()
     if action not in _ACTIONS and confirmed:
         raise _wrong(path, line, "action", "pick or put", f"'{action}'")
     if hand not in _HANDS:

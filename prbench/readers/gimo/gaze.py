@@ -61,7 +61,7 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
 
 
 def count_vertices(path: Path) -> int:
-    """How many vertices the header promises; the rest is not read.
+    """Return the number of vertices that the header promises; the rest is not read.
 
     Raises:
         InputFileError: see :func:`read_vertices`.
@@ -86,7 +86,9 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
             found="a file without its header" if content else "an empty file",
             remedy="Copy the file again.",
         )
-    form, element, n_vertices = "", "", 0
+    form = ""
+    element = ""
+    n_vertices = 0
     properties: list[tuple[str, str]] = []
     for line in content[:end].decode("ascii", "replace").splitlines():
         words = line.split()
@@ -152,7 +154,8 @@ def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[g
     Returns:
         The points, and remarks about damaged files.
     """
-    frames, points = [], []
+    frames = []
+    points = []
     damaged: list[InputFileError] = []
     for frame in sorted(cones.keys() & centres.keys()):
         try:

@@ -21,8 +21,13 @@ from prbench.skeleton import invert_rigid, transform_points
 from prbench.timelines import covered, interpolate, slerp
 
 _WIDTH = 861
-_TICK, _HEAD, _GAZE_VALID, _GAZE_ORIGIN, _GAZE_DIRECTION = 0, 1, 851, 852, 856
-_VIDEO_WIDTH, _VIDEO_POSE = 18, 2
+_TICK = 0
+_HEAD = 1
+_GAZE_VALID = 851
+_GAZE_ORIGIN = 852
+_GAZE_DIRECTION = 856
+_VIDEO_WIDTH = 18
+_VIDEO_POSE = 2
 
 
 def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
@@ -164,7 +169,9 @@ class _Glasses:
     """HoloLens rows on the frames of a segment, still in the world of the glasses."""
 
     def __init__(self, hololens: gimo.HoloLens, transform: gimo.SceneTransform, times: Float[np.ndarray, " n"]) -> None:
-        self._hololens, self._transform, self._times = hololens, transform, times
+        self._hololens = hololens
+        self._transform = transform
+        self._times = times
         frames = np.rint(times * gimo.FRAME_RATE).astype(np.int64)
         known = frames < len(hololens.video_ticks)
         self._frames = np.minimum(frames, len(hololens.video_ticks) - 1)

@@ -90,10 +90,8 @@ def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gi
             )
         parameters = read_poses(poses)
         if route == "smplx":
-            decoder, model = (
-                read_pose_decoder(_given(options.vposer_model)),
-                read_smplx_model(_given(options.smplx_model)),
-            )
+            decoder = read_pose_decoder(_given(options.vposer_model))
+            model = read_smplx_model(_given(options.smplx_model))
             return joints_from_parameters(parameters, decoder, model)
         return gimo.LocalSkeleton(read_bvh(_given(skeleton)), parameters)
     raise InputFileError(
@@ -106,7 +104,7 @@ def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gi
 
 
 def _lacking(route: Route, options: GimoOptions, *, has_poses: bool, has_meshes: bool, skeleton: Path | None) -> str:
-    """What a way to the joints lacks; nothing if it is open."""
+    """Name what a way to the joints lacks; empty if nothing."""
     files = f"{gimo.POSE_FOLDER}/<frame>"
     parts = {
         "smplx": {"--option vposer_model": options.vposer_model, "--option smplx_model": options.smplx_model},

@@ -167,7 +167,8 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3
 
 
 def _require_edges(path: Path, vertices: Float[np.ndarray, "v 3"], model: SmplxModel, largest: float) -> None:
-    first, second = model.faces.ravel(), np.roll(model.faces, -1, axis=1).ravel()
+    first = model.faces.ravel()
+    second = np.roll(model.faces, -1, axis=1).ravel()
     posed, rest = (np.linalg.norm(points[first] - points[second], axis=1) for points in (vertices, model.template))
     error = float(np.abs(posed - rest).mean())
     if error > largest:

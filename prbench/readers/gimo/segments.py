@@ -1,4 +1,4 @@
-"""Where the files of GIMO segments lie (docs/specification/gimo.md#folder-tree)."""
+"""Find the files of GIMO segments (docs/specification/gimo.md#folder-tree)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,20 @@ from prbench.readers.synthetic_tree import SyntheticTree, read_synthetic_tree
 from prbench.recording import Recording
 from prbench.storage import inside
 
-TABLE, EVENTS, TRANSFORM, NORM, SKELETON = "table", "events", "transform", "norm", "skeleton"
-POSE, MESH, CONE, CENTRE = "pose:", "mesh:", "gaze:", "gaze centre:"
+TABLE = "table"
+EVENTS = "events"
+TRANSFORM = "transform"
+NORM = "norm"
+SKELETON = "skeleton"
+POSE = "pose:"
+MESH = "mesh:"
+CONE = "gaze:"
+CENTRE = "gaze centre:"
 """Beginnings of the roles of files of one frame; the frame number follows."""
-STREAM, VIDEO, HOLOLENS_TRANSFORM, SCENE_MESH = "hololens stream", "hololens video", "hololens transform", "scene mesh"
+STREAM = "hololens stream"
+VIDEO = "hololens video"
+HOLOLENS_TRANSFORM = "hololens transform"
+SCENE_MESH = "scene mesh"
 
 Split = Literal["train", "test"]
 
@@ -155,7 +165,7 @@ def _is_number(stem: str) -> bool:
 
 
 def _frame_of(name: str) -> str:
-    """What stands in the place of the frame number in a file's name."""
+    """Return what stands in the place of the frame number in a file's name."""
     stem, dot, _ = name.rpartition(".")
     return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
@@ -172,18 +182,22 @@ class _Search:
         table: Sequence[EventRow],
         events_path: Path,
     ) -> None:
-        self._root, self._options, self._tree, self._table = root, options, tree, table
+        self._root = root
+        self._options = options
+        self._tree = tree
+        self._table = table
         self._events_path = events_path
         self._folders: dict[Path, _Folder] = {}
         self._in_both = hints_in_both_splits(rows)
 
     def is_there(self, row: Row) -> bool:
-        """Whether the row's sequence is on the disk."""
+        """Return True where the row's sequence is on the disk."""
         return self._folder(row).path.is_dir()
 
     def segment(self, row: Row) -> RecordingFiles:
         """One row with its files."""
-        segment, folder = row.segment, self._folder(row)
+        segment = row.segment
+        folder = self._folder(row)
         in_tree = self._tree is not None and segment.sequence in self._tree.split
         return RecordingFiles(
             dataset="gimo" if self._tree is None else f"{SYNTHETIC_PREFIX}gimo",

@@ -36,7 +36,7 @@ class LaidSkeleton:
     error: float
     """Root mean square distance of hips and pelvis after alignment, a constant offset apart, metres."""
     is_sure: bool
-    """Whether the pelvis moves far enough to tell the start."""
+    """Return True where the pelvis moves far enough to tell the start."""
 
 
 def lay_skeleton(

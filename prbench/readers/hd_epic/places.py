@@ -1,4 +1,4 @@
-"""Where the files of HD-EPIC videos lie, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
+"""Find the files of HD-EPIC videos, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
 
 from __future__ import annotations
 
@@ -28,23 +28,27 @@ class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
     """Options of the reader; see the fields."""
 
     source: Literal["mps", "intermediate"] = "mps"
-    """Where camera and gaze come from: the MPS files of SLAM-and-Gaze, or the newer per-frame intermediate data."""
+    """Source of camera and gaze: the MPS files of SLAM-and-Gaze, or the newer per-frame intermediate data."""
     boxes: BoxChoice = "point"
     """``point``: zero-size boxes at the annotated points; ``cube``: cubes as large as the 2D boxes say."""
     annotations: Path | None = None
     """The annotation repository, where it does not lie beside the data."""
     poses: Literal["egoallo"] = "egoallo"
-    """Where bodies come from."""
+    """Source of bodies."""
     smplh_model: Path | None = None
     """The licensed SMPL-H ``model.npz`` that turns EgoAllo's outputs into joints."""
     poses_root: Path | None = None
     """Folder of EgoAllo's outputs by video, where it is not ``egoallo`` below the root."""
 
 
-TIME, LOG = "video time", "video log"
-ASSOCIATIONS, MASKS, PRIMING = "associations", "masks", "priming"
+TIME = "video time"
+LOG = "video log"
+ASSOCIATIONS = "associations"
+MASKS = "masks"
+PRIMING = "priming"
 SLAM_MAP = "slam map"
-FRAMES, DEVICE_CALIBRATION = "frames", "device calibration"
+FRAMES = "frames"
+DEVICE_CALIBRATION = "device calibration"
 """Roles of the files of a video, beside those of MPS and EgoAllo."""
 
 _SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
@@ -113,7 +117,8 @@ def _first_folder(places: Iterable[Path], pattern: str) -> Path | None:
 def _videos(copy: Copy) -> dict[str, str]:
     """Participant's folder of every video, by the video's name."""
     videos: dict[str, str] = {}
-    folder, slam_and_gaze = copy.data / hd_epic.VIDEOS_FOLDER, copy.data / hd_epic.MPS_FOLDER
+    folder = copy.data / hd_epic.VIDEOS_FOLDER
+    slam_and_gaze = copy.data / hd_epic.MPS_FOLDER
     for suffix in (hd_epic.TIME_SUFFIX, hd_epic.LOG_SUFFIX):
         videos |= {path.name.removesuffix(suffix): path.parent.name for path in folder.glob(f"*/*{suffix}")}
     for path in slam_and_gaze.glob(f"*/{hd_epic.GAZE_FOLDER}/**/mps_*_vrs*"):

@@ -29,8 +29,10 @@ def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEp
     Raises:
         InputFileError: for a missing or damaged file; of SLAM it says which archive is missing.
     """
-    video, participant = found.recording_id, found.folder.name
-    associations, masks = _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS)
+    video = found.recording_id
+    participant = found.folder.name
+    associations = _annotation(found, places.ASSOCIATIONS)
+    masks = _annotation(found, places.MASKS)
     tracks, track_remarks = read_tracks(associations, masks, video)
     priming = found.path(places.PRIMING)
     frames = _read_frames(found) if options.source == "intermediate" else None

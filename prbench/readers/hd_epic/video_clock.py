@@ -1,4 +1,4 @@
-"""Which instants the frames of an HD-EPIC video have, and in which map its glasses were followed."""
+"""Read the instants of an HD-EPIC video's frames, and the name of the map in which its glasses were followed."""
 
 from __future__ import annotations
 

@@ -21,7 +21,10 @@ from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.hands_umetrack import hand_rows, read_lines
 from prbench.readers.hot3d.layout import MANO, MANO_MODEL_PREFIX
 
-N_VERTICES, N_JOINTS, N_BETAS, N_COEFFICIENTS = 778, 16, 10, 15
+N_VERTICES = 778
+N_JOINTS = 16
+N_BETAS = 10
+N_COEFFICIENTS = 15
 MODEL_KEYS = (
     "v_template",
     "shapedirs",
@@ -97,8 +100,10 @@ def _joint_transforms(
     parents: Int[np.ndarray, "16"], joints: Float[np.ndarray, "16 3"], local: Float[np.ndarray, "n 16 3 3"]
 ) -> tuple[Float[np.ndarray, "n 16 3 3"], Float[np.ndarray, "n 16 3"]]:
     """Rotation and shift of every joint against its rest: ``x -> turn x + shift``."""
-    turn, place = np.empty_like(local), np.empty(local.shape[:3])
-    turn[:, 0], place[:, 0] = local[:, 0], joints[0]
+    turn = np.empty_like(local)
+    place = np.empty(local.shape[:3])
+    turn[:, 0] = local[:, 0]
+    place[:, 0] = joints[0]
     for joint in range(1, N_JOINTS):
         parent = parents[joint]
         turn[:, joint] = turn[:, parent] @ local[:, joint]
@@ -192,7 +197,8 @@ def read_models(found: RecordingFiles, folder: Path | None) -> dict[Literal["lef
     """
     models: dict[Literal["left", "right"], ManoModel] = {}
     for side in hot3d.HAND_KEYS:
-        path, name = found.path(f"{MANO_MODEL_PREFIX}{side}"), f"MANO_{side.upper()}.npz"
+        path = found.path(f"{MANO_MODEL_PREFIX}{side}")
+        name = f"MANO_{side.upper()}.npz"
         if path is None:
             raise InputFileError(
                 (folder or Path("mano")).expanduser() / name,

@@ -20,10 +20,14 @@ from prbench.readers.hot3d import format as hot3d
 N_JOINTS = 22
 N_ANGLES = 20
 """Angles that move bones; joints 20 and 21 are unused."""
-N_FINGERS, JOINTS_A_FINGER, BONES_A_FINGER = 5, 4, 3
+N_FINGERS = 5
+JOINTS_A_FINGER = 4
+BONES_A_FINGER = 3
 N_BONES = 2 + N_FINGERS * BONES_A_FINGER
 """Root and wrist, which never move, then three a finger, thumb to little."""
-N_LANDMARKS, WRIST_LANDMARK, PALM_LANDMARK = 21, 5, 20
+N_LANDMARKS = 21
+WRIST_LANDMARK = 5
+PALM_LANDMARK = 20
 METRES_A_UNIT = 1e-3
 
 
@@ -43,7 +47,7 @@ class HandModel:
 
 
 def bone_transforms(model: HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
-    """Where every bone is in the frame of the wrist, relative to its rest.
+    """Return the pose of every bone in the frame of the wrist, relative to its rest.
 
     Args:
         model: Joints and axes.
@@ -153,7 +157,8 @@ def read_lines(path: Path, decoder: msgspec.json.Decoder[Any]) -> tuple[list[Any
     Raises:
         InputFileError: if the file is missing, no line parses, or time runs backwards.
     """
-    records, bad = [], 0
+    records = []
+    bad = 0
     for line in _text_lines(path):
         try:
             records.append(decoder.decode(line))

@@ -1,4 +1,4 @@
-"""Where the files of HOT3D recordings lie, and which recordings can be used.
+"""Find the files of HOT3D recordings, and say which recordings can be used.
 
 Sources: docs/specification/hot3d.md#folder-tree and docs/specification/hot3d.md#usable-recordings.
 """
@@ -31,22 +31,29 @@ class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
     """Options of the reader of HOT3D."""
 
     poses: Literal["egoallo"] = "egoallo"
-    """Where bodies come from; the dataset has none of its own."""
+    """Source of bodies; the dataset has none of its own."""
     smplh_model: Path | None = None
     """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
     poses_root: Path | None = None
     """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
     hands: Literal["umetrack", "mano"] = "umetrack"
-    """Which hand annotation gives wrists and vertices."""
+    """Hand annotation that gives wrists and vertices."""
     mano_models: Path | None = None
     """Folder of ``MANO_LEFT.npz`` and ``MANO_RIGHT.npz``, for ``hands=mano``."""
     meshes: bool = False
     """Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an object."""
 
 
-METADATA, OBJECTS, HEADSET, INSTANCES = "metadata", "objects", "headset", "instances"
-UMETRACK, PROFILE, MANO = "umetrack", "hand profile", "mano"
-MASK_PREFIX, MODEL_PREFIX, MANO_MODEL_PREFIX = "mask:", "model:", "mano model:"
+METADATA = "metadata"
+OBJECTS = "objects"
+HEADSET = "headset"
+INSTANCES = "instances"
+UMETRACK = "umetrack"
+PROFILE = "hand profile"
+MANO = "mano"
+MASK_PREFIX = "mask:"
+MODEL_PREFIX = "model:"
+MANO_MODEL_PREFIX = "mano model:"
 """Roles of masks, object models and hand models are this and their name, uid or side."""
 
 _FILES = {
@@ -60,7 +67,7 @@ _FILES = {
 
 
 class GroundTruth(msgspec.Struct):
-    """Which ground truth a recording has; that of test participants is withheld."""
+    """Ground truth that a recording has; that of test participants is withheld."""
 
     object_pose_gt: bool
     umetrack_hand_pose_gt: bool
@@ -80,7 +87,7 @@ METADATA_DECODER = msgspec.json.Decoder(Metadata)
 
 
 def why_unusable(metadata: Metadata) -> str | None:
-    """Why a recording cannot be primed, or None: it must come from Aria glasses and have poses of objects and hands."""
+    """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
     if metadata.headset != hot3d.ARIA:
         return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
     status = metadata.gt_available_status
@@ -132,12 +139,13 @@ def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFile
     files += _mano_models(options)
     files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
     dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
-    split, skip = splits.get(folder.name), _skip_reason(folder)
+    split = splits.get(folder.name)
+    skip = _skip_reason(folder)
     return RecordingFiles(dataset, folder.name, folder, tuple(files), split=split, skip_reason=skip)
 
 
 def _is_hot3d(folder: Path) -> bool:
-    """Whether a folder with metadata is a recording of this dataset: other datasets call their metadata the same."""
+    """Return True for a recording of this dataset: other datasets call their metadata the same."""
     if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
         return True
     try:

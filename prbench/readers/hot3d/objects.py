@@ -153,7 +153,8 @@ def read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
             found="none",
             remedy="metadata.json says that this ground truth is there; download the recording again.",
         )
-    position, rotation = column_vectors(table, hot3d.POSITION), column_vectors(table, hot3d.ROTATION)
+    position = column_vectors(table, hot3d.POSITION)
+    rotation = column_vectors(table, hot3d.ROTATION)
     require_poses(path, position, rotation)
     encoded = table[hot3d.OBJECT_ID].combine_chunks().dictionary_encode()
     codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
@@ -187,5 +188,6 @@ def _require_clock(
     """Refuse a body whose rows are not in the order of time; rows are grouped by body here."""
     backwards = np.flatnonzero((np.diff(codes) == 0) & (np.diff(times) <= 0))
     if backwards.size:
-        earlier, later = backwards[0], backwards[0] + 1
+        earlier = backwards[0]
+        later = backwards[0] + 1
         require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)

@@ -43,7 +43,8 @@ def read_mask(path: Path) -> hot3d.MaskRows:
         InputFileError: if the file or a column is missing, or a value is neither True nor False.
     """
     table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
-    values, streams = table[hot3d.MASK].to_numpy(), table[hot3d.STREAM].to_numpy()
+    values = table[hot3d.MASK].to_numpy()
+    streams = table[hot3d.STREAM].to_numpy()
     unknown = np.flatnonzero(~np.isin(values, list(_TRUTH)))
     if len(unknown):
         row = int(unknown[0])

@@ -44,7 +44,8 @@ def hand_streams(
     for hand in posed:
         if len(hand.time_ns) == 0:
             continue
-        times, valid = hand.time_ns / 1e9, good(hand.time_ns)
+        times = hand.time_ns / 1e9
+        valid = good(hand.time_ns)
         streams.append(HandStream(hand.side, "wrist", times, y_up(hand.wrist)[:, None], valid))
         if hand.vertices.shape[1]:
             points = y_up(hand.vertices).astype(np.float32)
@@ -55,7 +56,8 @@ def hand_streams(
 def umetrack_points(rows: hot3d.HandRows, model: umetrack.HandModel | None) -> hot3d.HandPoints:
     """One hand, one row an instant; without a model no vertices. Source world, metres."""
     kept = hot3d.first_of_pairs(rows.time_ns)
-    position, rotation = rows.position[kept], rows.rotation[kept]
+    position = rows.position[kept]
+    rotation = rows.rotation[kept]
     if model is None or not kept.any():
         vertices = np.empty((int(kept.sum()), 0, 3))
     else:
@@ -146,7 +148,8 @@ def object_track(
     whoever asks for a pose. Without a model the box is the object's origin.
     """
     kept = hot3d.first_of_pairs(entry.rows.time_ns)
-    times, position = entry.rows.time_ns[kept] / 1e9, y_up(entry.rows.position[kept])
+    times = entry.rows.time_ns[kept] / 1e9
+    position = y_up(entry.rows.position[kept])
     turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
     rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
     valid = good[kept]
@@ -168,7 +171,7 @@ def object_track(
 
 
 class GoodFrames:
-    """Which instants of the ground truth can be used: the recording's masks, each absent one taken as all true."""
+    """Instants of the ground truth that can be used: the recording's masks, each absent one taken as all true."""
 
     def __init__(self, readings: hot3d.Hot3dReadings, *, skipped_start: float) -> None:
         self._masks = readings.masks
@@ -178,11 +181,11 @@ class GoodFrames:
         self._first_ns = int(readings.headset.time_ns[0]) + round(self.skipped_start * 1e9)
 
     def good(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
-        """Whether a stream of ground truth can be used at given times."""
+        """Return True where a stream of ground truth can be used at given times."""
         return self._flag(time_ns, mask) & self._flag(time_ns, "qa_pass") & (time_ns >= self._first_ns)
 
     def glasses_good(self, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Whether the glasses' poses can be used at given times, seconds; hands do not matter to them."""
+        """Return True where the glasses' poses can be used at given times, seconds; hands do not matter to them."""
         return self._flag(np.rint(times * 1e9).astype(np.int64), "headset_pose_available")
 
     def _flag(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
@@ -194,7 +197,8 @@ class GoodFrames:
 
 
 def _align(readings: hot3d.Hot3dReadings) -> ClockMatch:
-    headset, device = readings.headset, readings.mps.trajectory
+    headset = readings.headset
+    device = readings.mps.trajectory
     return match_clocks(
         headset.time_ns,
         headset.position,
@@ -238,7 +242,7 @@ def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
 
 
 def _remarks(readings: hot3d.Hot3dReadings, frames: GoodFrames) -> tuple[str, ...]:
-    """What a user should know about these readings."""
+    """Tell the user what is unusual about these readings."""
     remarks = []
     if frames.skipped_start:
         remarks.append(f"no mask_qa_pass: the first {frames.skipped_start} s of objects and hands are not used")

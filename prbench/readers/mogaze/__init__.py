@@ -20,10 +20,10 @@ __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_r
 
 
 class MogazeOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a user may choose about reading MoGaze."""
+    """Options of the reader of MoGaze."""
 
     joint_mapping: JointMapping = "anatomical"
-    """How the 22 joints are made of the 21 links: where a body has them, or (``named``) as the links are called."""
+    """Mapping of the 21 links to the 22 joints: where a body has them, or (``named``) as the links are called."""
     legacy_gaze: bool = False
     """Gaze by the formula of the dataset's own player, which subtracts the goggles' position once more."""
     meshes: bool = False

@@ -69,7 +69,8 @@ def carries_of(
     if ordered != list(segments):
         remarks.append("the segments are not in the order of time and are sorted")
     kept: list[Carry] = []
-    previous, merged = "", 0
+    previous = ""
+    merged = 0
     for segment in ordered:
         reason = _why_bad(segment, labels, n_frames)
         if reason:

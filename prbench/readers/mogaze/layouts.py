@@ -1,4 +1,4 @@
-"""Where the files of MoGaze recordings lie: all in one folder, four HDF5 files a recording, and a common scene."""
+"""Find the files of MoGaze recordings: all in one folder, four HDF5 files a recording, and a common scene."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _extent(file: InputFile) -> Extent | None:
 
 
 def _last_frame(content: h5py.File) -> int | None:
-    """Of the shortest array of a file; None where it holds no frame."""
+    """Return the last frame of a file's shortest array; None where it holds no frame."""
     bodies = content.get(mogaze.OBJECT_GROUP)
     arrays = list(bodies.values()) if isinstance(bodies, h5py.Group) else []
     arrays += [content[name] for name in (mogaze.HUMAN_DATASET, mogaze.GAZE_DATASET) if name in content]
