@@ -241,10 +241,10 @@ def dataset_names() -> tuple[str, ...]:
     return tuple(sorted({*own_datasets(), *readable_datasets()}))
 
 
-Loaded = TypeVar("Loaded", bound=msgspec.Struct)
+_Loaded = TypeVar("_Loaded", bound=msgspec.Struct)
 
 
-def read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
+def read_toml(package: str, name: str, form: type[_Loaded]) -> _Loaded:
     """Read a TOML file of a data package as a data class.
 
     Raises:
@@ -254,7 +254,7 @@ def read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
 
 
 @foreign_input()
-def _convert_toml(file: Traversable, form: type[Loaded]) -> Loaded:
+def _convert_toml(file: Traversable, form: type[_Loaded]) -> _Loaded:
     try:
         return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:

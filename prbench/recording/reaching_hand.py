@@ -17,12 +17,12 @@ from prbench.recording.streams import BodyStream, HandSource, HandStream, Side
 from prbench.skeleton import WRISTS
 from prbench.timelines import covered, interpolate
 
-LONGEST_WRIST_GAP = 0.15
+_LONGEST_WRIST_GAP = 0.15
 """Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz."""
-FARTHEST_LONE_WRIST = 0.20
+_FARTHEST_LONE_WRIST = 0.20
 """Metres from the place at which the only known wrist is still the one that reached. On synthetic HD-EPIC 99 % of the
 reaching wrists are within 0.17 m of the annotated point."""
-FARTHEST_WRIST = 0.40
+_FARTHEST_WRIST = 0.40
 """Metres from the place at which the nearer of two known wrists is still the one that reached: a pan is held by its
 handle, and estimated bodies end decimetres from where the hand was."""
 LEAST_DIFFERENCE = 0.02
@@ -85,7 +85,7 @@ def reaching_hand(wrists: Sequence[Wrist], place: Float[np.ndarray, "3"]) -> Rea
         return None
     distances = [float(np.linalg.norm(wrist.position - place)) for wrist in wrists]
     nearest = int(np.argmin(distances))
-    if distances[nearest] > (FARTHEST_LONE_WRIST if len(wrists) == 1 else FARTHEST_WRIST):
+    if distances[nearest] > (_FARTHEST_LONE_WRIST if len(wrists) == 1 else _FARTHEST_WRIST):
         return None
     if len(wrists) == 2 and abs(distances[0] - distances[1]) < LEAST_DIFFERENCE:
         return None
@@ -96,9 +96,9 @@ def _point_at(
     times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], valid: np.ndarray, time: float
 ) -> Float[np.ndarray, "3"] | None:
     """A point between two valid samples that are close to each other; None elsewhere."""
-    near = slice(*np.searchsorted(times, [time - LONGEST_WRIST_GAP, time + LONGEST_WRIST_GAP]))
+    near = slice(*np.searchsorted(times, [time - _LONGEST_WRIST_GAP, time + _LONGEST_WRIST_GAP]))
     instant = np.array([time])
-    if not covered(times[near], valid[near], instant, max_gap=LONGEST_WRIST_GAP).all():
+    if not covered(times[near], valid[near], instant, max_gap=_LONGEST_WRIST_GAP).all():
         return None
     usable = valid[near]
     return interpolate(times[near][usable], points[near][usable], instant)[0]

@@ -94,8 +94,9 @@ def body_joints(joints: Float[np.ndarray, "n 51 3"], mapping: Sequence[str]) -> 
         joints: Native joints, metres.
         mapping: Native name of each of the 22 joints; ``a+b`` is the mean of two.
     """
-    pairs = [(names[0], names[-1]) for names in (entry.split("+") for entry in mapping)]
-    first, second = (np.array([JOINT_NAMES.index(pair[side]) for pair in pairs]) for side in (0, 1))
+    named = [entry.split("+") for entry in mapping]
+    first = [JOINT_NAMES.index(names[0]) for names in named]
+    second = [JOINT_NAMES.index(names[-1]) for names in named]
     return (joints[:, first] + joints[:, second]) / 2
 
 

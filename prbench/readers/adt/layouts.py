@@ -72,7 +72,7 @@ _STATUS_OF = {GAZE: GAZE_STATUS, CALIBRATION: SLAM_STATUS}
 """Streams that the Machine Perception Services made, and the role of their status beside them."""
 
 
-class Subtour(msgspec.Struct):
+class _Subtour(msgspec.Struct):
     """One pair of glasses of a v1.x sequence, with its sub-folder."""
 
     subtour_name: str
@@ -90,9 +90,9 @@ class Metadata(msgspec.Struct):
     """None: only HOT3D's metadata names it."""
     concurrent_sequence: str | None = None
     dataset_version: str = adt.FIRST_VERSION
-    subtours: dict[str, Subtour] | tuple[Subtour, ...] | None = None
+    subtours: dict[str, _Subtour] | tuple[_Subtour, ...] | None = None
 
-    def subtour_list(self) -> tuple[Subtour, ...]:
+    def subtour_list(self) -> tuple[_Subtour, ...]:
         """The subtours of a v1.x sequence, by name; none in v2.0."""
         if self.subtours is None:
             return ()
@@ -141,7 +141,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
-def metadata_file(folder: Path) -> Path | None:
+def _metadata_file(folder: Path) -> Path | None:
     """The metadata of a sequence, under its present or its old name; None if there is none."""
     names = (adt.METADATA_FILE, adt.METADATA_FILE_BEFORE_1_1)
     return next((folder / name for name in names if (folder / name).is_file()), None)
@@ -150,7 +150,7 @@ def metadata_file(folder: Path) -> Path | None:
 def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) -> list[RecordingFiles]:
     if not _is_recording(folder):
         return []
-    metadata_path = metadata_file(folder)
+    metadata_path = _metadata_file(folder)
     metadata = [] if metadata_path is None else [input_file(METADATA, metadata_path)]
     places = [] if metadata_path is None else _subtour_places(metadata_path)
     return [
@@ -177,7 +177,7 @@ def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
 
 
 @foreign_input()
-def subtour_folder(metadata_path: Path, tour: Subtour) -> Path:
+def subtour_folder(metadata_path: Path, tour: _Subtour) -> Path:
     """Return the folder with the files of one pair of glasses.
 
     Raises:
@@ -194,7 +194,7 @@ def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtO
 
 def _is_recording(folder: Path) -> bool:
     """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
-    metadata_path = metadata_file(folder)
+    metadata_path = _metadata_file(folder)
     if metadata_path is None:
         return any((folder / name).is_file() for name in _OWN_FILES)
     return _is_adt(metadata_path)
@@ -208,7 +208,7 @@ def _is_adt(metadata_path: Path) -> bool:
         return True  # reported when the recording is read
 
 
-def _subtours(metadata_path: Path) -> tuple[Subtour, ...]:
+def _subtours(metadata_path: Path) -> tuple[_Subtour, ...]:
     """Subtours of a sequence; none where its metadata is damaged, so that one bad folder does not hide the others."""
     try:
         return decode_json(metadata_path, METADATA_DECODER).subtour_list()

@@ -36,7 +36,7 @@ def read_instances(path: Path) -> dict[int, Instance]:
     return {instance.instance_id: instance for instance in decode_json(path, _INSTANCES).values()}
 
 
-def read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
+def _read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
     """Lower and upper corner of each object's box in its own frame, metres.
 
     Raises:
@@ -65,7 +65,7 @@ def read_objects(
         InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
     """
     instances = read_instances(instances_path)
-    boxes = read_boxes(boxes_path)
+    boxes = _read_boxes(boxes_path)
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}
     poses = _read_poses(poses_path)
     complete = sorted(known & boxes.keys() & poses.keys())

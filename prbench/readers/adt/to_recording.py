@@ -72,13 +72,13 @@ def recording_from_adt(
         same_instant=adt.SAME_INSTANT,
     )
     wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
-    suit, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest, span)
+    suit, hands = (None, ()) if wearer is None else _body_and_hands(wearer, manifest, span)
     body, source = (
         (suit, manifest.body) if poses == "native" else (_estimated(readings, head), manifest.other_bodies[poses])
     )
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
-    rooms = {track.object_id for track in tracks if encloses_room(track, gaze)}
+    rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
     _check_overlap(readings, span, gaze, suit, tracks)
     return Recording(
         dataset=dataset,
@@ -93,7 +93,7 @@ def recording_from_adt(
         body=body,
         hands=hands,
         objects=tuple(track for track in tracks if track.object_id not in rooms),
-        other_people=tuple(OtherPerson(person.name, body_and_hands(person, manifest, span)[1]) for person in others),
+        other_people=tuple(OtherPerson(person.name, _body_and_hands(person, manifest, span)[1]) for person in others),
         split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
@@ -111,7 +111,7 @@ def _estimated(readings: adt.AdtReadings, head: PoseStream) -> BodyStream | None
     return body_stream(readings.estimated_body, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
 
 
-def body_and_hands(
+def _body_and_hands(
     person: adt.AdtSkeleton, manifest: Manifest, span: tuple[float, float]
 ) -> tuple[BodyStream, tuple[HandStream, ...]]:
     """The 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
@@ -148,7 +148,7 @@ def object_track(entry: adt.AdtObject, *, start: float) -> ObjectTrack:
     )
 
 
-def encloses_room(track: ObjectTrack, gaze: GazeStream) -> bool:
+def _encloses_scene(track: ObjectTrack, gaze: GazeStream) -> bool:
     """Return True where a box encloses the room, so that every ray would hit it.
 
     That is the dataset's own room (``ApartmentEnv``), and any box with a side above 3 m that holds a ray's origin.

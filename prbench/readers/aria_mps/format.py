@@ -75,7 +75,7 @@ LEAST_QUALITY = 0.5
 """A pose with a lower quality score is invalid (choice)."""
 POSE_RATE = 30.0
 """Hz; of the 1 kHz poses those around the gaze times and around a grid of this rate are read."""
-SLAM_BASELINE_LIMIT = 0.1404
+_SLAM_BASELINE_LIMIT = 0.1404
 """Metres between the two SLAM cameras: shorter means DVT-S, longer DVT-L."""
 
 _DEVICE_FROM_CPF_ROTATION = (
@@ -114,7 +114,7 @@ def cpf_from_rgb() -> Float[np.ndarray, "4 4"]:
 
 def glasses_size(slam_baseline: float) -> GlassesSize:
     """Size of the glasses from the distance between their SLAM cameras, metres."""
-    return "DVT-S" if slam_baseline < SLAM_BASELINE_LIMIT else "DVT-L"
+    return "DVT-S" if slam_baseline < _SLAM_BASELINE_LIMIT else "DVT-L"
 
 
 def gaze_directions_cpf(yaw: Float[np.ndarray, " n"], pitch: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Int, UInt8
 from numpy.lib.stride_tricks import sliding_window_view
 
 NEWLINE = b"\n"[0]
-COMMA = b","[0]
+_COMMA = b","[0]
 QUOTE = b'"'[0]
 _ANCHOR_STEP = 2**16  # bytes between the lines whose times are looked at first
 _PROPORTIONAL_TURNS = 4  # then the middle is guessed, which always ends
@@ -185,7 +185,7 @@ def _cell_bounds(
     n, width = window.shape
     if n == 0:
         return skipped, skipped
-    separators = np.flatnonzero((window == COMMA) | (window == NEWLINE))
+    separators = np.flatnonzero((window == _COMMA) | (window == NEWLINE))
     own = np.arange(n) * width
     number = np.searchsorted(separators, own + skipped) + column  # of the separator that ends the cell
     if number[-1] >= len(separators) or (separators[number] >= own + width).any():

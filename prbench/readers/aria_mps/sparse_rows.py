@@ -26,14 +26,14 @@ from prbench.readers.files import (
 )
 from prbench.readers.zipped import RememberingTail, Source, opened, require_whole_last_line, shown
 
-BLOCK = 8 * 2**20
+_BLOCK = 8 * 2**20
 """Bytes of text in memory at once."""
 _LONGEST_LINE = 2**16
 _BREAKS = (NEWLINE, b"\r"[0])
 
 
 @dataclass(frozen=True)
-class TextStart:
+class _TextStart:
     """The beginning of a CSV file."""
 
     header: bytes
@@ -47,20 +47,20 @@ class TextStart:
         return header_names(self.header)
 
 
-def read_start(source: Source) -> TextStart:
+def _read_start(source: Source) -> _TextStart:
     """Header and first line (see :func:`prbench.readers.zipped.opened` for what it raises).
 
     Raises:
         NotSearchable: if these are no plain short lines.
     """
     with opened(source) as file:
-        start = TextStart(file.readline(_LONGEST_LINE), file.readline(_LONGEST_LINE))
+        start = _TextStart(file.readline(_LONGEST_LINE), file.readline(_LONGEST_LINE))
     if QUOTE in start.header + start.first_line or len(start.first_line) == _LONGEST_LINE:
         raise NotSearchable("quoted or very long lines")
     return start
 
 
-def line_blocks(source: Source, first: int, size: int = BLOCK) -> Iterator[Block]:
+def _line_blocks(source: Source, first: int, size: int = _BLOCK) -> Iterator[Block]:
     """The lines of a file in blocks; every block but the first begins with the last line of the one before it.
 
     A block is valid until the next one is asked for. Empty lines at the end of the file are left out.
@@ -135,7 +135,7 @@ def _end_of_content(text: bytearray | mmap.mmap, end: int) -> int:
 
 
 def search_rows(
-    source: Source, columns: Mapping[str, Column], time_column: str, wanted: Wanted, *, block: int = BLOCK
+    source: Source, columns: Mapping[str, Column], time_column: str, wanted: Wanted, *, block: int = _BLOCK
 ) -> pa.Table:
     """The rows around wanted times, equal to those of a whole read to the last bit.
 
@@ -155,7 +155,7 @@ def search_rows(
         InputFileError: if the file or a column is missing, the last line is cut, or an archive is damaged.
     """
     try:
-        start = read_start(source)
+        start = _read_start(source)
     except FileNotFoundError as error:
         raise missing_file(source) from error
     except UnicodeDecodeError as error:
@@ -172,13 +172,13 @@ def search_rows(
     return table
 
 
-def _found_text(source: Source, start: TextStart, column: int, wanted: Wanted, block: int) -> bytes:
+def _found_text(source: Source, start: _TextStart, column: int, wanted: Wanted, block: int) -> bytes:
     """The lines around the wanted times, one after the other, with their line breaks."""
     first_us = after_us = None
     pieces = []
     last_line = b""
     last_is_taken = False
-    for text in line_blocks(source, len(start.header), block):
+    for text in _line_blocks(source, len(start.header), block):
         lines = TimedLines(text, column, _time_ends(start.first_line, column))
         begin_us, end_us = lines.times(np.array([text.begin, lines.last])).tolist()
         first_us = begin_us if first_us is None else first_us

@@ -41,7 +41,7 @@ _WISH = b"aria trajectory 1 "
 _NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
 
 
-def load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
+def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
     """Return what was read before from a file that has not changed since; None if nothing was."""
     table = load_parsed(source, _WISH + wish)
     if table is None:
@@ -59,7 +59,7 @@ def load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
     )
 
 
-def keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory) -> None:
+def _keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory) -> None:
     """Keep what was read from a file."""
     numbers = np.column_stack([trajectory.position, trajectory.rotation, trajectory.quality])
     facts = {
@@ -72,8 +72,8 @@ def keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory)
     keep_parsed(source, _WISH + wish, table.replace_schema_metadata({_FACTS: json.dumps(facts)}))
 
 
-NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
-COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(NUMBERS, float)}
+_NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
+COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 """Columns that are read; the velocities are unreliable and stay unread."""
 
 
@@ -105,16 +105,16 @@ def read_near(source: Source, wanted: Wanted) -> mps.AriaTrajectory:
     Raises:
         InputFileError: as :func:`read_trajectory`, for what was looked at.
     """
-    kept = load_trajectory(source, wanted.key())
+    kept = _load_trajectory(source, wanted.key())
     if kept is not None:
         return kept
     try:
         table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
         require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
-        trajectory = trajectory_of(source, table)
+        trajectory = _trajectory_of(source, table)
     except (NotSearchable, pa.ArrowInvalid, InputFileError):
         trajectory = _read_whole(source, wanted)  # it names the line of what is wrong
-    keep_trajectory(source, wanted.key(), trajectory)
+    _keep_trajectory(source, wanted.key(), trajectory)
     return trajectory
 
 
@@ -123,14 +123,14 @@ def _read_whole(source: Source, wanted: Wanted | None = None) -> mps.AriaTraject
     time_us = table[mps.TIME_COLUMN].to_numpy()
     require_increasing(source, time_us, unit="us")
     if wanted is None or len(table) == 0:
-        return trajectory_of(source, table)
+        return _trajectory_of(source, table)
     rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
     rows = wanted.rows(time_us)
-    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & has_world(table))
-    return trajectory_of(source, table.take(rows))
+    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
+    return _trajectory_of(source, table.take(rows))
 
 
-def trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
+def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     """The poses of one world in a table of :data:`COLUMNS`.
 
     Raises:
@@ -159,7 +159,7 @@ def trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     )
 
 
-def has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
+def _has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
     """Rows that hold a pose at all."""
     undefined = pc.call_function("equal", [table[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
     return ~undefined.to_numpy(zero_copy_only=False)
@@ -247,4 +247,4 @@ def _tables(source: Source, stream: RememberingTail) -> Iterator[pa.Table]:
 
 def _require_poses(source: Source, table: pa.Table, *, first: int) -> None:
     position, rotation = (column_vectors(table, names) for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS))
-    require_poses(source, position, rotation, used=has_world(table), first=first)
+    require_poses(source, position, rotation, used=_has_world(table), first=first)

@@ -28,7 +28,7 @@ def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
 
     Args:
         path: The output.
-        cpf: See :func:`require_belongs`.
+        cpf: See :func:`_require_belongs`.
 
     Returns:
         Its times, nanoseconds on the device clock.
@@ -38,13 +38,13 @@ def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
     """
     output = read_output(path)
     if isinstance(output, JointsOnly):
-        require_belongs(path, output.time_ns, output.joints[:, Joint.HEAD].astype(np.float64), cpf, exact=False)
+        _require_belongs(path, output.time_ns, output.joints[:, Joint.HEAD].astype(np.float64), cpf, exact=False)
     else:
-        require_belongs(path, output.time_ns, output.world_from_cpf[:, 4:].astype(np.float64), cpf, exact=True)
+        _require_belongs(path, output.time_ns, output.world_from_cpf[:, 4:].astype(np.float64), cpf, exact=True)
     return output.time_ns
 
 
-def require_belongs(
+def _require_belongs(
     path: Path, time_ns: Int[np.ndarray, " t"], points: Float[np.ndarray, "t 3"], cpf: PoseStream, *, exact: bool
 ) -> None:
     """Refuse an output of another recording: the head pose is an input of EgoAllo and must come back.
@@ -116,6 +116,6 @@ def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | 
     for path in outputs:
         window, head = read_window(path, model)
         points = window.joints[:, Joint.HEAD].astype(np.float64) if head is None else head
-        require_belongs(path, window.time_ns, points, cpf, exact=head is not None)
+        _require_belongs(path, window.time_ns, points, cpf, exact=head is not None)
         windows.append(window)
     return joined_windows(windows)

@@ -59,7 +59,7 @@ def aria_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
         calibration=_source(found, mps.CALIBRATION),
         points=points_beside(found),
         wrists=_source(found, mps.WRISTS),
-        vrs=find_vrs(root, found),
+        vrs=_find_vrs(root, found),
         glasses_size="DVT-S",
     )
 
@@ -95,7 +95,7 @@ def points_beside(found: RecordingFiles) -> Source | None:
     return next((ZippedFile(trajectory.path, name) for name in names if name in members), None)
 
 
-def find_vrs(root: Path, found: RecordingFiles) -> Path | None:
+def _find_vrs(root: Path, found: RecordingFiles) -> Path | None:
     """The recording's own VRS file: beside its files, or by its name below a folder ``VRS``."""
     for name in (*_VRS_NAMES, f"{found.recording_id}.vrs"):
         if (found.folder / name).is_file():

@@ -56,7 +56,7 @@ def read_smplh_rest(path: Path) -> ego.SmplhRest:
     return _read((path, state.st_size, state.st_mtime_ns))
 
 
-def model_digest(path: Path) -> str:
+def _model_digest(path: Path) -> str:
     """SHA-256 of the rest joints' template and directions, which tells two models apart.
 
     Raises:
@@ -132,7 +132,7 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
     head = output.world_from_cpf[:, 4:].astype(np.float64)
     samples = len(output.world_from_root)
     kept = cache_folder() / "egoallo" / f"{bytes_digest(content)}.npz"
-    wanted = None if model is None else model_digest(model)
+    wanted = None if model is None else _model_digest(model)
     joints = _kept_joints(kept, wanted, frames=len(output.time_ns))
     if joints is None:
         if model is None or wanted is None:

@@ -19,7 +19,7 @@ OUTPUT_ROLE = "egoallo/"
 OPTIONS_ROLE = "egoallo options/"
 """Roles of the options beside them, likewise."""
 MODEL_ROLE = "smplh_model"
-MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
+_MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
 
 
 def poses_folder(root: Path, recording_id: str, poses_root: Path | None = None) -> Path:
@@ -80,7 +80,7 @@ def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:
     Returns:
         A path that the user named, whether it exists or not; of the place below ``root`` only an existing file.
     """
-    named = smplh_model or (Path(os.environ[MODEL_VARIABLE]) if os.environ.get(MODEL_VARIABLE) else None)
+    named = smplh_model or (Path(os.environ[_MODEL_VARIABLE]) if os.environ.get(_MODEL_VARIABLE) else None)
     if named is not None:
         return named.expanduser()
     beside = root / ego.MODEL_FILE

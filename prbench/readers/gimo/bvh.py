@@ -15,8 +15,8 @@ from prbench.errors import InputFileError
 from prbench.readers.files import missing_file
 
 POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
-ROTATION_CHANNELS = ("Xrotation", "Yrotation", "Zrotation")
-_CHANNELS = {name.lower(): name for name in (*POSITION_CHANNELS, *ROTATION_CHANNELS)}
+_ROTATION_CHANNELS = ("Xrotation", "Yrotation", "Zrotation")
+_CHANNELS = {name.lower(): name for name in (*POSITION_CHANNELS, *_ROTATION_CHANNELS)}
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:
 
 
 def _local_rotation(channels: tuple[str, ...], values: Float[np.ndarray, "n c"]) -> Rotation:
-    turned = [(place, channel[0]) for place, channel in enumerate(channels) if channel in ROTATION_CHANNELS]
+    turned = [(place, channel[0]) for place, channel in enumerate(channels) if channel in _ROTATION_CHANNELS]
     if not turned:
         return Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(values), 1)))
     axes = "".join(axis for _, axis in turned)

@@ -25,7 +25,7 @@ _MOST_DIGITS = 12  # of a number of vertices
 
 
 @dataclass(frozen=True)
-class PlyHeader:
+class _PlyHeader:
     """As much of a header as vertices need."""
 
     form: str
@@ -70,7 +70,7 @@ def count_vertices(path: Path) -> int:
         return parse_header(path, file.read(_LONGEST_HEADER)).n_vertices
 
 
-def parse_header(path: Path, content: bytes) -> PlyHeader:
+def parse_header(path: Path, content: bytes) -> _PlyHeader:
     """The header of a PLY file whose first element is ``vertex``.
 
     Raises:
@@ -105,7 +105,7 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
     repeated = next((name for name in names if names.count(name) > 1), None)
     if repeated is not None:
         raise InputFileError(path, "header", expected="each vertex property once", found=f"'{repeated}' again")
-    return PlyHeader(form, n_vertices, tuple(properties), stop)
+    return _PlyHeader(form, n_vertices, tuple(properties), stop)
 
 
 def _count(path: Path, word: str) -> int:
@@ -121,7 +121,7 @@ def _content(path: Path) -> bytes:
         raise missing_file(path) from error
 
 
-def _ascii_vertices(path: Path, body: bytes, header: PlyHeader, names: list[str]) -> Float[np.ndarray, "v 3"]:
+def _ascii_vertices(path: Path, body: bytes, header: _PlyHeader, names: list[str]) -> Float[np.ndarray, "v 3"]:
     lines = body.splitlines()[: header.n_vertices]
     try:
         rows = np.array([[float(word) for word in line.split()[: len(names)]] for line in lines])
@@ -132,7 +132,7 @@ def _ascii_vertices(path: Path, body: bytes, header: PlyHeader, names: list[str]
     return rows[:, [names.index(axis) for axis in "xyz"]]
 
 
-def _cut(path: Path, header: PlyHeader) -> InputFileError:
+def _cut(path: Path, header: _PlyHeader) -> InputFileError:
     return InputFileError(
         path,
         "",

@@ -93,13 +93,13 @@ def joints_from_meshes(
     joints = np.empty((len(frames), len(model.regressor), 3))
     for row, frame in enumerate(frames):
         vertices, faces = read_obj(files[frame])
-        canonical = canonical_vertices(files[frame], vertices, faces, model, largest_spread=largest_spread)
+        canonical = _canonical_vertices(files[frame], vertices, faces, model, largest_spread=largest_spread)
         _require_edges(files[frame], canonical, model, largest_edge_error)
         joints[row] = model.regressor @ canonical
     return gimo.LocalJoints(np.array(frames, dtype=np.int64), joints, "mesh")
 
 
-def canonical_vertices(
+def _canonical_vertices(
     path: Path,
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],

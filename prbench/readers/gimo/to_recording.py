@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from prbench.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
-from prbench.readers.gimo.suit_skeleton import lay_skeleton
+from prbench.readers.gimo.suit_skeleton import place_skeleton
 from prbench.recording.body_quality import hold_neighbours
 from prbench.recording.streams import (
     AnnotatedEvent,
@@ -108,7 +108,7 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, 
         route = readings.body.route
     else:
         poses = readings.body.poses
-        laid = lay_skeleton(
+        laid = place_skeleton(
             readings.body.motion,
             frame_times(poses.frames),
             poses.pelvis(),

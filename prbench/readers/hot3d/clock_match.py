@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import RecordingUnusable
 
-SAME_POSITION = 1e-6
-SAME_ROTATION = np.deg2rad(0.01)
+_SAME_POSITION = 1e-6
+_SAME_ROTATION = np.deg2rad(0.01)
 """Metres and radians within which a row is found again; rounding alone turns it by up to 0.004 degree."""
 _NEAREST = 4
 _LARGEST_RESIDUAL = 1e-3  # metres, median over the rows
@@ -130,7 +130,7 @@ def _find_rows(
     turned = Rotation.from_quat(device_rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
         np.repeat(rotation, count, axis=0), scalar_first=True
     )
-    near = (distance < SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < SAME_ROTATION)
+    near = (distance < _SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < _SAME_ROTATION)
     exact = near & (distance == 0.0)
     candidates = np.where(exact.any(axis=1, keepdims=True), exact, near)
     found = np.flatnonzero(candidates.sum(axis=1) == 1)

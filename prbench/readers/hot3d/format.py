@@ -50,13 +50,13 @@ MASK_NAMES: tuple[MaskName, ...] = (
 )
 """Masks that curation honours; their files are ``masks/mask_<name>.csv``."""
 
-PAIR_NS = 1_000_000
+_PAIR_NS = 1_000_000
 """Rows closer than this belong to one instant: RGB and SLAM cameras are 91 us apart."""
 
 
 def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Rows that are not within a millisecond of the row before them: one of RGB and SLAM camera an instant."""
-    return np.diff(time_ns, prepend=time_ns[:1] - PAIR_NS) >= PAIR_NS
+    return np.diff(time_ns, prepend=time_ns[:1] - _PAIR_NS) >= _PAIR_NS
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ N_VERTICES = 778
 N_JOINTS = 16
 N_BETAS = 10
 N_COEFFICIENTS = 15
-MODEL_KEYS = (
+_MODEL_KEYS = (
     "v_template",
     "shapedirs",
     "posedirs",
@@ -115,7 +115,7 @@ _CONVERT = (
     "prbench opens no pickles. Convert each MANO_*.pkl once, in an environment that you trust with it: "
     "`python -c \"import pickle, numpy as np; m = pickle.load(open('MANO_LEFT.pkl', 'rb'), encoding='latin1'); "
     "np.savez('MANO_LEFT.npz', **{k: np.array(m[k].todense() if hasattr(m[k], 'todense') else m[k]) "
-    f"for k in '{' '.join(MODEL_KEYS)}'.split()}})\"`"
+    f"for k in '{' '.join(_MODEL_KEYS)}'.split()}})\"`"
 )
 _SHAPES: dict[str, tuple[int, ...]] = {
     "v_template": (N_VERTICES, 3),
@@ -160,7 +160,7 @@ def read_mano_hands(found: RecordingFiles, folder: Path | None) -> tuple[tuple[h
     """
     path = found.require(MANO, hot3d.MANO_FILE)
     hands, remarks = read_mano_rows(path)
-    models = read_models(found, folder)
+    models = _read_models(found, folder)
     points = []
     for rows in hands:
         wrist, vertices = pose_hand(models[rows.side], rows.betas, rows.angles, rows.rotation, rows.position)
@@ -189,7 +189,7 @@ def read_mano_rows(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, .
     return tuple(hands), remarks
 
 
-def read_models(found: RecordingFiles, folder: Path | None) -> dict[Literal["left", "right"], ManoModel]:
+def _read_models(found: RecordingFiles, folder: Path | None) -> dict[Literal["left", "right"], ManoModel]:
     """Both hands of the licensed model.
 
     Raises:

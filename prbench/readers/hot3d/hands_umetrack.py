@@ -20,10 +20,10 @@ from prbench.readers.hot3d import format as hot3d
 N_JOINTS = 22
 N_ANGLES = 20
 """Angles that move bones; joints 20 and 21 are unused."""
-N_FINGERS = 5
+_N_FINGERS = 5
 JOINTS_A_FINGER = 4
-BONES_A_FINGER = 3
-N_BONES = 2 + N_FINGERS * BONES_A_FINGER
+_BONES_A_FINGER = 3
+N_BONES = 2 + _N_FINGERS * _BONES_A_FINGER
 """Root and wrist, which never move, then three a finger, thumb to little."""
 N_LANDMARKS = 21
 WRIST_LANDMARK = 5
@@ -57,7 +57,7 @@ def bone_transforms(model: HandModel, angles: Float[np.ndarray, "n 22"]) -> Floa
         _about(model.joint_axes[joint], model.joint_positions[joint], angles[:, joint]) for joint in range(N_ANGLES)
     ]
     bones = [np.broadcast_to(np.eye(4), (len(angles), 4, 4))] * 2
-    for finger in range(N_FINGERS):
+    for finger in range(_N_FINGERS):
         first = finger * JOINTS_A_FINGER
         bone = turned[first]
         for joint in range(first + 1, first + JOINTS_A_FINGER):

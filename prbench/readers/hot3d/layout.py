@@ -66,7 +66,7 @@ _FILES = {
 }
 
 
-class GroundTruth(msgspec.Struct):
+class _GroundTruth(msgspec.Struct):
     """Ground truth that a recording has; that of test participants is withheld."""
 
     object_pose_gt: bool
@@ -80,7 +80,7 @@ class Metadata(msgspec.Struct):
     headset: str
     participant_id: str
     recording_name: str
-    gt_available_status: GroundTruth
+    gt_available_status: _GroundTruth
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)

@@ -108,7 +108,7 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
         InputFileError: for a missing or damaged file, a pose that is no pose, a clock that runs backwards, no object.
     """
     path = found.require(layout.OBJECTS, hot3d.OBJECTS_FILE)
-    rows = read_pose_rows(path)
+    rows = _read_pose_rows(path)
     instances = read_instances(found.require(layout.INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"))
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
@@ -136,7 +136,7 @@ def read_instances(path: Path) -> dict[str, Instance]:
     return decode_json(path, _INSTANCES)
 
 
-def read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
+def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
     """Poses of every body of the file, by uid; uids stay text.
 
     Raises:
@@ -172,9 +172,9 @@ def read_headset(path: Path) -> hot3d.PoseRows:
     """Poses of the glasses.
 
     Raises:
-        InputFileError: see :func:`read_pose_rows`; or if the file holds several headsets.
+        InputFileError: see :func:`_read_pose_rows`; or if the file holds several headsets.
     """
-    rows = read_pose_rows(path)
+    rows = _read_pose_rows(path)
     if len(rows) > 1:
         raise InputFileError(
             path, hot3d.OBJECT_ID, expected="one headset", found=f"{len(rows)}: {', '.join(sorted(rows)[:3])}"

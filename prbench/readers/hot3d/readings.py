@@ -22,7 +22,7 @@ from prbench.readers.hot3d.objects import read_headset, read_objects
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
 
 
-def read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
+def _read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
     """Those masks that curation honours and the recording has.
 
     Raises:
@@ -70,7 +70,7 @@ def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> h
     hands, hand_remarks = read_umetrack(found.require(layout.UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(layout.PROFILE)
     mano_hands, mano_remarks = read_mano_hands(found, options.mano_models) if options.hands == "mano" else (None, ())
-    masks = read_masks(found)
+    masks = _read_masks(found)
     mps = read_mps(found, thin=False)
     _require_z_up(found, mps.trajectory.up)
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)

@@ -19,7 +19,7 @@ from prbench.readers.synthetic_tree import read_synthetic_tree
 from prbench.recording import Recording
 
 SCENE = "scene"
-MESH_PREFIX = "mesh:"
+_MESH_PREFIX = "mesh:"
 """Role of a mesh: this and the name of its file."""
 
 _FILE_NAME = re.compile(rf"(?P<id>p\d+_\d+|\w+_synthetic_\w+)_(?P<part>{'|'.join(mogaze.PARTS)})\.hdf5")
@@ -82,7 +82,7 @@ def _shared_files(folder: Path) -> tuple[InputFile, ...]:
         meshes = set()
     return (
         input_file(SCENE, path),
-        *(input_file(f"{MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in sorted(meshes)),
+        *(input_file(f"{_MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in sorted(meshes)),
     )
 
 
