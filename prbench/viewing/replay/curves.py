@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
+from prbench.viewing.replay.palette import GAZE_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Goal, Scene
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
             panel.plot(scene.times, curve, color=motion.colour, linewidth=1.5)
             highest[panel] = max(highest[panel], float(curve.max()))
     if scene.gaze is not None and scene.shows_recorded:
-        style: dict[str, Any] = {"color": palette.GAZE, "linewidth": 1.0, "zorder": 1.5}
+        style: dict[str, Any] = {"color": GAZE_COLOUR, "linewidth": 1.0, "zorder": 1.5}
         ray.plot(scene.times, gaze_distance(scene.gaze, goal), **style)
         angle.plot(scene.times, gaze_angle(scene.gaze, goal), **style)
-    ray.axhline(scene.thresholds.prime_distance, color=palette.MARK, linewidth=0.8, linestyle=":")
-    wrist.axhline(scene.thresholds.reach_distance, color=palette.MARK, linewidth=0.8, linestyle=":")
+    ray.axhline(scene.thresholds.prime_distance, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
+    wrist.axhline(scene.thresholds.reach_distance, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
     titles = (
         f"head ray to goal (m); primed below {scene.thresholds.prime_distance * 100:.0f} cm",
         "angle of head to goal (degrees)",
@@ -50,8 +50,8 @@ def mark_times(axes: Axes, scene: Scene) -> None:
     """Prime window, prime time and event."""
     window = scene.thresholds.prime_window
     axes.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
-    axes.axvline(scene.prime_time, color=palette.MARK, linewidth=1.0, linestyle="--", zorder=1)
-    axes.axvline(scene.event_time, color=palette.MARK, linewidth=1.4, zorder=1)
+    axes.axvline(scene.prime_time, color=MARK_COLOUR, linewidth=1.0, linestyle="--", zorder=1)
+    axes.axvline(scene.event_time, color=MARK_COLOUR, linewidth=1.4, zorder=1)
 
 
 def _finish(axes: Axes, scene: Scene, title: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.viewing.replay import palette
+from prbench.viewing.replay.palette import SURROUNDINGS_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ _SIZE = 0.7  # square points
 
 def draw_dots(axes: Axes, points: Float[np.ndarray, "k 2"]) -> None:
     """Draw flat points behind what is drawn later or has been drawn."""
-    axes.scatter(*points.T, s=_SIZE, color=palette.SURROUNDINGS, linewidths=0, zorder=0)
+    axes.scatter(*points.T, s=_SIZE, color=SURROUNDINGS_COLOUR, linewidths=0, zorder=0)
 
 
 def beside(

@@ -10,13 +10,13 @@ from jaxtyping import Float
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import bone_segments, draw_bodies, side_view, top_view
 from prbench.viewing.replay.captions import phase, verdict
 from prbench.viewing.replay.curves import mark_times
 from prbench.viewing.replay.dots import beside, draw_dots
 from prbench.viewing.replay.film_layout import curve_panels, fit_limits, side_panels, top_panel
 from prbench.viewing.replay.measures import gaze_distance, measure
+from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, METHOD_COLOURS
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Goal, Scene, ShownMotion
 
@@ -72,7 +72,7 @@ class FilmStage:
         write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
         write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
         if scene.notice:
-            write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=palette.METHODS[1])
+            write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=METHOD_COLOURS[1])
 
     def _build_side_views(self) -> None:
         scene, axis = self._scene, self._scene.picture_axis
@@ -120,11 +120,11 @@ class FilmStage:
             ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
             wrist.plot(scene.times, values.wrist_distance, color=motion.colour, linewidth=1.3)
         if scene.gaze is not None and scene.shows_recorded:
-            ray.plot(scene.times, gaze_distance(scene.gaze, goal), color=palette.GAZE, linewidth=0.9, zorder=1.5)
+            ray.plot(scene.times, gaze_distance(scene.gaze, goal), color=GAZE_COLOUR, linewidth=0.9, zorder=1.5)
         limits = scene.thresholds.prime_distance, scene.thresholds.reach_distance
         titles = "goal to head ray (m)", "goal to nearer wrist (m)"
         for panel, limit, title, what in zip((ray, wrist), limits, titles, ("primed", "reached"), strict=True):
-            panel.axhline(limit, color=palette.MARK, linewidth=0.8, linestyle=":")
+            panel.axhline(limit, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
             panel.set(xlim=(0, scene.event_time * 1.01), ylim=(0, min(panel.get_ylim()[1], 2.5)))
             panel.set_title(f"{title}; {what} below {limit * 100:.0f} cm", fontsize=8, loc="left", pad=3)
             panel.tick_params(labelsize=7)
@@ -136,8 +136,8 @@ class FilmStage:
         if self._scene.goal is not None:
             box = flat(self._scene.goal.box_corners)
             for one, other in BOX_EDGES:
-                panel.plot(*box[[one, other]].T, color=palette.GOAL_EDGE, linewidth=1.0, zorder=1)
-            panel.plot(*flat(self._scene.goal.location), "s", color=palette.GOAL, markersize=4, zorder=1)
+                panel.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=1.0, zorder=1)
+            panel.plot(*flat(self._scene.goal.location), "s", color=GOAL_COLOUR, markersize=4, zorder=1)
 
     def _add_body(self, panel: Axes, motion: ShownMotion, flat: Flatten) -> None:
         scene = self._scene
@@ -153,7 +153,7 @@ class FilmStage:
             lengths = lengths_to(scene.gaze.origin, location, _LONGEST_RAY)
             segments = flat(rays(scene.gaze.origin, scene.gaze.direction, lengths))
             segments = np.where(scene.gaze.valid[:, None, None], segments, np.nan)
-            self._add_ray(panel, segments, {"color": palette.GAZE, "linewidth": 1.6})
+            self._add_ray(panel, segments, {"color": GAZE_COLOUR, "linewidth": 1.6})
         lines, head = draw_bodies(panel, points[:1], motion.colour)
         bones = bone_segments(points)
         self._add(panel, lines, lambda frame: lines.set_segments(list(bones[frame])))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from prbench.shown import figure_text
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.captions import HEADER, score_row
+from prbench.viewing.replay.palette import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, SURROUNDINGS_COLOUR
 from prbench.viewing.replay.scene import Scene
 
 if TYPE_CHECKING:
@@ -43,15 +43,15 @@ def key_handles(scene: Scene) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    grey: dict[str, Any] = {"color": palette.MARK}
+    grey: dict[str, Any] = {"color": MARK_COLOUR}
     handles: list[Artist] = [
         Line2D([], [], linewidth=2.1, label="right limbs and trunk (left: thin)", **grey),
         Line2D([], [], linewidth=1.1, linestyle=(0, (4, 2)), label="head ray", **grey),
     ]
     if scene.gaze is not None and scene.shows_recorded:
-        handles.append(Line2D([], [], linewidth=1.5, color=palette.GAZE, label="recorded gaze"))
+        handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="recorded gaze"))
     if scene.goal is not None:
-        handles.append(Line2D([], [], marker="s", linestyle="", color=palette.GOAL, label="goal and its box"))
+        handles.append(Line2D([], [], marker="s", linestyle="", color=GOAL_COLOUR, label="goal and its box"))
     handles += [
         Line2D([], [], marker="o", linestyle="", markersize=5, label="first frame", **grey),
         Line2D([], [], marker="D", linestyle="", markersize=5, label="at prime time", **grey),
@@ -59,6 +59,6 @@ def key_handles(scene: Scene) -> list[Artist]:
         Patch(facecolor="0.88", label=f"prime time ± {scene.thresholds.prime_window:g} s"),
     ]
     if scene.surroundings is not None:
-        dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": palette.SURROUNDINGS}
+        dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": SURROUNDINGS_COLOUR}
         handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
     return handles

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from prbench.shown import html
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.captions import score_sentence
+from prbench.viewing.replay.palette import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Scene
 
 _STYLE = """
@@ -51,11 +51,11 @@ def _overlay(scenes: Sequence[Scene], hold: float) -> str:
 
 
 def _key(scenes: Sequence[Scene]) -> str:
-    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", palette.MARK)]
+    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
     if any(scene.gaze is not None and scene.shows_recorded for scene in scenes):
-        entries.append(("recorded gaze", palette.GAZE))
+        entries.append(("recorded gaze", GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
-        entries.append(("goal and its box", palette.GOAL))
+        entries.append(("goal and its box", GOAL_COLOUR))
     lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
     return f"{lines}<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
 

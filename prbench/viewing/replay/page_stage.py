@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import BONE_WIDTHS, THICK, bone_segments
 from prbench.viewing.replay.captions import phase
+from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR, SURROUNDINGS_COLOUR, rgb
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
@@ -116,7 +116,7 @@ class _Body:
         joints = motion.joints + offset
         location = None if scene.goal is None else scene.goal.location + offset
         lengths = lengths_to(joints[:, Joint.HEAD], location, _LONGEST_RAY)
-        colour = palette.rgb(motion.colour)
+        colour = rgb(motion.colour)
         self._heads = joints[:, Joint.HEAD]
         self._head = server.scene.add_icosphere(f"{name}/head", radius=_HEAD_RADIUS, color=colour, subdivisions=2)
         bones = bone_segments(joints)
@@ -126,7 +126,7 @@ class _Body:
             "head_ray": (head_rays(joints, scene.head_tilt_deg, lengths)[:, None], colour, 0.008),
         }
         if motion.label == RECORDED and scene.gaze is not None:
-            segments["gaze"] = _gaze_segments(scene, offset, location), palette.rgb(palette.GAZE), 0.012
+            segments["gaze"] = _gaze_segments(scene, offset, location), rgb(GAZE_COLOUR), 0.012
         self._moving = [
             (
                 positions.astype(np.float32),
@@ -159,7 +159,7 @@ def _add_still(
     server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
 ) -> None:
     """Label, way of the pelvis on the floor, and goal."""
-    colour = palette.rgb(motion.colour)
+    colour = rgb(motion.colour)
     floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
     way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
     server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
@@ -168,16 +168,16 @@ def _add_still(
         server.scene.add_point_cloud(
             f"{name}/surroundings",
             (scene.surroundings + offset).astype(np.float32),
-            colors=palette.rgb(palette.SURROUNDINGS),
+            colors=rgb(SURROUNDINGS_COLOUR),
             point_size=0.012,
         )
     if scene.goal is not None:
         edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
-        server.scene.add_line_segments(f"{name}/goal_box", edges, colors=palette.rgb(palette.GOAL_EDGE), thickness=0.01)
+        server.scene.add_line_segments(f"{name}/goal_box", edges, colors=rgb(BOX_COLOUR), thickness=0.01)
         server.scene.add_icosphere(
             f"{name}/goal",
             radius=0.03,
-            color=palette.rgb(palette.GOAL),
+            color=rgb(GOAL_COLOUR),
             subdivisions=2,
             position=tuple(scene.goal.location + offset),
         )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-RECORDED = "#303030"
-METHODS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#999933", "#882255")
+RECORDED_COLOUR = "#303030"
+METHOD_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#999933", "#882255")
 """In the order in which runs are named; there are no more than can be told apart."""
-GAZE = "#e69f00"
-GOAL = "#56b4e9"
-GOAL_EDGE = "#1b6f9c"
-MARK = "#555555"
-SURROUNDINGS = "#b8b8b8"
+GAZE_COLOUR = "#e69f00"
+GOAL_COLOUR = "#56b4e9"
+BOX_COLOUR = "#1b6f9c"
+MARK_COLOUR = "#555555"
+SURROUNDINGS_COLOUR = "#b8b8b8"
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import draw_bodies, side_view
 from prbench.viewing.replay.dots import beside, draw_dots
+from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
@@ -63,7 +63,7 @@ def _draw_rays(axes: Axes, scene: Scene, motion: ShownMotion, frames: np.ndarray
         origin, direction = scene.gaze.origin[frames], scene.gaze.direction[frames]
         segments = flat(rays(origin, direction, lengths_to(origin, location, _LONGEST_RAY)))
         for ray in segments[scene.gaze.valid[frames]]:
-            axes.plot(*ray.T, color=palette.GAZE, linewidth=1.3, zorder=2)
+            axes.plot(*ray.T, color=GAZE_COLOUR, linewidth=1.3, zorder=2)
 
 
 def _draw_goals(
@@ -81,11 +81,11 @@ def _draw_goals(
         if abs(x - place) < 0.64 * _SPACING:
             box = side_view(corners, axis, around=start) + shift
             for one, other in BOX_EDGES:
-                axes.plot(*box[[one, other]].T, color=palette.GOAL_EDGE, linewidth=0.8, zorder=1)
-            axes.plot(x, y, "s", color=palette.GOAL, markersize=3.5, zorder=1)
+                axes.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=0.8, zorder=1)
+            axes.plot(x, y, "s", color=GOAL_COLOUR, markersize=3.5, zorder=1)
         else:
             tip = place + np.sign(x - place) * 0.46 * _SPACING
-            arrow = {"arrowstyle": "-|>", "color": palette.GOAL_EDGE, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+            arrow = {"arrowstyle": "-|>", "color": BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
             axes.annotate("", (tip, y), (tip - np.sign(x - place) * 0.14 * _SPACING, y), arrowprops=arrow)
 
 

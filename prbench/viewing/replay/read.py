@@ -13,7 +13,7 @@ from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets,
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
 from prbench.skeleton import invert_rigid, transform_points
-from prbench.viewing.replay import palette
+from prbench.viewing.replay.palette import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.run_motions import RunMotions
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
 
@@ -53,7 +53,7 @@ def read_scenes(
     for name in sequence_ids:
         motions = [
             ShownMotion(run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name])
-            for run, colour, values in zip(runs, palette.METHODS, scores, strict=False)
+            for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
         yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around)
 
@@ -93,7 +93,7 @@ def scene_of(
     gaze = _gaze(chunk)
     placed = info.why_not_scored is None  # else nobody knows where the goal is, so that no distance means anything
     scores = _own_scores(chunk, constants) if placed else {}
-    recorded = ShownMotion(RECORDED, palette.RECORDED, chunk.joints.astype(np.float64), scores)
+    recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores)
     return Scene(
         sequence_id=chunk.sequence_ids[0],
         dataset=info.dataset,

@@ -11,10 +11,10 @@ from jaxtyping import Int
 
 from prbench.locks import sole_file
 from prbench.shown import figure_text
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.curves import draw_curves
 from prbench.viewing.replay.layout import Block, block_height
 from prbench.viewing.replay.legend import draw_key, draw_scores
+from prbench.viewing.replay.palette import METHOD_COLOURS
 from prbench.viewing.replay.pose_strip import draw_strip
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.way_from_above import draw_way
@@ -91,4 +91,4 @@ def _write_notices(figure: Figure, scenes: Sequence[Scene]) -> None:
     notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
     if notices:
         height = figure.get_figheight()
-        figure.text(0.35 / WIDTH, 0.12 / height, figure_text("   ".join(notices)), fontsize=8, color=palette.METHODS[1])
+        figure.text(0.35 / WIDTH, 0.12 / height, figure_text("   ".join(notices)), fontsize=8, color=METHOD_COLOURS[1])

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import draw_bodies, top_view
 from prbench.viewing.replay.dots import draw_dots
+from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
@@ -37,12 +37,12 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
     if scene.gaze is not None and scene.shows_recorded and scene.gaze.valid[scene.prime_frame]:
         origin, direction = (values[[scene.prime_frame]] for values in (scene.gaze.origin, scene.gaze.direction))
         ray = rays(origin, direction, lengths_to(origin, _location(scene), _RAY))
-        axes.plot(*top_view(ray)[0].T, color=palette.GAZE, linewidth=1.5)
+        axes.plot(*top_view(ray)[0].T, color=GAZE_COLOUR, linewidth=1.5)
     if scene.goal is not None:
         box = top_view(scene.goal.box_corners)
         for one, other in BOX_EDGES:
-            axes.plot(*box[[one, other]].T, color=palette.GOAL_EDGE, linewidth=1.0, zorder=5)
-        axes.plot(*top_view(scene.goal.location), "s", color=palette.GOAL, markersize=5, zorder=5)
+            axes.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=1.0, zorder=5)
+        axes.plot(*top_view(scene.goal.location), "s", color=GOAL_COLOUR, markersize=5, zorder=5)
     _frame(axes, scene)
 
 

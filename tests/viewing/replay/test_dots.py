@@ -7,10 +7,10 @@ import dataclasses
 import matplotlib.image
 import numpy as np
 
-from prbench.viewing.replay import palette
 from prbench.viewing.replay.dots import SLICE, beside
 from prbench.viewing.replay.film_stage import FilmStage
 from prbench.viewing.replay.page import write_page
+from prbench.viewing.replay.palette import SURROUNDINGS_COLOUR, rgb
 from prbench.viewing.replay.sheet import draw_sheet
 from tests.viewing.replay.scenes import a_scene
 
@@ -18,7 +18,7 @@ WALL = np.random.default_rng(0).uniform([-0.3, 0.1, -0.5], [0.3, 1.5, 2.5], (800
 
 
 def _grey(pixels: np.ndarray) -> int:
-    return int((np.abs(pixels.astype(int) - palette.rgb(palette.SURROUNDINGS)).max(axis=-1) < 12).sum())
+    return int((np.abs(pixels.astype(int) - rgb(SURROUNDINGS_COLOUR)).max(axis=-1) < 12).sum())
 
 
 def test_a_side_view_shows_a_slice_around_the_body() -> None:
