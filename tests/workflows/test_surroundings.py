@@ -19,7 +19,7 @@ from prbench.errors import InputFileError, MissingExtraError, UsageError
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.skeleton import invert_rigid, transform_points
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.viewing.replay.palette import METHOD_COLOURS
+from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import scene_of
 from prbench.viewing.replay.scene import ShownMotion
 from prbench.workflows.surroundings import Surroundings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
-from prbench.viewing.replay.palette import GAZE_COLOUR, MARK_COLOUR
+from prbench.viewing.replay.parts import GAZE_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Goal, Scene
 
 if TYPE_CHECKING:

@@ -10,14 +10,26 @@ from jaxtyping import Float
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay.body_lines import bone_segments, draw_bodies, side_view, top_view
 from prbench.viewing.replay.captions import phase, verdict
 from prbench.viewing.replay.curves import mark_times
-from prbench.viewing.replay.dots import beside, draw_dots
 from prbench.viewing.replay.film_layout import curve_panels, fit_limits, side_panels, top_panel
 from prbench.viewing.replay.measures import gaze_distance, measure
-from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, METHOD_COLOURS
-from prbench.viewing.replay.rays import head_rays, lengths_to, rays
+from prbench.viewing.replay.parts import (
+    BOX_COLOUR,
+    GAZE_COLOUR,
+    GOAL_COLOUR,
+    MARK_COLOUR,
+    METHOD_COLOURS,
+    beside,
+    bone_segments,
+    draw_bodies,
+    draw_dots,
+    head_rays,
+    lengths_to,
+    rays,
+    side_view,
+    top_view,
+)
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Goal, Scene, ShownMotion
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from prbench.shown import html
 from prbench.viewing.replay.captions import score_sentence
-from prbench.viewing.replay.palette import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
+from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Scene
 
 _STYLE = """

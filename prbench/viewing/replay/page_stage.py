@@ -9,10 +9,20 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.skeleton import Joint
-from prbench.viewing.replay.body_lines import BONE_WIDTHS, THICK, bone_segments
 from prbench.viewing.replay.captions import phase
-from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR, SURROUNDINGS_COLOUR, rgb
-from prbench.viewing.replay.rays import head_rays, lengths_to, rays
+from prbench.viewing.replay.parts import (
+    BONE_WIDTHS,
+    BOX_COLOUR,
+    GAZE_COLOUR,
+    GOAL_COLOUR,
+    SURROUNDINGS_COLOUR,
+    THICK,
+    bone_segments,
+    head_rays,
+    lengths_to,
+    rays,
+    rgb,
+)
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
 if TYPE_CHECKING:

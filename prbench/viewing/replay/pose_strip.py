@@ -9,10 +9,18 @@ from jaxtyping import Float, Int
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay.body_lines import draw_bodies, side_view
-from prbench.viewing.replay.dots import beside, draw_dots
-from prbench.viewing.replay.palette import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR
-from prbench.viewing.replay.rays import head_rays, lengths_to, rays
+from prbench.viewing.replay.parts import (
+    BOX_COLOUR,
+    GAZE_COLOUR,
+    GOAL_COLOUR,
+    beside,
+    draw_bodies,
+    draw_dots,
+    head_rays,
+    lengths_to,
+    rays,
+    side_view,
+)
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets,
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
 from prbench.skeleton import invert_rigid, transform_points
-from prbench.viewing.replay.palette import METHOD_COLOURS, RECORDED_COLOUR
+from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.run_motions import RunMotions
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
 

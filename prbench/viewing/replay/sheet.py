@@ -14,7 +14,7 @@ from prbench.shown import figure_text
 from prbench.viewing.replay.curves import draw_curves
 from prbench.viewing.replay.layout import Block, block_height
 from prbench.viewing.replay.legend import draw_key, draw_scores
-from prbench.viewing.replay.palette import METHOD_COLOURS
+from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.pose_strip import draw_strip
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.way_from_above import draw_way

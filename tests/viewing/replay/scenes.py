@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.viewing.replay.palette import METHOD_COLOURS, RECORDED_COLOUR
+from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
 from tests.fakes import STANDING
 

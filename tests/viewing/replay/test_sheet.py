@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 from prbench.errors import StorageError
 from prbench.viewing.replay.layout import Block, block_height
-from prbench.viewing.replay.palette import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
+from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
 from prbench.viewing.replay.sheet import WIDTH, chosen_frames, draw_scene, draw_sheet
 from tests.viewing.replay.scenes import a_scene
 
