@@ -10,10 +10,9 @@ from jaxtyping import Float
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay.captions import phase, verdict
 from prbench.viewing.replay.curves import mark_times
 from prbench.viewing.replay.film_layout import curve_panels, fit_limits, side_panels, top_panel
-from prbench.viewing.replay.measures import gaze_distance, measure
+from prbench.viewing.replay.measures import gaze_distance, measure, phase, verdict
 from prbench.viewing.replay.parts import (
     BOX_COLOUR,
     GAZE_COLOUR,

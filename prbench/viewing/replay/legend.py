@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from prbench.shown import figure_text
-from prbench.viewing.replay.captions import HEADER, score_row
+from prbench.viewing.replay.measures import HEADER, score_row
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, SURROUNDINGS_COLOUR
 from prbench.viewing.replay.scene import Scene
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from prbench.shown import html
-from prbench.viewing.replay.captions import score_sentence
+from prbench.viewing.replay.measures import score_sentence
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Scene
 

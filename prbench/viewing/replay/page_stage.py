@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.skeleton import Joint
-from prbench.viewing.replay.captions import phase
+from prbench.viewing.replay.measures import phase
 from prbench.viewing.replay.parts import (
     BONE_WIDTHS,
     BOX_COLOUR,

@@ -9,8 +9,7 @@ from prbench.manifests import load_protocol
 from prbench.metrics import MotionBatch
 from prbench.metrics.reach_success import reach_success
 from prbench.skeleton import Joint
-from prbench.viewing.replay.captions import phase, score_row, score_sentence
-from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
+from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure, phase, score_row, score_sentence
 from prbench.viewing.replay.parts import RECORDED_COLOUR
 from prbench.viewing.replay.scene import Gaze, Goal, ShownMotion
 from tests.fakes import STANDING, smooth_motion
