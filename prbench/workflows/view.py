@@ -16,8 +16,7 @@ from prbench.sequences.table import smallest_by_hash
 from prbench.submitted.verification import RunChecker
 from prbench.viewing.replay.file_kind import file_kind
 from prbench.viewing.replay.parts import METHOD_COLOURS
-from prbench.viewing.replay.read import read_scenes
-from prbench.viewing.replay.run_motions import RunMotions, run_labels
+from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.write import write_view
 from prbench.workflows.surroundings import Surroundings
