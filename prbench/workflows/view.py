@@ -14,11 +14,10 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.lookup import find_sequence_id
 from prbench.sequences.table import smallest_by_hash
 from prbench.submitted.verification import RunChecker
-from prbench.viewing.replay.file_kind import file_kind
 from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene
-from prbench.viewing.replay.write import write_view
+from prbench.viewing.replay.write import file_kind, write_view
 from prbench.workflows.surroundings import Surroundings
 from prbench.workflows.tables_of_runs import require_in_run, tables_of_runs
 
