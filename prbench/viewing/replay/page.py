@@ -14,10 +14,78 @@ from typing import TYPE_CHECKING
 
 from prbench.errors import MissingExtraError
 from prbench.locks import sole_writer
+from prbench.shown import html
 from prbench.storage import write_text
-from prbench.viewing.replay.page_overlay import with_overlay
+from prbench.viewing.replay.measures import score_sentence
 from prbench.viewing.replay.page_stage import PageStage, set_up_room
+from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Scene
+
+_STYLE = """
+#prbench{position:fixed;left:10px;top:10px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:2000;
+background:rgba(255,255,255,.92);border:1px solid #bbb;border-radius:6px;padding:6px 10px;
+font:11px/1.4 system-ui,sans-serif;color:#222}
+#prbench summary{cursor:pointer;font-weight:600}
+#prbench h2{font-size:11px;margin:8px 0 0}
+#prbench .id{color:#666;font-family:monospace;font-size:9px;overflow-wrap:anywhere}
+#prbench .swatch{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
+#prbench .notice{color:#a04000;font-weight:600}
+"""
+
+
+def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
+    """Put the overlay into a page.
+
+    Args:
+        page: A whole HTML document.
+        scenes: What the page shows, in order.
+        hold: Seconds that the last frame of each stays.
+    """
+    cut = page.rindex("</body>")
+    title = "<title>prbench view</title>"
+    marked = page[:cut] + _overlay(scenes, hold) + page[cut:]
+    return marked.replace("<title>Viser</title>", title, 1)
+
+
+def _overlay(scenes: Sequence[Scene], hold: float) -> str:
+    parts, start = [], 0.0
+    for scene in scenes:
+        end = start + scene.n_frames / scene.fps
+        parts.append(_sequence(scene, start, end))
+        start = end + hold
+    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
+    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
+    return (
+        f"<style>{_STYLE}</style>"
+        f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{_key(scenes)}{"".join(parts)}'
+        "</details></div>"
+    )
+
+
+def _key(scenes: Sequence[Scene]) -> str:
+    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
+    if any(scene.gaze is not None and scene.shows_recorded for scene in scenes):
+        entries.append(("recorded gaze", GAZE_COLOUR))
+    if any(scene.goal is not None for scene in scenes):
+        entries.append(("goal and its box", GOAL_COLOUR))
+    lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
+    return f"{lines}<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
+
+
+def _sequence(scene: Scene, start: float, end: float) -> str:
+    prime = start + scene.prime_time
+    motions = "".join(
+        f"<div>{_swatch(motion.colour)}<b>{html(motion.label)}</b>:"
+        f" {html(score_sentence(scene, motion) or 'not scored')}</div>"
+        for motion in scene.motions
+    )
+    when = f"{start:.1f} to {end:.1f} s, prime at {prime:.1f} s"
+    return f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>{motions}'
+
+
+def _swatch(colour: str) -> str:
+    return f'<span class="swatch" style="background:{colour}"></span>'
+
 
 if TYPE_CHECKING:
     from viser import ViserServer
