@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from prbench.errors import StorageError
-from prbench.viewing.replay.layout import Block, block_height
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
-from prbench.viewing.replay.sheet import WIDTH, chosen_frames, draw_scene, draw_sheet
+from prbench.viewing.replay.sheet import WIDTH, Block, block_height, chosen_frames, draw_scene, draw_sheet
 from tests.viewing.replay.scenes import a_scene
 
 LABELS = [f"method_with_a_name_{number}, goal-loc, shuffled-goal" for number in range(6)]
