@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay.curves import mark_times
 from prbench.viewing.replay.measures import gaze_distance, measure, phase, verdict
+from prbench.viewing.replay.panels import mark_times
 from prbench.viewing.replay.parts import (
     BOX_COLOUR,
     GAZE_COLOUR,

@@ -12,12 +12,10 @@ from jaxtyping import Int
 
 from prbench.locks import sole_file
 from prbench.shown import figure_text
-from prbench.viewing.replay.curves import draw_curves
 from prbench.viewing.replay.measures import HEADER, score_row
+from prbench.viewing.replay.panels import draw_curves, draw_strip, draw_way
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, METHOD_COLOURS, SURROUNDINGS_COLOUR
-from prbench.viewing.replay.pose_strip import draw_strip
 from prbench.viewing.replay.scene import Scene
-from prbench.viewing.replay.way_from_above import draw_way
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
