@@ -254,7 +254,7 @@ def _draw_gallery(arguments: argparse.Namespace) -> None:
 def _draw_histograms(arguments: argparse.Namespace) -> None:
     """Statistics of some recordings of the preset that was named, or of all presets."""
     from prbench.synthetic.people import PRESETS, perform
-    from prbench.viewing.histograms import render_histograms
+    from prbench.viewing.distributions import render_histograms
 
     presets = tuple(PRESETS) if arguments.layout is None else (arguments.layout,)
     count = arguments.recordings or RECORDINGS_OF_A_HISTOGRAM

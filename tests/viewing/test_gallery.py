@@ -11,8 +11,8 @@ import pytest
 from prbench.skeleton import Joint
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
+from prbench.viewing.distributions import render_histograms
 from prbench.viewing.gallery import Scene, curves_of, render_gallery, sequences_of
-from prbench.viewing.histograms import render_histograms
 from prbench.viewing.stick_figure import flattened
 
 

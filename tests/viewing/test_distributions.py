@@ -6,7 +6,7 @@ import pytest
 
 from prbench.errors import UsageError
 from prbench.sequences.table_one import table_statistics
-from prbench.viewing.table_one import draw_table_one
+from prbench.viewing.distributions import draw_table_one
 from tests.fakes import fake_dataset
 
 
