@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from prbench.errors import InputFileError, UsageError
-from prbench.release.inferences import Certainty
+from prbench.release.inferences import Certainty, FieldChoice
 from prbench.release.values import (
     parse_action,
     parse_goal,
@@ -110,16 +110,6 @@ FIELDS: tuple[FieldRule, ...] = (
     FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
 )  # fmt: skip
 """In the order in which names are given away; a field means one thing only."""
-
-
-@dataclass(frozen=True)
-class FieldChoice:
-    """Which field of the release stands for a canonical one."""
-
-    canonical: str
-    field: str
-    certainty: Certainty
-    evidence: str
 
 
 def letters(name: str) -> str:

@@ -27,6 +27,16 @@ class Inference:
 
 
 @dataclass(frozen=True)
+class FieldChoice:
+    """Which field of the release stands for a canonical one."""
+
+    canonical: str
+    field: str
+    certainty: Certainty
+    evidence: str
+
+
+@dataclass(frozen=True)
 class Problem:
     """What is wrong with one sequence."""
 

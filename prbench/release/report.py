@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from prbench.release.fields import FieldChoice
-from prbench.release.inferences import Inference, Problem, grouped
+from prbench.release.inferences import FieldChoice, Inference, Problem, grouped
 from prbench.release.known import KnownDataset
 from prbench.sequences import DatasetInfo
 from prbench.storage import write_json
