@@ -10,8 +10,8 @@ from typing import Any
 from prbench.errors import InputFileError
 from prbench.release.arrays import require_frames, scan_header
 from prbench.release.entries import Entries, Entry
-from prbench.release.inferences import Problem
 from prbench.release.layout import DatasetFiles
+from prbench.release.report import Problem
 from prbench.release.values import Goal, parse_goal, parse_number, parse_subset
 
 

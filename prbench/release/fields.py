@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from prbench.errors import InputFileError, UsageError
-from prbench.release.inferences import Certainty, FieldChoice
+from prbench.release.report import Certainty, FieldChoice
 from prbench.release.values import (
     parse_action,
     parse_goal,

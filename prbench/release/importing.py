@@ -15,13 +15,12 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.locks import sole_writer
 from prbench.manifests import Manifest, load_manifest, load_protocol
-from prbench.release.inferences import Inference
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
 from prbench.release.layout import DatasetFiles, find_datasets
 from prbench.release.provenance import describe
-from prbench.release.report import ImportReport, count_rows, count_warnings
+from prbench.release.report import ImportReport, Inference, count_rows, count_warnings
 from prbench.release.rows import Reading
 from prbench.release.survey import Measured, survey
 from prbench.release.terms import read_export_record, terms_of

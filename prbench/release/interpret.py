@@ -14,10 +14,10 @@ from prbench.errors import InputFileError
 from prbench.release.candidates import Found, find_candidates
 from prbench.release.entries import Entries, read_entries
 from prbench.release.fields import choose_fields
-from prbench.release.inferences import FieldChoice, Inference
 from prbench.release.known import SYNTHETIC_PREFIX, KnownDataset, load_known
 from prbench.release.layout import DatasetFiles, list_files
 from prbench.release.rates import FrameRateEvidence, PrimedFrames, infer_frame_rate, read_primed_frames
+from prbench.release.report import FieldChoice, Inference
 from prbench.release.values import parse_number
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.release.inferences import Inference
 from prbench.release.known import load_known
+from prbench.release.report import Inference
 from prbench.release.survey import GOAL_FRAMES, Measured, mean_bones
 
 UNKNOWN = "unknown"

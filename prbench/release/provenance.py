@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import prbench
 from prbench.manifests import Manifest, digest_of, load_protocol
-from prbench.release.inferences import Inference
 from prbench.release.interpret import Interpreted
+from prbench.release.report import Inference
 from prbench.release.terms import Terms
 from prbench.release.writing import ImportedRows
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.release.inferences import Inference
 from prbench.release.known import KnownDataset, KnownRelease, load_known
+from prbench.release.report import Inference
 
 LEAD = 2.0
 """Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2)."""
