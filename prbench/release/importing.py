@@ -19,11 +19,10 @@ from prbench.release.interpret import ImportOptions, Interpreted, interpret, req
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
 from prbench.release.layout import DatasetFiles, find_datasets
-from prbench.release.provenance import describe
+from prbench.release.provenance import describe, read_export_record, terms_of
 from prbench.release.report import ImportReport, Inference, count_rows, count_warnings
 from prbench.release.rows import Reading
 from prbench.release.survey import Measured, survey
-from prbench.release.terms import read_export_record, terms_of
 from prbench.release.writing import ImportedRows
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.write_dataset import write_dataset
