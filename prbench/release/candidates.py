@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import InputFileError
-from prbench.release.arrays import require_frames, scan_header
+from prbench.release.block import require_frames, scan_header
 from prbench.release.entries import Entries, Entry
 from prbench.release.layout import DatasetFiles
 from prbench.release.report import Problem

@@ -15,8 +15,7 @@ from jaxtyping import Float
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.manifests import TextTemplates
-from prbench.release.arrays import parse_array
-from prbench.release.block import Block, fits, parse_block, unpack_arrays
+from prbench.release.block import Block, fits, parse_array, parse_block, unpack_arrays
 from prbench.release.candidates import Candidate
 from prbench.release.judge import UNKNOWN, Conclusions, is_canonical_already
 from prbench.release.rates import PrimedFrames

@@ -17,8 +17,7 @@ from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.limits import HARMLESS_SIZE
 from prbench.metrics.ray_track import ray_distance
-from prbench.release.arrays import parse_array
-from prbench.release.block import fits, unpack_arrays
+from prbench.release.block import fits, parse_array, unpack_arrays
 from prbench.release.candidates import Candidate, Found
 from prbench.release.known import load_known
 from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
