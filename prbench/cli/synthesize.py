@@ -238,11 +238,11 @@ def _draw_gallery(arguments: argparse.Namespace) -> None:
     """Twelve sequences of all presets, or of the one that was named."""
     from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
     from prbench.synthetic.people import perform
-    from prbench.viewing.clip_strips import invented_strips, render_strips
+    from prbench.viewing.clip_strips import render_strips, strips_of_activities
     from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
 
     if arguments.layout in CORPUS_LAYOUTS:
-        render_strips(invented_strips(arguments.seed), arguments.gallery)
+        render_strips(strips_of_activities(arguments.seed), arguments.gallery)
     elif arguments.layout is None:
         render_contact_sheet(arguments.gallery, seed=arguments.seed)
     else:

@@ -135,7 +135,7 @@ _REMEDY = "Copy or download the file again."
 _HEADER_BYTES = 12_000  # numpy's own limit is 10,000
 
 
-def parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
+def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
     """Read the header and check that the file is as long as it claims.
 
     Args:
@@ -157,11 +157,11 @@ def scan_header(path: Path) -> ArrayHeader:
     """The header of a file, without its values.
 
     Raises:
-        InputFileError: see :func:`parse_header`, or if the file cannot be opened.
+        InputFileError: see :func:`_parse_header`, or if the file cannot be opened.
     """
     try:
         with open_regular(path) as file:
-            return parse_header(path, file.read(_HEADER_BYTES), path.stat().st_size)
+            return _parse_header(path, file.read(_HEADER_BYTES), path.stat().st_size)
     except OSError as error:
         raise _no_array(path, "a readable file", str(error.strerror or error)) from error
 
@@ -170,9 +170,9 @@ def parse_array(path: Path, content: bytes) -> np.ndarray:
     """The values of a ``.npy`` file whose bytes were read.
 
     Raises:
-        InputFileError: see :func:`parse_header`.
+        InputFileError: see :func:`_parse_header`.
     """
-    header = parse_header(path, content, len(content))
+    header = _parse_header(path, content, len(content))
     return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset))
 
 

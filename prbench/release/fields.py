@@ -24,7 +24,7 @@ _FITTING = 0.8  # share of them that must have the form: a few broken entries do
 
 
 @dataclass(frozen=True)
-class FieldRule:
+class _FieldRule:
     """How one canonical field is recognised (docs/specification/pr-release.md#tolerant-parser)."""
 
     canonical: str
@@ -51,8 +51,8 @@ def _is_name(value: Any, _name: str) -> bool:
     return parse_name(value) is not None
 
 
-FIELDS: tuple[FieldRule, ...] = (
-    FieldRule(
+FIELDS: tuple[_FieldRule, ...] = (
+    _FieldRule(
         "goal",
         ("goal", "goallocation", "goalposition", "goalpos", "target", "targetlocation", "targetposition",
          "objectlocation", "objectposition", "objectpos", "location", "position", "o3d", "loc3d"),
@@ -61,14 +61,14 @@ FIELDS: tuple[FieldRule, ...] = (
         by_value=True,
         required=True,
     ),
-    FieldRule(
+    _FieldRule(
         "text",
         ("text", "prompt", "textprompt", "caption", "description", "narration", "instruction", "sentence"),
         lambda value, _: parse_text(value) is not None,
         part="text|prompt|caption",
         by_value=True,
     ),
-    FieldRule(
+    _FieldRule(
         "subset",
         ("subset", "split", "set", "partition", "phase", "mode", "traintest", "istrain", "train", "test"),
         lambda value, name: parse_subset(value, name) is not None,
@@ -76,11 +76,11 @@ FIELDS: tuple[FieldRule, ...] = (
         by_value=True,
         required=True,
     ),
-    FieldRule("fps", ("fps", "framerate"), _is_frame_rate, part="fps"),
-    FieldRule("num_frames", ("numframes", "nframes", "framecount", "length", "numberofframes"), _is_number),
-    FieldRule("duration", ("duration", "durations", "seconds"), _is_number),
-    FieldRule("event_frame", ("eventframe", "eventidx", "eventframenumber"), _is_number),
-    FieldRule(
+    _FieldRule("fps", ("fps", "framerate"), _is_frame_rate, part="fps"),
+    _FieldRule("num_frames", ("numframes", "nframes", "framecount", "length", "numberofframes"), _is_number),
+    _FieldRule("duration", ("duration", "durations", "seconds"), _is_number),
+    _FieldRule("event_frame", ("eventframe", "eventidx", "eventframenumber"), _is_number),
+    _FieldRule(
         "primed_frame",
         ("primedframe", "primedframenumber", "primeframe", "primingframe", "primedidx", "primeindex", "tp", "prime",
          "primetime"),
@@ -89,25 +89,25 @@ FIELDS: tuple[FieldRule, ...] = (
         by_value=True,
         required=True,
     ),
-    FieldRule(
+    _FieldRule(
         "action",
         ("action", "actiontype", "type", "event", "eventtype", "pickput", "verb"),
         lambda value, name: parse_action(value, name) is not None,
         part="action|pick|put",
         by_value=True,
     ),
-    FieldRule("hand", ("hand", "side", "wrist"), lambda value, _: parse_hand(value) is not None, part="hand"),
-    FieldRule(
+    _FieldRule("hand", ("hand", "side", "wrist"), lambda value, _: parse_hand(value) is not None, part="hand"),
+    _FieldRule(
         "source",
         ("source", "sourcevideo", "video", "videoid", "videoname", "recording", "recordingid", "clip", "sequencename"),
         _is_name,
     ),
-    FieldRule("object_name", ("objectname", "object", "objectlabel", "noun"), _is_name),
-    FieldRule("object_box", ("objectbox", "goalbox", "targetbox", "bbox", "box", "aabb"),
+    _FieldRule("object_name", ("objectname", "object", "objectlabel", "noun"), _is_name),
+    _FieldRule("object_box", ("objectbox", "goalbox", "targetbox", "bbox", "box", "aabb"),
               lambda value, _: _is_box(value)),
-    FieldRule("units", ("units", "unit"), lambda value, _: isinstance(value, str)),
-    FieldRule("up", ("up", "upaxis"), lambda value, _: isinstance(value, str)),
-    FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
+    _FieldRule("units", ("units", "unit"), lambda value, _: isinstance(value, str)),
+    _FieldRule("up", ("up", "upaxis"), lambda value, _: isinstance(value, str)),
+    _FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
 )  # fmt: skip
 """In the order in which names are given away; a field means one thing only."""
 
@@ -168,7 +168,7 @@ def _given(where: str, canonical: str, field: str, names: Sequence[str]) -> Fiel
 
 
 def _choose(
-    where: str, rule: FieldRule, free: Sequence[str], values: Mapping[str, Sequence[Any]]
+    where: str, rule: _FieldRule, free: Sequence[str], values: Mapping[str, Sequence[Any]]
 ) -> FieldChoice | None:
     part = re.compile(rule.part) if rule.part else None
     steps: tuple[tuple[list[str], Certainty, str], ...] = (
@@ -198,7 +198,7 @@ def _some(values: Sequence[Any]) -> Sequence[Any]:
     return values[:: max(1, len(values) // _LOOKED_AT)]
 
 
-def _fits(rule: FieldRule, name: str, values: Sequence[Any]) -> bool:
+def _fits(rule: _FieldRule, name: str, values: Sequence[Any]) -> bool:
     return bool(values) and sum(rule.fits(value, name) for value in values) >= _FITTING * len(values)
 
 

@@ -22,14 +22,14 @@ class KnownDataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     prime_gap: float
 
 
-class PelvisToHead(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _PelvisToHead(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Range of the median distance, metres."""
 
     lowest: float
     highest: float
 
 
-class GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How close goals must be to wrists and gaze, metres."""
 
     wrist_distance: float
@@ -37,7 +37,7 @@ class GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     gaze_share: float
 
 
-class CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """When a motion counts as canonical already."""
 
     position: float
@@ -45,14 +45,14 @@ class CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     agreeing: float
 
 
-class GazeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _GazeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Lengths of gaze vectors."""
 
     unit_tolerance: float
     renormalised_tolerance: float
 
 
-class SkeletonRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _SkeletonRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """When bones count as uniform, metres."""
 
     uniform: float
@@ -65,11 +65,11 @@ class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     frame_rate_tolerance: float
     agreeing_primes: float
     mean_precision: float
-    pelvis_to_head: PelvisToHead
-    goal: GoalRules
-    canonical: CanonicalRules
-    gaze: GazeRules
-    skeleton: SkeletonRules
+    pelvis_to_head: _PelvisToHead
+    goal: _GoalRules
+    canonical: _CanonicalRules
+    gaze: _GazeRules
+    skeleton: _SkeletonRules
     datasets: dict[str, KnownDataset]
 
 

@@ -65,7 +65,7 @@ FILE_NAME = "import_report.json"
 
 
 @dataclass(frozen=True)
-class CountRow:
+class _CountRow:
     """Sequences of one split, beside what the study says."""
 
     split: str
@@ -87,7 +87,7 @@ class ImportReport:
     unmapped: tuple[str, ...]
     inferences: tuple[Inference, ...]
     problems: tuple[Problem, ...]
-    counts: tuple[CountRow, ...]
+    counts: tuple[_CountRow, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -129,15 +129,15 @@ class ImportReport:
         )
 
 
-def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[CountRow, ...]:
+def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_CountRow, ...]:
     """Sequences found by split, beside the study's."""
     found = Counter(splits)
     expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
     names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
-    return tuple(CountRow(name, found[name], expected.get(name)) for name in names)
+    return tuple(_CountRow(name, found[name], expected.get(name)) for name in names)
 
 
-def count_warnings(rows: Iterable[CountRow]) -> tuple[str, ...]:
+def count_warnings(rows: Iterable[_CountRow]) -> tuple[str, ...]:
     """A sentence for each split whose count is not the study's; a later release may well differ."""
     return tuple(
         f"{row.split}: {row.found} sequences, the study has {row.expected}."

@@ -26,7 +26,7 @@ from prbench.sequences.sequence import EventRecord, Sequence
 from prbench.skeleton import WRISTS, Joint, invert_rigid, transform_points
 
 POSE_SOURCE = "release"
-UNKNOWN_ACTION = "unknown"
+_UNKNOWN_ACTION = "unknown"
 
 
 @dataclass(frozen=True)
@@ -251,8 +251,8 @@ def _action_and_text(reading: Reading, candidate: Candidate) -> tuple[str, str]:
     """Action from its field, else from the prompt; a missing prompt is the protocol's for the action."""
     text = parse_text(reading.field(candidate, "text")) or ""
     action = parse_action(reading.field(candidate, "action"), reading.mapping.get("action", ""))
-    action = action or action_of_text(text) or UNKNOWN_ACTION
-    if not text and action != UNKNOWN_ACTION:
+    action = action or action_of_text(text) or _UNKNOWN_ACTION
+    if not text and action != _UNKNOWN_ACTION:
         text = reading.texts.pick if action == "pick" else reading.texts.put
     return action, text
 

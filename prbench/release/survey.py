@@ -23,7 +23,7 @@ from prbench.release.known import load_known
 from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
 from prbench.storage import bytes_digest
 
-Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """(x, y, z) -> (x, z, -y): from a frame with z up to one with y up."""
 GOAL_FRAMES = ("as the motions", "z up", "canonical", "canonical, z up")
 """Frames in which goals may be given, in the order in which they are tried."""
@@ -107,7 +107,7 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
     except ValueError:
         found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")
         return None
-    goals = goals_in_every_frame(candidate.goal.location, world_from_canonical)
+    goals = _goals_in_every_frame(candidate.goal.location, world_from_canonical)
     directions, valid = clean_gaze(arrays.gaze, len(joints))
     if arrays.gaze is not None and not valid.any():
         found.report(key, "gaze: no frame has a unit vector", left_out=False)
@@ -134,7 +134,7 @@ def _is_usable(path: Path, content: bytes, n_frames: int) -> bool:
         return False
 
 
-def goals_in_every_frame(
+def _goals_in_every_frame(
     goal: Float[np.ndarray, "3"], world_from_canonical: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "tried 3"]:
     """The goal in the frame of the motions, for each of :data:`GOAL_FRAMES` that it may have been given in."""
@@ -143,7 +143,7 @@ def goals_in_every_frame(
 
 def goal_transform(frame: str, world_from_canonical: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """From one of :data:`GOAL_FRAMES` into the frame of the motions."""
-    axes = Z_UP if frame.endswith("z up") else np.eye(4)
+    axes = _Z_UP if frame.endswith("z up") else np.eye(4)
     return world_from_canonical @ axes if frame.startswith("canonical") else axes
 
 

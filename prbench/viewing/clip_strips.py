@@ -36,7 +36,7 @@ class Strip:
     head_tilt_deg: float
 
 
-def invented_strips(seed: int) -> tuple[Strip, ...]:
+def strips_of_activities(seed: int) -> tuple[Strip, ...]:
     """One clip of every activity that invented people do, by name; from the first recordings of a seed."""
     strips: dict[str, Strip] = {}
     for index in range(_RECORDINGS):

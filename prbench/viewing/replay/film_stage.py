@@ -38,7 +38,7 @@ _LEFT, _WIDTH = 0.04, 0.56
 _BOTTOM, _TOP = 0.09, 0.895
 
 
-def side_panels(figure: Figure, n_motions: int) -> list[Axes]:
+def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
     """One panel a motion, in as many columns as keep them large: one up to two motions, two up to six, else three."""
     columns = 1 if n_motions <= 2 else 2 if n_motions <= 6 else 3
     rows = -(-n_motions // columns)
@@ -56,7 +56,7 @@ def side_panels(figure: Figure, n_motions: int) -> list[Axes]:
     ]
 
 
-def fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
+def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
     """Show at least this range, a metre being as long across as up; what is left over goes to the sides or above."""
     figure = axes.get_figure(root=True)
     assert figure is not None, "the axes stand in a figure"
@@ -68,12 +68,12 @@ def fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float])
     axes.set_ylim(up[0], up[1] + more_up)
 
 
-def top_panel(figure: Figure) -> Axes:
+def _top_panel(figure: Figure) -> Axes:
     """A square for the view from above."""
     return figure.add_axes((0.66, 0.47, 0.25, 0.445))
 
 
-def curve_panels(figure: Figure) -> tuple[Axes, Axes]:
+def _curve_panels(figure: Figure) -> tuple[Axes, Axes]:
     """Head and wrist against the goal, over time."""
     return figure.add_axes((0.65, 0.27, 0.33, 0.12)), figure.add_axes((0.65, 0.09, 0.33, 0.12))
 
@@ -86,8 +86,8 @@ _DPI = 100
 _LONGEST_RAY = 6.0  # metres
 _FOOTPRINT = 0.5  # metres around what must be seen
 
-Flatten = Callable[[np.ndarray], np.ndarray]
-Update = Callable[[int], None]
+_Flatten = Callable[[np.ndarray], np.ndarray]
+_Update = Callable[[int], None]
 
 
 class FilmStage:
@@ -104,7 +104,7 @@ class FilmStage:
 
         self._scene = scene
         self._moving: list[tuple[Axes, Artist]] = []
-        self._updates: list[Update] = []
+        self._updates: list[_Update] = []
         self._figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
         self._canvas = FigureCanvasAgg(self._figure)
         self._write_texts()
@@ -135,8 +135,8 @@ class FilmStage:
     def _build_side_views(self) -> None:
         scene, axis = self._scene, self._scene.picture_axis
         low, high = self._extent(lambda points: points @ axis)
-        for panel, motion in zip(side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
-            fit_limits(panel, (low - _FOOTPRINT, high + _FOOTPRINT), (-0.05, self._height()))
+        for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
+            _fit_limits(panel, (low - _FOOTPRINT, high + _FOOTPRINT), (-0.05, self._height()))
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
             panel.tick_params(labelsize=7, length=2)
             panel.set_ylabel("m", fontsize=7.5)
@@ -153,7 +153,7 @@ class FilmStage:
             self._add_body(panel, motion, lambda points: side_view(points, axis))
 
     def _build_top_view(self) -> None:
-        scene, panel = self._scene, top_panel(self._figure)
+        scene, panel = self._scene, _top_panel(self._figure)
         if scene.surroundings is not None:
             draw_dots(panel, top_view(scene.surroundings))
         self._add_goal(panel, top_view)
@@ -172,7 +172,7 @@ class FilmStage:
         panel.grid(alpha=0.25, linewidth=0.6)
 
     def _build_curves(self, goal: Goal) -> None:
-        scene, (ray, wrist) = self._scene, curve_panels(self._figure)
+        scene, (ray, wrist) = self._scene, _curve_panels(self._figure)
         for motion in scene.motions:
             values = measure(motion, goal, scene.head_tilt_deg)
             ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
@@ -190,14 +190,14 @@ class FilmStage:
             self._add_cursor(panel)
         wrist.set_xlabel(f"time (s); grey: prime time ± {scene.thresholds.prime_window:g} s", fontsize=7.5)
 
-    def _add_goal(self, panel: Axes, flat: Flatten) -> None:
+    def _add_goal(self, panel: Axes, flat: _Flatten) -> None:
         if self._scene.goal is not None:
             box = flat(self._scene.goal.box_corners)
             for one, other in BOX_EDGES:
                 panel.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=1.0, zorder=1)
             panel.plot(*flat(self._scene.goal.location), "s", color=GOAL_COLOUR, markersize=4, zorder=1)
 
-    def _add_body(self, panel: Axes, motion: ShownMotion, flat: Flatten) -> None:
+    def _add_body(self, panel: Axes, motion: ShownMotion, flat: _Flatten) -> None:
         scene = self._scene
         location = None if scene.goal is None else scene.goal.location
         points = flat(motion.joints)
@@ -232,7 +232,7 @@ class FilmStage:
         clock = panel.text(0.98, 0.962, "", fontsize=13, weight="bold", **place)
         self._add(panel, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
 
-    def _add(self, panel: Axes, artist: Artist, update: Update) -> None:
+    def _add(self, panel: Axes, artist: Artist, update: _Update) -> None:
         artist.set_animated(True)
         self._moving.append((panel, artist))
         self._updates.append(update)

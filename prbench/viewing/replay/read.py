@@ -103,7 +103,7 @@ def run_labels(paths: Sequence[Path], records: Sequence[RunRecord]) -> list[str]
 
 _SIDES = {"left": 0, "right": 1}
 
-Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
+_Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
 """Tells what stood around one sequence (:attr:`Scene.surroundings`)."""
 
 
@@ -113,7 +113,7 @@ def read_scenes(
     runs: Sequence[RunMotions] = (),
     *,
     permitted: Collection[str] = (),
-    around: Around | None = None,
+    around: _Around | None = None,
 ) -> Iterator[Scene]:
     """Read sequences with what each run made of them, in the order given.
 
@@ -131,7 +131,7 @@ def read_scenes(
         RedistributionError: if nothing is left that may be shown.
         PredictionsError: if a motion does not fit its sequence.
     """
-    require_something_to_show(table.info, runs, permitted)
+    _require_something_to_show(table.info, runs, permitted)
     scores = [run.scores(sequence_ids) for run in runs]
     chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
     for name in sequence_ids:
@@ -142,7 +142,7 @@ def read_scenes(
         yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around)
 
 
-def require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
+def _require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
     """Refuse a view in which only recorded motion would stand, or a control's, which is made of it, if that is kept.
 
     Raises:
@@ -161,7 +161,7 @@ def scene_of(
     motions: Sequence[ShownMotion] = (),
     *,
     permitted: Collection[str] = (),
-    around: Around | None = None,
+    around: _Around | None = None,
 ) -> Scene:
     """One row of a table with generated motions beside it.
 

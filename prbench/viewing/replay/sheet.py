@@ -29,7 +29,7 @@ _ROW = 0.24  # of the table of scores
 _KEY = 1.15
 
 
-def block_height(n_motions: int) -> float:
+def _block_height(n_motions: int) -> float:
     """Inches that a sequence with so many motions takes."""
     left = _TITLE + n_motions * _STRIP_STEP + _CURVES_GAP + _CURVES_HEIGHT + 0.65
     right = _TITLE + _WAY_SIDE + 0.75 + (n_motions + 1.5) * _ROW + 0.15 + _KEY + 0.3
@@ -90,7 +90,7 @@ _COLUMNS = (0.0, 0.47, 0.59, 0.71, 0.83, 0.925, 1.02)  # of the table's width: r
 _LABEL = 26  # characters of a label that fit
 
 
-def draw_scores(axes: Axes, scene: Scene) -> None:
+def _draw_scores(axes: Axes, scene: Scene) -> None:
     """One row a motion: Prime Success, Reach Success, nearest wrist, Location Error, Goal MPJPE, MPJPE."""
     axes.set_axis_off()
     rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
@@ -104,14 +104,14 @@ def draw_scores(axes: Axes, scene: Scene) -> None:
             axes.text(place, height, figure_text(shown), transform=axes.transAxes, **style)
 
 
-def draw_key(axes: Axes, scene: Scene) -> None:
+def _draw_key(axes: Axes, scene: Scene) -> None:
     """What lines and marks mean."""
     axes.set_axis_off()
-    handles = key_handles(scene)
+    handles = _key_handles(scene)
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
 
 
-def key_handles(scene: Scene) -> list[Artist]:
+def _key_handles(scene: Scene) -> list[Artist]:
     """Of the lines and marks that this sequence's picture has."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -168,7 +168,7 @@ def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    heights = [block_height(len(scene.motions)) for scene in scenes]
+    heights = [_block_height(len(scene.motions)) for scene in scenes]
     figure = Figure(figsize=(WIDTH, sum(heights) + _FOOT), dpi=dpi)
     top = sum(heights) + _FOOT
     for done, (scene, height) in enumerate(zip(scenes, heights, strict=True), start=1):
@@ -192,8 +192,8 @@ def draw_scene(block: Block, scene: Scene) -> None:
     if scene.goal is not None:
         draw_curves(block.curves(len(scene.motions)), scene, scene.goal)
     draw_way(block.way(), scene, frames)
-    draw_scores(block.scores(len(scene.motions)), scene)
-    draw_key(block.key(len(scene.motions)), scene)
+    _draw_scores(block.scores(len(scene.motions)), scene)
+    _draw_key(block.key(len(scene.motions)), scene)
 
 
 def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:

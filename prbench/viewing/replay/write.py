@@ -11,16 +11,16 @@ from prbench.errors import MissingExtraError, StorageError, UsageError
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.sheet import MOST_SCENES, draw_sheet
 
-FileKind = Literal["png", "mp4", "html"]
+_FileKind = Literal["png", "mp4", "html"]
 
-_PACKAGES: dict[FileKind, tuple[str, str]] = {
+_PACKAGES: dict[_FileKind, tuple[str, str]] = {
     "mp4": ("imageio_ffmpeg", "imageio-ffmpeg"),
     "html": ("viser", "viser"),
 }
 """Import name and package that a kind needs."""
 
 
-def file_kind(path: Path) -> FileKind:
+def file_kind(path: Path) -> _FileKind:
     """The kind that a file's name asks for; says at once what would fail after minutes of drawing.
 
     Raises:
@@ -38,7 +38,7 @@ def file_kind(path: Path) -> FileKind:
     return kind
 
 
-def _kind(path: Path) -> FileKind:
+def _kind(path: Path) -> _FileKind:
     match path.suffix.lower():
         case ".png":
             return "png"
@@ -54,7 +54,7 @@ def _kind(path: Path) -> FileKind:
 Progress = Callable[[int, int, str], None]
 
 
-def write_view(scenes: Sequence[Scene], path: Path, kind: FileKind, progress: Progress) -> None:
+def write_view(scenes: Sequence[Scene], path: Path, kind: _FileKind, progress: Progress) -> None:
     """Render scenes into one file.
 
     Args:
