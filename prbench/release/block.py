@@ -31,6 +31,9 @@ _ARRAYS = (
     "head_position",
     "head_rotation",
 )
+_ACCEPTED = (np.dtype(np.float32), np.dtype(np.float64))
+_REMEDY = "Copy or download the file again."
+_HEADER_BYTES = 12_000  # numpy's own limit is 10,000
 
 
 class Block(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,11 +131,6 @@ def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
         and all(values.shape == shapes[name] and values.dtype.kind in "fb" for name, values in arrays.items())
         and all(np.isfinite(values).all() for values in arrays.values())
     )
-
-
-_ACCEPTED = (np.dtype(np.float32), np.dtype(np.float64))
-_REMEDY = "Copy or download the file again."
-_HEADER_BYTES = 12_000  # numpy's own limit is 10,000
 
 
 def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:

@@ -14,6 +14,7 @@ from prbench.storage import write_json
 
 Certainty = Literal["certain", "likely", "assumed", "unknown"]
 """Stated by the data or the user and confirmed; measured with room for doubt; taken for granted; not found out."""
+FILE_NAME = "import_report.json"
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,6 @@ def grouped(problems: Iterable[Problem]) -> list[tuple[str, int, str]]:
         counts[problem.message] += 1
         first.setdefault(problem.message, problem.key)
     return [(message, count, first[message]) for message, count in counts.most_common()]
-
-
-FILE_NAME = "import_report.json"
 
 
 @dataclass(frozen=True)

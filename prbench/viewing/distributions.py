@@ -15,14 +15,17 @@ from prbench.sequences.table_one import TableStatistics
 from prbench.shown import figure_text
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import TARGETS, clips_of
+from prbench.viewing.figures import new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 FORMATS = (".png", ".svg")
 _BINS = 30
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
+_COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("hand", "m", 1.5))
 
 
 def require_drawable(path: Path) -> None:
@@ -55,17 +58,15 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
 
     with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
         figure = _figure(statistics, dpi)
-        metadata = {"Software": None} if path.suffix.lower() == ".png" else {"Date": None, "Creator": None}
+        if path.suffix.lower() == ".png":
+            write_png(figure, path)
+            return
         with sole_file(path) as draft:
-            figure.savefig(draft, format=path.suffix[1:].lower(), dpi=dpi, metadata=metadata)
+            figure.savefig(draft, format="svg", metadata={"Date": None, "Creator": None})
 
 
 def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 6.6), dpi=dpi, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12.0, 6.6, dpi=dpi, layout="constrained")
     panels = figure.subplots(2, 3).ravel()
     only = statistics[0] if len(statistics) == 1 else None
     published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
@@ -119,12 +120,6 @@ def _dress(axes: Axes, title: str) -> None:
     axes.tick_params(labelsize=7)
 
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("hand", "m", 1.5))
-
-
 def render_histograms(performances: Mapping[str, Sequence[Performance]], path: Path | str, *, dpi: int = 80) -> None:
     """Draw one row of four histograms for every preset; the shaded band is the study's mean and spread.
 
@@ -139,11 +134,7 @@ def render_histograms(performances: Mapping[str, Sequence[Performance]], path: P
     """
     if not performances:
         raise ValueError("expected the performances of at least one preset, found none")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14.0, 2.3 * len(performances)), dpi=dpi, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(14.0, 2.3 * len(performances), dpi=dpi, layout="constrained")
     grid = figure.subplots(len(performances), len(_COLUMNS), squeeze=False)
     for row, (preset, acted) in zip(grid, performances.items(), strict=True):
         clips = clips_of(acted)
@@ -153,8 +144,7 @@ def render_histograms(performances: Mapping[str, Sequence[Performance]], path: P
             name, unit, highest = column
             _draw_histogram(axes, values, getattr(TARGETS[preset], name), highest)
             axes.set_title(f"{preset}: {name} ({unit}), {len(clips)} synthetic sequences", fontsize=7)
-    with sole_file(Path(path)) as draft:
-        figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
+    write_png(figure, path)
 
 
 def _draw_histogram(axes: Axes, values: np.ndarray, target: Spread, highest: float) -> None:

@@ -9,15 +9,24 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.locks import sole_file
 from prbench.metrics.ray_track import ray_distance
 from prbench.sequences import EventRecord
 from prbench.shown import clean, figure_text
 from prbench.skeleton import WRISTS, Joint, head_forward
-from prbench.viewing.stick_figure import draw_figure
+from prbench.viewing.figures import draw_box, draw_figure, flattened, new_figure, write_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 Verdict = Literal["passed", "stopped here", "not reached"]
 _MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached": " "}
+_FIGURES = 9
+_SPACING = 1.25  # metres between figures in the picture
+_GAZE, _PRIME, _EVENT = "tab:orange", "tab:purple", "black"
+_OUTCOME_COLOURS = {"sequence": "tab:green"}
+_OTHER_OUTCOME = "tab:gray"
+_WIDTH = 13.0  # inches
 
 
 @dataclass(frozen=True)
@@ -92,29 +101,14 @@ class EventStory:
         return f"{difference:+9.2f} s  {other.action:<4} {other.object_name}{same}: {other.outcome}  {other.event_id}"
 
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_FIGURES = 9
-_SPACING = 1.25  # metres between figures in the picture
-_GAZE, _PRIME, _EVENT = "tab:orange", "tab:purple", "black"
-_OUTCOME_COLOURS = {"sequence": "tab:green"}
-_OTHER_OUTCOME = "tab:gray"
-_BOX_EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7))
-_WIDTH = 13.0  # inches
-
-
 def draw_event_story(story: EventStory, path: Path) -> None:
     """Write the picture of one event as PNG.
 
     Raises:
         StorageError: if it cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     heights = [2.0, 1.9] if story.motion is None else [2.0, 1.9, 3.4, 2.8]
-    figure = Figure(figsize=(_WIDTH, sum(heights) + 0.4), layout="constrained")
+    figure = new_figure(_WIDTH, sum(heights) + 0.4, layout="constrained")
     axes = figure.subplots(len(heights), 1, height_ratios=heights)
     notice = f"\n{story.notice}" if story.notice else ""
     title = f"{clean(story.title)}: {clean(story.event.outcome)}\n{clean(story.event.event_id)}{notice}"
@@ -124,8 +118,7 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     if story.motion is not None:
         _draw_figures(axes[2], story, story.motion)
         _draw_distances(axes[3], story, story.motion)
-    with sole_file(path) as temporary, open(temporary, "wb") as file:
-        FigureCanvasAgg(figure).print_png(file)
+    write_png(figure, path)
 
 
 def _write_stages(axes: Axes, story: EventStory) -> None:
@@ -174,24 +167,18 @@ def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
         at, joints = number * _SPACING, motion.joints[frame]
         pelvis = joints[Joint.PELVIS]
         draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
-
-        def place(points: np.ndarray, pelvis: np.ndarray = pelvis, at: float = at) -> np.ndarray:
-            return np.stack([(points - pelvis) @ sideways + at, points[..., 1]], axis=-1)
-
         near = abs(float((motion.goal - pelvis) @ sideways)) < 0.75 * _SPACING
         if near:
-            corners = place(motion.box_corners)
-            for one, other in _BOX_EDGES:
-                axes.plot(*corners[[one, other]].T, color="tab:cyan", linewidth=0.8)
+            draw_box(axes, flattened(motion.box_corners, pelvis, sideways, at), color="tab:cyan", linewidth=0.8)
         else:
-            x, y = place(motion.goal[None])[0]
+            x, y = flattened(motion.goal[None], pelvis, sideways, at)[0]
             side = float(np.sign(x - at)) * 0.3 * _SPACING
             arrow = {"arrowstyle": "->", "color": "tab:cyan"}
             axes.annotate("", (at + 1.4 * side, y), (at + side, y), arrowprops=arrow)
         if motion.gaze_valid[frame]:
             length = min(float(np.linalg.norm(motion.goal - motion.gaze_origin[frame])), 0.9)
             ray = motion.gaze_origin[frame] + np.array([[0.0], [length]]) * motion.gaze_direction[frame]
-            axes.plot(*place(ray).T, color=_GAZE, linewidth=0.9, linestyle="--")
+            axes.plot(*flattened(ray, pelvis, sideways, at).T, color=_GAZE, linewidth=0.9, linestyle="--")
         distance = np.linalg.norm((motion.goal - pelvis)[[0, 2]])
         since = motion.times[frame] - story.event.event_time
         axes.text(at, -0.12, f"{since:+.1f} s\ngoal {distance:.1f} m", ha="center", va="top", fontsize=7)

@@ -13,14 +13,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.locks import sole_file
 from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import TOES, WRISTS, Joint, head_forward
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.viewing.stick_figure import draw_figure, flattened
+from prbench.viewing.figures import draw_figure, flattened, new_figure, write_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import SubFigure
+
 
 _STEP = 0.025  # seconds between the points of a curve
+_N_FIGURES = 9
+_SPACING = 1.15  # metres between the figures of a strip
+_PREROLL = 2.0
 
 
 @dataclass(frozen=True)
@@ -71,15 +78,6 @@ def _speed(points: np.ndarray, times: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.gradient(points, times, axis=0), axis=1)
 
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import SubFigure
-
-_N_FIGURES = 9
-_SPACING = 1.15  # metres between the figures of a strip
-_PREROLL = 2.0
-
-
 @dataclass(frozen=True)
 class Scene:
     """One event of a performance: what one picture shows."""
@@ -125,18 +123,13 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
     """
     if not scenes:
         raise ValueError("expected at least one scene for the gallery, found none")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(columns, len(scenes))
     rows = -(-len(scenes) // columns)
-    figure = Figure(figsize=(8.0 * columns, 6.2 * rows), dpi=dpi)
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0 * columns, 6.2 * rows, dpi=dpi)
     cells = np.asarray(figure.subfigures(rows, columns, squeeze=False)).ravel()
     for cell, scene in zip(cells, scenes, strict=False):
         draw_scene(cell, scene)
-    with sole_file(Path(path)) as draft:
-        figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
+    write_png(figure, path)
 
 
 def draw_scene(cell: SubFigure, scene: Scene) -> None:

@@ -12,8 +12,8 @@ from prbench.skeleton import Joint
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.viewing.distributions import render_histograms
+from prbench.viewing.figures import flattened
 from prbench.viewing.gallery import Scene, curves_of, render_gallery, sequences_of
-from prbench.viewing.stick_figure import flattened
 
 
 @pytest.fixture(scope="module")

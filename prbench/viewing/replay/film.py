@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +11,13 @@ from jaxtyping import Int
 from prbench.errors import MissingExtraError, StorageError
 from prbench.locks import sole_file
 from prbench.viewing.replay.film_stage import FilmStage
-from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.scene import Progress, Scene
 
 FPS = 20
 """Pictures a second; whatever the rate of a sequence, it plays in real time."""
 SIZE = (1280, 720)
 _HOLD = 1.0  # seconds that the last picture of a sequence stays
 _QUALITY = 7  # of 10, as the encoder's wrapper counts
-
-Progress = Callable[[int, int, str], None]
 
 
 def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:

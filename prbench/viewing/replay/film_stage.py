@@ -10,37 +10,45 @@ from jaxtyping import Float
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
+from prbench.viewing.figures import new_figure
 from prbench.viewing.replay.measures import gaze_distance, measure, phase, verdict
-from prbench.viewing.replay.panels import mark_times
 from prbench.viewing.replay.parts import (
-    BOX_COLOUR,
     GAZE_COLOUR,
-    GOAL_COLOUR,
     MARK_COLOUR,
     METHOD_COLOURS,
     beside,
     bone_segments,
     draw_bodies,
     draw_dots,
+    draw_goal,
+    extent,
     head_rays,
-    lengths_to,
+    limit_top_view,
+    mark_times,
     rays,
     side_view,
     top_view,
 )
-from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Goal, Scene, ShownMotion
+from prbench.viewing.replay.scene import RECORDED, Goal, Scene, ShownMotion
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 _LEFT, _WIDTH = 0.04, 0.56
 _BOTTOM, _TOP = 0.09, 0.895
+_DPI = 100
+_LONGEST_RAY = 6.0  # metres
+_FOOTPRINT = 0.5  # metres around what must be seen
+_Flatten = Callable[[np.ndarray], np.ndarray]
+_Update = Callable[[int], None]
 
 
 def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
     """One panel a motion, in as many columns as keep them large: one up to two motions, two up to six, else three."""
-    columns = 1 if n_motions <= 2 else 2 if n_motions <= 6 else 3
+    columns = 1 + (n_motions > 2) + (n_motions > 6)
     rows = -(-n_motions // columns)
     width, height = _WIDTH / columns, (_TOP - _BOTTOM) / rows
     return [
@@ -78,18 +86,6 @@ def _curve_panels(figure: Figure) -> tuple[Axes, Axes]:
     return figure.add_axes((0.65, 0.27, 0.33, 0.12)), figure.add_axes((0.65, 0.09, 0.33, 0.12))
 
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-
-_DPI = 100
-_LONGEST_RAY = 6.0  # metres
-_FOOTPRINT = 0.5  # metres around what must be seen
-
-_Flatten = Callable[[np.ndarray], np.ndarray]
-_Update = Callable[[int], None]
-
-
 class FilmStage:
     """The picture of one sequence at any frame.
 
@@ -100,12 +96,11 @@ class FilmStage:
 
     def __init__(self, scene: Scene, size: tuple[int, int]) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
 
         self._scene = scene
         self._moving: list[tuple[Axes, Artist]] = []
         self._updates: list[_Update] = []
-        self._figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+        self._figure = new_figure(size[0] / _DPI, size[1] / _DPI, dpi=_DPI)
         self._canvas = FigureCanvasAgg(self._figure)
         self._write_texts()
         self._build_side_views()
@@ -134,9 +129,9 @@ class FilmStage:
 
     def _build_side_views(self) -> None:
         scene, axis = self._scene, self._scene.picture_axis
-        low, high = self._extent(lambda points: points @ axis)
+        low, high = extent(scene, lambda points: points @ axis)
         for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
-            _fit_limits(panel, (low - _FOOTPRINT, high + _FOOTPRINT), (-0.05, self._height()))
+            _fit_limits(panel, (float(low) - _FOOTPRINT, float(high) + _FOOTPRINT), (-0.05, self._height()))
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
             panel.tick_params(labelsize=7, length=2)
             panel.set_ylabel("m", fontsize=7.5)
@@ -161,11 +156,7 @@ class FilmStage:
             path = top_view(motion.joints[:, Joint.PELVIS])
             panel.plot(*path.T, color=motion.colour, linewidth=0.9, alpha=0.5)
             self._add_body(panel, motion, top_view)
-        (low_x, high_x), (low_z, high_z) = (self._extent(lambda points, k=k: points[..., k]) for k in (0, 2))
-        half = max(high_x - low_x, high_z - low_z, 1.4) / 2 + _FOOTPRINT
-        middle = (low_x + high_x) / 2, (low_z + high_z) / 2
-        panel.set(xlim=(middle[0] + half, middle[0] - half), ylim=(middle[1] - half, middle[1] + half))
-        panel.set_aspect("equal", adjustable="box")
+        limit_top_view(panel, scene, least=1.4, margin=_FOOTPRINT)
         panel.set_title("seen from above (m)", fontsize=8, loc="left", pad=3)
         self._add_clock(panel)
         panel.tick_params(labelsize=7)
@@ -177,7 +168,7 @@ class FilmStage:
             values = measure(motion, goal, scene.head_tilt_deg)
             ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
             wrist.plot(scene.times, values.wrist_distance, color=motion.colour, linewidth=1.3)
-        if scene.gaze is not None and scene.shows_recorded:
+        if scene.gaze is not None:
             ray.plot(scene.times, gaze_distance(scene.gaze, goal), color=GAZE_COLOUR, linewidth=0.9, zorder=1.5)
         limits = scene.thresholds.prime_distance, scene.thresholds.reach_distance
         titles = "goal to head ray (m)", "goal to nearer wrist (m)"
@@ -192,24 +183,17 @@ class FilmStage:
 
     def _add_goal(self, panel: Axes, flat: _Flatten) -> None:
         if self._scene.goal is not None:
-            box = flat(self._scene.goal.box_corners)
-            for one, other in BOX_EDGES:
-                panel.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=1.0, zorder=1)
-            panel.plot(*flat(self._scene.goal.location), "s", color=GOAL_COLOUR, markersize=4, zorder=1)
+            corners = flat(self._scene.goal.box_corners)
+            draw_goal(panel, corners, flat(self._scene.goal.location), linewidth=1.0, markersize=4, zorder=1)
 
     def _add_body(self, panel: Axes, motion: ShownMotion, flat: _Flatten) -> None:
         scene = self._scene
-        location = None if scene.goal is None else scene.goal.location
+        goal = scene.goal_location
         points = flat(motion.joints)
-        lengths = lengths_to(motion.joints[:, Joint.HEAD], location, _LONGEST_RAY)
-        self._add_ray(
-            panel,
-            flat(head_rays(motion.joints, scene.head_tilt_deg, lengths)),
-            {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))},
-        )
+        head_segments = flat(head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
+        self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
         if motion.label == RECORDED and scene.gaze is not None:
-            lengths = lengths_to(scene.gaze.origin, location, _LONGEST_RAY)
-            segments = flat(rays(scene.gaze.origin, scene.gaze.direction, lengths))
+            segments = flat(rays(scene.gaze.origin, scene.gaze.direction, goal, _LONGEST_RAY))
             segments = np.where(scene.gaze.valid[:, None, None], segments, np.nan)
             self._add_ray(panel, segments, {"color": GAZE_COLOUR, "linewidth": 1.6})
         lines, head = draw_bodies(panel, points[:1], motion.colour)
@@ -240,12 +224,3 @@ class FilmStage:
     def _height(self) -> float:
         highest = max(float(motion.joints[..., 1].max()) for motion in self._scene.motions)
         return max(2.0, highest + 0.1)
-
-    def _extent(self, coordinate: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-        """Least and greatest value of a coordinate over all pelvis ways, last poses and the goal."""
-        values = [coordinate(motion.joints[:, Joint.PELVIS]) for motion in self._scene.motions]
-        values += [coordinate(motion.joints[-1]) for motion in self._scene.motions]
-        if self._scene.goal is not None:
-            values.append(coordinate(self._scene.goal.box_corners))
-        everything = np.concatenate(values)
-        return float(everything.min()), float(everything.max())

@@ -11,6 +11,9 @@ from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.replay.scene import Gaze, Goal, Scene, ShownMotion
 
+HEADER = ("", "Prime\nSuccess", "Reach\nSuccess", "nearest\nwrist", "Location\nError", "Goal\nMPJPE", "MPJPE")
+"""Of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal."""
+
 
 @dataclass(frozen=True, eq=False)
 class Measures:
@@ -60,10 +63,6 @@ def gaze_angle(gaze: Gaze, goal: Goal) -> Float[np.ndarray, " n"]:
     sine = np.linalg.norm(np.cross(gaze.direction, to_goal), axis=1)
     angle = np.rad2deg(np.arctan2(sine, (gaze.direction * to_goal).sum(axis=1)))
     return np.where(gaze.valid, angle, np.nan)
-
-
-HEADER = ("", "Prime\nSuccess", "Reach\nSuccess", "nearest\nwrist", "Location\nError", "Goal\nMPJPE", "MPJPE")
-"""Of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal."""
 
 
 def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:

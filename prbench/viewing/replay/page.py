@@ -7,7 +7,7 @@ an overlay that says what is to be seen is put into that page.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,11 @@ from prbench.storage import write_text
 from prbench.viewing.replay.measures import score_sentence
 from prbench.viewing.replay.page_stage import PageStage, set_up_room
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
-from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.scene import Progress, Scene
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
 
 _STYLE = """
 #prbench{position:fixed;left:10px;top:10px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:2000;
@@ -31,6 +35,8 @@ font:11px/1.4 system-ui,sans-serif;color:#222}
 #prbench .swatch{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
 #prbench .notice{color:#a04000;font-weight:600}
 """
+HOLD = 1.0
+"""Seconds that the last frame of a sequence stays."""
 
 
 def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
@@ -64,7 +70,7 @@ def _overlay(scenes: Sequence[Scene], hold: float) -> str:
 
 def _key(scenes: Sequence[Scene]) -> str:
     entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
-    if any(scene.gaze is not None and scene.shows_recorded for scene in scenes):
+    if any(scene.gaze is not None for scene in scenes):
         entries.append(("recorded gaze", GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
         entries.append(("goal and its box", GOAL_COLOUR))
@@ -85,15 +91,6 @@ def _sequence(scene: Scene, start: float, end: float) -> str:
 
 def _swatch(colour: str) -> str:
     return f'<span class="swatch" style="background:{colour}"></span>'
-
-
-if TYPE_CHECKING:
-    from viser import ViserServer
-
-HOLD = 1.0
-"""Seconds that the last frame of a sequence stays."""
-
-Progress = Callable[[int, int, str], None]
 
 
 def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:

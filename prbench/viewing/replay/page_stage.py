@@ -9,31 +9,28 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.skeleton import Joint
+from prbench.viewing.figures import BOX_EDGES
 from prbench.viewing.replay.measures import phase
 from prbench.viewing.replay.parts import (
-    BONE_WIDTHS,
     BOX_COLOUR,
     GAZE_COLOUR,
     GOAL_COLOUR,
+    IS_THICK,
     SURROUNDINGS_COLOUR,
-    THICK,
     bone_segments,
     head_rays,
-    lengths_to,
     rays,
     rgb,
 )
-from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
+from prbench.viewing.replay.scene import RECORDED, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-_WIDTHS = {True: 0.03, False: 0.016}  # metres: right limbs and trunk, left limbs
 _HEAD_RADIUS = 0.07
 _LONGEST_RAY = 6.0
 _BETWEEN = 0.8  # metres between lanes
 _LEAST_LANE = 1.0
-_THICK = np.array([width == THICK for width in BONE_WIDTHS])
 
 
 def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
@@ -124,19 +121,22 @@ class _Body:
         self, server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
     ) -> None:
         joints = motion.joints + offset
-        location = None if scene.goal is None else scene.goal.location + offset
-        lengths = lengths_to(joints[:, Joint.HEAD], location, _LONGEST_RAY)
+        goal = None if scene.goal is None else scene.goal.location + offset
         colour = rgb(motion.colour)
         self._heads = joints[:, Joint.HEAD]
         self._head = server.scene.add_icosphere(f"{name}/head", radius=_HEAD_RADIUS, color=colour, subdivisions=2)
         bones = bone_segments(joints)
         segments = {
-            "right": (bones[:, _THICK], colour, _WIDTHS[True]),
-            "left": (bones[:, ~_THICK], colour, _WIDTHS[False]),
-            "head_ray": (head_rays(joints, scene.head_tilt_deg, lengths)[:, None], colour, 0.008),
+            "right": (bones[:, IS_THICK], colour, 0.03),
+            "left": (bones[:, ~IS_THICK], colour, 0.016),
+            "head_ray": (head_rays(joints, scene.head_tilt_deg, goal, _LONGEST_RAY)[:, None], colour, 0.008),
         }
         if motion.label == RECORDED and scene.gaze is not None:
-            segments["gaze"] = _gaze_segments(scene, offset, location), rgb(GAZE_COLOUR), 0.012
+            origin = scene.gaze.origin + offset
+            gaze = rays(origin, scene.gaze.direction, goal, _LONGEST_RAY)
+            # A ray without length where the gaze is not valid: the viewer shows no NaN.
+            gaze = np.where(scene.gaze.valid[:, None, None], gaze, origin[:, None])
+            segments["gaze"] = (gaze[:, None], rgb(GAZE_COLOUR), 0.012)
         self._moving = [
             (
                 positions.astype(np.float32),
@@ -153,16 +153,6 @@ class _Body:
         self._head.position = self._heads[frame]
         for positions, handle in self._moving:
             handle.points = positions[frame]
-
-
-def _gaze_segments(
-    scene: Scene, offset: Float[np.ndarray, "3"], location: Float[np.ndarray, "3"] | None
-) -> Float[np.ndarray, "n 1 2 3"]:
-    """Recorded gaze rays; of no length where the gaze is not valid."""
-    assert scene.gaze is not None, "asked for only where there is gaze"
-    origin = scene.gaze.origin + offset
-    lengths = np.where(scene.gaze.valid, lengths_to(origin, location, _LONGEST_RAY), 0.0)
-    return rays(origin, scene.gaze.direction, lengths)[:, None]
 
 
 def _add_still(

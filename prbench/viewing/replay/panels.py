@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,40 +14,47 @@ from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
 from prbench.viewing.replay.parts import (
     BOX_COLOUR,
     GAZE_COLOUR,
-    GOAL_COLOUR,
     MARK_COLOUR,
     beside,
     draw_bodies,
     draw_dots,
+    draw_goal,
     head_rays,
-    lengths_to,
+    limit_top_view,
+    mark_times,
     rays,
     side_view,
     top_view,
 )
-from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Goal, Scene, ShownMotion
+from prbench.viewing.replay.scene import RECORDED, Goal, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+
 _SPACING = 1.3  # metres between figures
 _LONGEST_RAY = 0.85  # metres
+_TICK = 0.3  # metres: head direction of a pose along the way
+_RAY = 6.0  # metres: longest head or gaze ray at prime time
+_HIGHEST = 3.0  # metres shown of a distance
 
 
 def draw_strip(
     axes: Axes, scene: Scene, motion: ShownMotion, frames: Int[np.ndarray, " poses"], *, with_times: bool
 ) -> None:
-    """Draw one motion; every body stands in the middle of its own place, whichever way it has gone.
+    """Draw poses of one motion from the side; every body stands in the middle of its own place, however far it walked.
 
     Args:
-        axes: Where.
+        axes: Panel to draw into.
         scene: The sequence.
         motion: One of its motions.
-        frames: Which poses.
-        with_times: Whether to say under the figures when they are.
+        frames: Frames of the poses.
+        with_times: Write the time of each pose below it.
     """
-    joints, axis = motion.joints[frames], scene.picture_axis
-    pelvis, places = joints[:, Joint.PELVIS], np.arange(len(frames)) * _SPACING
+    joints = motion.joints[frames]
+    axis = scene.picture_axis
+    pelvis = joints[:, Joint.PELVIS]
+    places = np.arange(len(frames)) * _SPACING
 
     def flat(points: Float[np.ndarray, "poses k 3"]) -> Float[np.ndarray, "poses k 2"]:
         moved = side_view(points, axis, around=pelvis[:, None])
@@ -60,44 +68,45 @@ def draw_strip(
     draw_bodies(axes, flat(joints), motion.colour)
     _draw_rays(axes, scene, motion, frames, flat)
     if scene.goal is not None:
-        _draw_goals(axes, scene.goal.box_corners, scene.goal.location, pelvis, axis, places)
+        _draw_goals(axes, scene.goal, pelvis, axis, places)
     _finish_strip(axes, scene, motion, frames, places, with_times=with_times)
 
 
-def _draw_rays(axes: Axes, scene: Scene, motion: ShownMotion, frames: np.ndarray, flat) -> None:
-    location = None if scene.goal is None else scene.goal.location
-    joints = motion.joints[frames]
-    lengths = lengths_to(joints[:, Joint.HEAD], location, _LONGEST_RAY)
-    for ray in flat(head_rays(joints, scene.head_tilt_deg, lengths)):
+def _draw_rays(
+    axes: Axes,
+    scene: Scene,
+    motion: ShownMotion,
+    frames: Int[np.ndarray, " poses"],
+    flat: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    goal = scene.goal_location
+    for ray in flat(head_rays(motion.joints[frames], scene.head_tilt_deg, goal, _LONGEST_RAY)):
         axes.plot(*ray.T, color=motion.colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=2)
     if motion.label == RECORDED and scene.gaze is not None:
-        origin, direction = scene.gaze.origin[frames], scene.gaze.direction[frames]
-        segments = flat(rays(origin, direction, lengths_to(origin, location, _LONGEST_RAY)))
+        segments = flat(rays(scene.gaze.origin[frames], scene.gaze.direction[frames], goal, _LONGEST_RAY))
         for ray in segments[scene.gaze.valid[frames]]:
             axes.plot(*ray.T, color=GAZE_COLOUR, linewidth=1.3, zorder=2)
 
 
 def _draw_goals(
     axes: Axes,
-    corners: Float[np.ndarray, "8 3"],
-    location: Float[np.ndarray, "3"],
+    goal: Goal,
     pelvis: Float[np.ndarray, "poses 3"],
     axis: Float[np.ndarray, "3"],
     places: Float[np.ndarray, " poses"],
 ) -> None:
-    """The goal's box beside each body that is near enough, else an arrow that points to where it lies."""
+    """Draw the goal beside each body that is near enough, else an arrow that points to it."""
     for start, place in zip(pelvis, places, strict=True):
         shift = np.array([place, 0.0])
-        x, y = side_view(location, axis, around=start) + shift
-        if abs(x - place) < 0.64 * _SPACING:
-            box = side_view(corners, axis, around=start) + shift
-            for one, other in BOX_EDGES:
-                axes.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=0.8, zorder=1)
-            axes.plot(x, y, "s", color=GOAL_COLOUR, markersize=3.5, zorder=1)
+        location = side_view(goal.location, axis, around=start) + shift
+        side = np.sign(location[0] - place)
+        if abs(location[0] - place) < 0.64 * _SPACING:
+            corners = side_view(goal.box_corners, axis, around=start) + shift
+            draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
         else:
-            tip = place + np.sign(x - place) * 0.46 * _SPACING
+            tip = place + side * 0.46 * _SPACING
             arrow = {"arrowstyle": "-|>", "color": BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
-            axes.annotate("", (tip, y), (tip - np.sign(x - place) * 0.14 * _SPACING, y), arrowprops=arrow)
+            axes.annotate("", (tip, location[1]), (tip - side * 0.14 * _SPACING, location[1]), arrowprops=arrow)
 
 
 def _finish_strip(
@@ -121,23 +130,17 @@ def _finish_strip(
 
 
 def _when(scene: Scene, frame: int) -> str:
-    name = "\nprime" if frame == scene.prime_frame else "\nevent" if frame == scene.n_frames - 1 else ""
-    return f"{frame / scene.fps:.2f} s{name}"
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_TICK = 0.3  # metres: head direction of a pose along the way
-_RAY = 6.0  # metres: longest head or gaze ray at prime time
-_MARGIN, _LEAST = 0.45, 2.2  # metres
+    time = f"{frame / scene.fps:.2f} s"
+    if frame == scene.prime_frame:
+        return f"{time}\nprime"
+    return f"{time}\nevent" if frame == scene.n_frames - 1 else time
 
 
 def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> None:
-    """Draw all motions of a sequence into one map; metres, x to the left, as one who looks down sees it.
+    """Draw the paths of all motions of a sequence seen from above; metres.
 
     Args:
-        axes: Where.
+        axes: Panel to draw into.
         scene: The sequence.
         frames: Poses whose head direction is marked.
     """
@@ -145,61 +148,30 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
         draw_dots(axes, top_view(scene.surroundings))
     for motion in scene.motions:
         _draw_motion(axes, scene, motion, frames)
-    if scene.gaze is not None and scene.shows_recorded and scene.gaze.valid[scene.prime_frame]:
-        origin, direction = (values[[scene.prime_frame]] for values in (scene.gaze.origin, scene.gaze.direction))
-        ray = rays(origin, direction, lengths_to(origin, _location(scene), _RAY))
+    at_prime = [scene.prime_frame]
+    if scene.gaze is not None and scene.gaze.valid[scene.prime_frame]:
+        ray = rays(scene.gaze.origin[at_prime], scene.gaze.direction[at_prime], scene.goal_location, _RAY)
         axes.plot(*top_view(ray)[0].T, color=GAZE_COLOUR, linewidth=1.5)
     if scene.goal is not None:
-        box = top_view(scene.goal.box_corners)
-        for one, other in BOX_EDGES:
-            axes.plot(*box[[one, other]].T, color=BOX_COLOUR, linewidth=1.0, zorder=5)
-        axes.plot(*top_view(scene.goal.location), "s", color=GOAL_COLOUR, markersize=5, zorder=5)
-    _frame(axes, scene)
-
-
-def _location(scene: Scene) -> np.ndarray | None:
-    return None if scene.goal is None else scene.goal.location
-
-
-def _draw_motion(axes: Axes, scene: Scene, motion: ShownMotion, frames: Int[np.ndarray, " poses"]) -> None:
-    path = top_view(motion.joints[:, Joint.PELVIS])
-    axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == RECORDED else 1.6, alpha=0.9)
-    for tick in top_view(head_rays(motion.joints[frames], scene.head_tilt_deg, _TICK)):
-        axes.plot(*tick.T, color=motion.colour, linewidth=0.8)
-    at_prime = motion.joints[[scene.prime_frame]]
-    ray = head_rays(at_prime, scene.head_tilt_deg, lengths_to(at_prime[:, Joint.HEAD], _location(scene), _RAY))
-    axes.plot(*top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
-    draw_bodies(axes, top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
-    for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
-        axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
-
-
-def _frame(axes: Axes, scene: Scene) -> None:
-    low, high = _extent(scene)
-    middle, half = (low + high) / 2, max(float((high - low).max()) / 2 + _MARGIN, _LEAST / 2)
-    axes.set_xlim(middle[0] + half, middle[0] - half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set_aspect("equal", adjustable="box")
+        corners = top_view(scene.goal.box_corners)
+        draw_goal(axes, corners, top_view(scene.goal.location), linewidth=1.0, markersize=5, zorder=5)
+    limit_top_view(axes, scene, least=1.3, margin=0.45)
     axes.set_xlabel("x (m), seen from above", fontsize=8)
     axes.set_ylabel("z (m)", fontsize=8)
     axes.tick_params(labelsize=7.5)
     axes.grid(alpha=0.25, linewidth=0.6)
 
 
-def _extent(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Corners of what must be seen: pelvis paths, last poses and the goal."""
-    points = [top_view(motion.joints[:, Joint.PELVIS]) for motion in scene.motions]
-    points += [top_view(motion.joints[-1]) for motion in scene.motions]
-    if scene.goal is not None:
-        points.append(top_view(scene.goal.box_corners))
-    everything = np.concatenate(points)
-    return everything.min(axis=0), everything.max(axis=0)
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_HIGHEST = 3.0  # metres shown of a distance
+def _draw_motion(axes: Axes, scene: Scene, motion: ShownMotion, frames: Int[np.ndarray, " poses"]) -> None:
+    path = top_view(motion.joints[:, Joint.PELVIS])
+    axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == RECORDED else 1.6, alpha=0.9)
+    for tick in top_view(head_rays(motion.joints[frames], scene.head_tilt_deg, None, _TICK)):
+        axes.plot(*tick.T, color=motion.colour, linewidth=0.8)
+    ray = head_rays(motion.joints[[scene.prime_frame]], scene.head_tilt_deg, scene.goal_location, _RAY)
+    axes.plot(*top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
+    draw_bodies(axes, top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
+    for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
+        axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
 
 
 def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> None:
@@ -217,7 +189,7 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
         for panel, curve in zip(panels, (values.head_distance, values.head_angle, values.wrist_distance), strict=True):
             panel.plot(scene.times, curve, color=motion.colour, linewidth=1.5)
             highest[panel] = max(highest[panel], float(curve.max()))
-    if scene.gaze is not None and scene.shows_recorded:
+    if scene.gaze is not None:
         style: dict[str, Any] = {"color": GAZE_COLOUR, "linewidth": 1.0, "zorder": 1.5}
         ray.plot(scene.times, gaze_distance(scene.gaze, goal), **style)
         angle.plot(scene.times, gaze_angle(scene.gaze, goal), **style)
@@ -232,14 +204,6 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
     for panel, title, limit in zip(panels, titles, limits, strict=True):
         panel.set_ylim(0.0, max(limit, 0.3))
         _finish_curve(panel, scene, title)
-
-
-def mark_times(axes: Axes, scene: Scene) -> None:
-    """Prime window, prime time and event."""
-    window = scene.thresholds.prime_window
-    axes.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
-    axes.axvline(scene.prime_time, color=MARK_COLOUR, linewidth=1.0, linestyle="--", zorder=1)
-    axes.axvline(scene.event_time, color=MARK_COLOUR, linewidth=1.4, zorder=1)
 
 
 def _finish_curve(axes: Axes, scene: Scene, title: str) -> None:

@@ -21,6 +21,10 @@ from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
 
+_SIDES = {"left": 0, "right": 1}
+_Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
+"""Tells what stood around one sequence (:attr:`Scene.surroundings`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunMotions:
@@ -99,12 +103,6 @@ def run_labels(paths: Sequence[Path], records: Sequence[RunRecord]) -> list[str]
         f"{label} ({path.name})" if labels.count(label) > 1 else label
         for path, label in zip(paths, labels, strict=True)
     ]
-
-
-_SIDES = {"left": 0, "right": 1}
-
-_Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
-"""Tells what stood around one sequence (:attr:`Scene.surroundings`)."""
 
 
 def read_scenes(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Int
 
-from prbench.locks import sole_file
 from prbench.shown import figure_text
+from prbench.viewing.figures import new_figure, write_png
 from prbench.viewing.replay.measures import HEADER, score_row
 from prbench.viewing.replay.panels import draw_curves, draw_strip, draw_way
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, METHOD_COLOURS, SURROUNDINGS_COLOUR
-from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.scene import Progress, Scene
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 
 _LEFT, _STRIP_WIDTH, _STRIP_HEIGHT, _STRIP_STEP = 0.75, 9.55, 1.85, 2.12
 _RIGHT, _WAY_SIDE = 11.05, 3.6
@@ -27,9 +29,17 @@ _TITLE = 0.6
 _CURVES_GAP, _CURVES_HEIGHT, _CURVES_WIDTH, _CURVES_STEP = 0.75, 1.75, 2.75, 3.4
 _ROW = 0.24  # of the table of scores
 _KEY = 1.15
+_COLUMNS = (0.0, 0.47, 0.59, 0.71, 0.83, 0.925, 1.02)  # of the table's width: right edges, but for the first
+_LABEL = 26  # characters of a label that fit
+WIDTH = 15.0
+"""Inches."""
+MOST_SCENES = 40
+"""In one PNG: more would make a picture that few programs open."""
+_POSES = 9
+_FOOT = 0.3  # inches, for the notice
 
 
-def _block_height(n_motions: int) -> float:
+def block_height(n_motions: int) -> float:
     """Inches that a sequence with so many motions takes."""
     left = _TITLE + n_motions * _STRIP_STEP + _CURVES_GAP + _CURVES_HEIGHT + 0.65
     right = _TITLE + _WAY_SIDE + 0.75 + (n_motions + 1.5) * _ROW + 0.15 + _KEY + 0.3
@@ -43,7 +53,6 @@ class Block:
     figure: Figure
     top: float
     """Inches from the lower edge of the sheet."""
-    height: float
 
     def strip(self, number: int) -> Axes:
         """For the poses of one motion."""
@@ -82,14 +91,6 @@ class Block:
         return self.figure.add_axes(place)
 
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-
-_COLUMNS = (0.0, 0.47, 0.59, 0.71, 0.83, 0.925, 1.02)  # of the table's width: right edges, but for the first
-_LABEL = 26  # characters of a label that fit
-
-
 def _draw_scores(axes: Axes, scene: Scene) -> None:
     """One row a motion: Prime Success, Reach Success, nearest wrist, Location Error, Goal MPJPE, MPJPE."""
     axes.set_axis_off()
@@ -121,7 +122,7 @@ def _key_handles(scene: Scene) -> list[Artist]:
         Line2D([], [], linewidth=2.1, label="right limbs and trunk (left: thin)", **grey),
         Line2D([], [], linewidth=1.1, linestyle=(0, (4, 2)), label="head ray", **grey),
     ]
-    if scene.gaze is not None and scene.shows_recorded:
+    if scene.gaze is not None:
         handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="recorded gaze"))
     if scene.goal is not None:
         handles.append(Line2D([], [], marker="s", linestyle="", color=GOAL_COLOUR, label="goal and its box"))
@@ -135,19 +136,6 @@ def _key_handles(scene: Scene) -> list[Artist]:
         dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": SURROUNDINGS_COLOUR}
         handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
     return handles
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-WIDTH = 15.0
-"""Inches."""
-MOST_SCENES = 40
-"""In one PNG: more would make a picture that few programs open."""
-_POSES = 9
-_FOOT = 0.3  # inches, for the notice
-
-Progress = Callable[[int, int, str], None]
 
 
 def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress: Progress | None = None) -> None:
@@ -165,20 +153,16 @@ def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress:
     """
     if not scenes:
         raise ValueError("expected at least one sequence to draw, found none")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    heights = [_block_height(len(scene.motions)) for scene in scenes]
-    figure = Figure(figsize=(WIDTH, sum(heights) + _FOOT), dpi=dpi)
+    heights = [block_height(len(scene.motions)) for scene in scenes]
+    figure = new_figure(WIDTH, sum(heights) + _FOOT, dpi=dpi)
     top = sum(heights) + _FOOT
     for done, (scene, height) in enumerate(zip(scenes, heights, strict=True), start=1):
-        draw_scene(Block(figure, top=top, height=height), scene)
+        draw_scene(Block(figure, top), scene)
         top -= height
         if progress is not None:
             progress(done, len(scenes), scene.sequence_id)
     _write_notices(figure, scenes)
-    with sole_file(path) as temporary, open(temporary, "wb") as file:
-        FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
+    write_png(figure, path)
 
 
 def draw_scene(block: Block, scene: Scene) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
 from prbench.errors import MissingExtraError, StorageError, UsageError
-from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.scene import Progress, Scene
 from prbench.viewing.replay.sheet import MOST_SCENES, draw_sheet
 
 _FileKind = Literal["png", "mp4", "html"]
@@ -49,9 +49,6 @@ def _kind(path: Path) -> _FileKind:
         case suffix:
             found = f"'{suffix}'" if suffix else "no suffix"
             raise UsageError(f"{path}: expected a file that ends in .png, .mp4 or .html, found {found}.")
-
-
-Progress = Callable[[int, int, str], None]
 
 
 def write_view(scenes: Sequence[Scene], path: Path, kind: _FileKind, progress: Progress) -> None:

@@ -13,17 +13,17 @@ from matplotlib.text import Text
 
 from prbench.errors import StorageError
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
-from prbench.viewing.replay.sheet import WIDTH, Block, _block_height, chosen_frames, draw_scene, draw_sheet
+from prbench.viewing.replay.sheet import WIDTH, Block, block_height, chosen_frames, draw_scene, draw_sheet
 from tests.viewing.replay.scenes import a_scene
 
 LABELS = [f"method_with_a_name_{number}, goal-loc, shuffled-goal" for number in range(6)]
 
 
 def _drawn(scene) -> Figure:
-    height = _block_height(len(scene.motions))
+    height = block_height(len(scene.motions))
     figure = Figure(figsize=(WIDTH, height))
     FigureCanvasAgg(figure)
-    draw_scene(Block(figure, top=height, height=height), scene)
+    draw_scene(Block(figure, height), scene)
     return figure
 
 
