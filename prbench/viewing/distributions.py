@@ -1,4 +1,4 @@
-"""Histograms of sequences beside what the study reports: Figure S2 of built datasets, and synthetic performances."""
+"""Histograms beside the study's numbers: Figure S2 of built datasets, and statistics of synthetic performances."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("h
 
 
 def require_drawable(path: Path) -> None:
-    """Refuse, before anything is computed, a kind of file that the figure is not written as.
+    """Refuse kinds of files that the figure is not written as, before anything is computed.
 
     Raises:
         UsageError: for any but PNG and SVG.
@@ -94,14 +94,18 @@ def _histogram(
     low, high = float(together.min()), float(together.max())
     edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
     if published is not None:
-        axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
-        axes.axvline(published.mean, color="0.4", linewidth=1.0, label="published mean, sd shaded")
+        _draw_band(axes, published, label="published mean, sd shaded")
         axes.legend(fontsize=7, frameon=False)
     for colour, each in zip(_COLOURS, values, strict=False):
         axes.hist(each, bins=edges.tolist(), density=True, color=colour, alpha=0.7 if len(values) == 1 else 0.4)
         axes.axvline(float(each.mean()), color=colour, linewidth=1.0)
     _dress(axes, title)
     axes.set_yticks([])
+
+
+def _draw_band(axes: Axes, published: Spread, label: str | None = None) -> None:
+    axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
+    axes.axvline(published.mean, color="0.4", linewidth=1.0, label=label)
 
 
 def _gaze_shift(axes: Axes, statistics: Sequence[TableStatistics]) -> None:
@@ -148,8 +152,7 @@ def render_histograms(performances: Mapping[str, Sequence[Performance]], path: P
 
 
 def _draw_histogram(axes: Axes, values: np.ndarray, target: Spread, highest: float) -> None:
-    axes.axvspan(target.mean - target.sd, target.mean + target.sd, color="0.92")
-    axes.axvline(target.mean, color="0.4", linewidth=1.0)
+    _draw_band(axes, target)
     axes.hist(np.minimum(values, highest), bins=np.linspace(0.0, highest, 29).tolist(), color="tab:blue", alpha=0.7)
     if values.size:
         axes.axvline(float(values.mean()), color="tab:blue", linewidth=1.0)

@@ -13,7 +13,7 @@ from prbench.metrics.ray_track import ray_distance
 from prbench.sequences import EventRecord
 from prbench.shown import clean, figure_text
 from prbench.skeleton import WRISTS, Joint, head_forward
-from prbench.viewing.figures import draw_box, draw_figure, flattened, new_figure, write_png
+from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,14 +24,12 @@ _MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached":
 _FIGURES = 9
 _SPACING = 1.25  # metres between figures in the picture
 _GAZE, _PRIME, _EVENT = "tab:orange", "tab:purple", "black"
-_OUTCOME_COLOURS = {"sequence": "tab:green"}
-_OTHER_OUTCOME = "tab:gray"
 _WIDTH = 13.0  # inches
 
 
 @dataclass(frozen=True)
 class StoryStage:
-    """One stage of curation and what it made of the event."""
+    """One stage of curation and its verdict on the event."""
 
     name: str
     verdict: Verdict
@@ -70,17 +68,17 @@ class EventStory:
     motion: StoryMotion | None
     """None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views."""
     notice: str = ""
-    """What the dataset's terms ask a picture of it to say."""
+    """Sentence that the dataset's terms ask a picture to show."""
 
     @property
     def title(self) -> str:
-        """One line: what, where, when."""
+        """Action, object, time and hand in one line."""
         event = self.event
         hand = f", {event.hand} hand" if event.hand else ""
         return f"{event.action} of {event.object_name} ({event.object_id}) at {event.event_time:.3f} s{hand}"
 
     def text(self) -> str:
-        """The story in lines for a terminal."""
+        """Return the story in lines for a terminal."""
         event = self.event
         width = max(len(stage.name) for stage in self.stages)
         lines = [
@@ -122,7 +120,7 @@ def draw_event_story(story: EventStory, path: Path) -> None:
 
 
 def _write_stages(axes: Axes, story: EventStory) -> None:
-    """What each stage said, line by line."""
+    """Write each stage's verdict and numbers, line by line."""
     axes.set_axis_off()
     colours = {"passed": "tab:green", "stopped here": "tab:red", "not reached": "0.6"}
     for number, stage in enumerate(story.stages):
@@ -135,7 +133,7 @@ def _write_stages(axes: Axes, story: EventStory) -> None:
 
 
 def _draw_timeline(axes: Axes, story: EventStory) -> None:
-    """Window, sequence, prime and event, with the neighbouring events; seconds from the event."""
+    """Draw window, sequence, prime and event, with the neighbouring events; seconds from the event."""
     event = story.event
     axes.axvspan(-story.priming_window, 0, color="0.93", label=f"a look counts ({story.priming_window:g} s)")
     if event.prime_time is not None:
@@ -148,8 +146,9 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
     first, last = -story.priming_window - story.lead - 1, 5.0
     shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
     for number, other in enumerate(shown):
-        time, height = other.event_time - event.event_time, (0.37, 0.52, 0.67)[number % 3]
-        colour = _OUTCOME_COLOURS.get(other.outcome, _OTHER_OUTCOME)
+        time = other.event_time - event.event_time
+        height = (0.37, 0.52, 0.67)[number % 3]  # neighbours in time would cover one another's labels
+        colour = "tab:green" if other.outcome == "sequence" else "tab:gray"
         axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
         name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
         side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
@@ -160,11 +159,13 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
 
 
 def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
-    """Stick figures over time, seen from the side, each with its gaze ray and the goal."""
+    """Draw stick figures over time, seen from the side, each with its gaze ray and the goal."""
     frames = np.unique(np.linspace(0, len(motion.times) - 1, _FIGURES).round().astype(int))
-    sideways = _picture_axis(motion)
+    # Towards the goal at the end, so that the reach is seen from the side.
+    sideways = horizontal_direction(motion.goal - motion.joints[-1, Joint.PELVIS])
     for number, frame in enumerate(frames):
-        at, joints = number * _SPACING, motion.joints[frame]
+        at = number * _SPACING
+        joints = motion.joints[frame]
         pelvis = joints[Joint.PELVIS]
         draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
         near = abs(float((motion.goal - pelvis) @ sideways)) < 0.75 * _SPACING
@@ -192,7 +193,7 @@ def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
 
 
 def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
-    """Distance of the goal from the gaze ray, the head ray and the wrists."""
+    """Draw the distance of the goal from the gaze ray, the head ray and the wrists."""
     times = motion.times - story.event.event_time
     forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
     gaze = ray_distance(motion.gaze_origin, motion.gaze_direction, motion.goal[None])
@@ -216,10 +217,3 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     )
     axes.legend(fontsize=7, ncols=3, frameon=False)
     axes.grid(alpha=0.3)
-
-
-def _picture_axis(motion: StoryMotion) -> Float[np.ndarray, "3"]:
-    """Horizontal axis of the picture: towards the goal at the end, so that the reach is seen from the side."""
-    towards = (motion.goal - motion.joints[-1, Joint.PELVIS]) * [1.0, 0.0, 1.0]
-    length = float(np.linalg.norm(towards))
-    return towards / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])

@@ -58,6 +58,13 @@ def draw_box(axes: Axes, corners: Float[np.ndarray, "8 2"], **style: Any) -> Non
         axes.plot(*corners[[one, other]].T, **style)
 
 
+def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the unit vector of the horizontal part of an offset; +z where there is hardly any, so that it is unit."""
+    flat = offset * [1.0, 0.0, 1.0]
+    length = float(np.linalg.norm(flat))
+    return flat / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+
+
 def draw_figure(
     axes: Axes,
     joints: Float[np.ndarray, "22 3"],

@@ -1,4 +1,4 @@
-"""One picture after another of one sequence: what stands still is drawn once, what moves is drawn over it."""
+"""The pictures of one sequence in a film: still parts are drawn once, moving parts are drawn over them."""
 
 from __future__ import annotations
 
@@ -47,43 +47,31 @@ _Update = Callable[[int], None]
 
 
 def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
-    """One panel a motion, in as many columns as keep them large: one up to two motions, two up to six, else three."""
+    """Add one panel a motion, in one column for up to two motions, two for up to six, else three."""
     columns = 1 + (n_motions > 2) + (n_motions > 6)
     rows = -(-n_motions // columns)
-    width, height = _WIDTH / columns, (_TOP - _BOTTOM) / rows
-    return [
-        figure.add_axes(
-            (
-                _LEFT + (number % columns) * width,
-                _TOP - (number // columns + 1) * height + 0.035,
-                width - 0.025,
-                height - 0.065,
-            )
-        )
-        for number in range(n_motions)
-    ]
+    width = _WIDTH / columns
+    height = (_TOP - _BOTTOM) / rows
+    panels = []
+    for number in range(n_motions):
+        row, column = divmod(number, columns)
+        left = _LEFT + column * width
+        bottom = _TOP - (row + 1) * height + 0.035
+        panels.append(figure.add_axes((left, bottom, width - 0.025, height - 0.065)))
+    return panels
 
 
 def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Show at least this range, a metre being as long across as up; what is left over goes to the sides or above."""
+    """Show at least this range with equal scales; the rest of the panel goes to both sides, or to the top."""
     figure = axes.get_figure(root=True)
     assert figure is not None, "the axes stand in a figure"
     place = axes.get_position()
     ratio = (place.width * figure.get_figwidth()) / (place.height * figure.get_figheight())
     width, height = across[1] - across[0], up[1] - up[0]
-    more_across, more_up = max(height * ratio - width, 0.0), max(width / ratio - height, 0.0)
+    more_across = max(height * ratio - width, 0.0)
+    more_up = max(width / ratio - height, 0.0)
     axes.set_xlim(across[0] - more_across / 2, across[1] + more_across / 2)
     axes.set_ylim(up[0], up[1] + more_up)
-
-
-def _top_panel(figure: Figure) -> Axes:
-    """A square for the view from above."""
-    return figure.add_axes((0.66, 0.47, 0.25, 0.445))
-
-
-def _curve_panels(figure: Figure) -> tuple[Axes, Axes]:
-    """Head and wrist against the goal, over time."""
-    return figure.add_axes((0.65, 0.27, 0.33, 0.12)), figure.add_axes((0.65, 0.09, 0.33, 0.12))
 
 
 class FilmStage:
@@ -91,7 +79,7 @@ class FilmStage:
 
     Args:
         scene: The sequence.
-        size: Of the picture, pixels.
+        size: Width and height of the picture, pixels.
     """
 
     def __init__(self, scene: Scene, size: tuple[int, int]) -> None:
@@ -111,7 +99,7 @@ class FilmStage:
         self._background = self._canvas.copy_from_bbox(self._figure.bbox)
 
     def picture(self, frame: int) -> bytes:
-        """RGB bytes, row by row from the top, of one frame."""
+        """Return the RGB bytes of one frame, row by row from the top."""
         self._canvas.restore_region(self._background)
         for update in self._updates:
             update(frame)
@@ -129,9 +117,9 @@ class FilmStage:
 
     def _build_side_views(self) -> None:
         scene, axis = self._scene, self._scene.picture_axis
-        low, high = extent(scene, lambda points: points @ axis)
+        low, high = extent(scene, lambda points: side_view(points, axis))
         for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
-            _fit_limits(panel, (float(low) - _FOOTPRINT, float(high) + _FOOTPRINT), (-0.05, self._height()))
+            _fit_limits(panel, (low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), (-0.05, self._height()))
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
             panel.tick_params(labelsize=7, length=2)
             panel.set_ylabel("m", fontsize=7.5)
@@ -148,7 +136,8 @@ class FilmStage:
             self._add_body(panel, motion, lambda points: side_view(points, axis))
 
     def _build_top_view(self) -> None:
-        scene, panel = self._scene, _top_panel(self._figure)
+        scene = self._scene
+        panel = self._figure.add_axes((0.66, 0.47, 0.25, 0.445))
         if scene.surroundings is not None:
             draw_dots(panel, top_view(scene.surroundings))
         self._add_goal(panel, top_view)
@@ -163,7 +152,9 @@ class FilmStage:
         panel.grid(alpha=0.25, linewidth=0.6)
 
     def _build_curves(self, goal: Goal) -> None:
-        scene, (ray, wrist) = self._scene, _curve_panels(self._figure)
+        scene = self._scene
+        ray = self._figure.add_axes((0.65, 0.27, 0.33, 0.12))
+        wrist = self._figure.add_axes((0.65, 0.09, 0.33, 0.12))
         for motion in scene.motions:
             values = measure(motion, goal, scene.head_tilt_deg)
             ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
@@ -184,7 +175,7 @@ class FilmStage:
     def _add_goal(self, panel: Axes, flat: _Flatten) -> None:
         if self._scene.goal is not None:
             corners = flat(self._scene.goal.box_corners)
-            draw_goal(panel, corners, flat(self._scene.goal.location), linewidth=1.0, markersize=4, zorder=1)
+            draw_goal(panel, corners, flat(self._scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
 
     def _add_body(self, panel: Axes, motion: ShownMotion, flat: _Flatten) -> None:
         scene = self._scene

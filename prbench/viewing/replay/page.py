@@ -1,7 +1,7 @@
-"""Sequences as one HTML file that opens from disk and asks nothing of any network. Needs the extra ``view``.
+"""Sequences as one HTML file that opens from disk without any network. Needs the extra ``view``.
 
-viser records the scene while every frame is set once, and wraps the recording together with its own viewer in one page;
-an overlay that says what is to be seen is put into that page.
+viser records the scene while every frame is set once, and wraps the recording together with its own viewer in one page.
+An overlay that explains the scene is put into that page.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from prbench.locks import sole_writer
 from prbench.shown import html
 from prbench.storage import write_text
 from prbench.viewing.replay.measures import score_sentence
-from prbench.viewing.replay.page_stage import PageStage, set_up_room
+from prbench.viewing.replay.page_stage import PageStage, set_up_scene
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR
 from prbench.viewing.replay.scene import Progress, Scene
 
@@ -40,11 +40,11 @@ HOLD = 1.0
 
 
 def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
-    """Put the overlay into a page.
+    """Put the overlay into a page: times and scores of each sequence, colours, and the notice of the licence.
 
     Args:
         page: A whole HTML document.
-        scenes: What the page shows, in order.
+        scenes: Scenes that the page shows, in order.
         hold: Seconds that the last frame of each stays.
     """
     cut = page.rindex("</body>")
@@ -54,7 +54,8 @@ def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
 
 
 def _overlay(scenes: Sequence[Scene], hold: float) -> str:
-    parts, start = [], 0.0
+    parts = []
+    start = 0.0
     for scene in scenes:
         end = start + scene.n_frames / scene.fps
         parts.append(_sequence(scene, start, end))
@@ -97,7 +98,7 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
     """Show sequences one after another on the time line of a 3-D viewer, and write the page.
 
     Args:
-        scenes: What to show.
+        scenes: Scenes to show.
         path: HTML to write; replaced when it exists.
         progress: Called after every frame.
 
@@ -106,7 +107,7 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
         StorageError: if the file cannot be written.
     """
     with _server() as server:
-        set_up_room(server, scenes)
+        set_up_scene(server, scenes)
         stages = [PageStage(server, number, scene) for number, scene in enumerate(scenes)]
         recording = server.get_scene_serializer()
         done, total = 0, sum(scene.n_frames for scene in scenes)
@@ -127,12 +128,12 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
 
 @contextmanager
 def _server() -> Iterator[ViserServer]:
-    """Viser keeps a scene in a server; this one listens to nobody but this machine, and only while the page is made."""
+    """Start viser's server, which keeps the scene; it listens on this machine only, while the page is made."""
     try:
         from viser import ViserServer
     except ModuleNotFoundError as error:
         raise MissingExtraError("viser", "view", "writing HTML") from error
-    with redirect_stdout(io.StringIO()):  # it announces its address, whatever `verbose` says; nobody is to go there
+    with redirect_stdout(io.StringIO()):  # it prints its address in spite of `verbose`; no user needs it
         server = ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         yield server

@@ -34,7 +34,7 @@ _LEAST_LANE = 1.0
 
 
 def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
-    """Where the lane of each motion lies: beside one another, across the way towards the goal, around the middle."""
+    """Return the offset of each motion's lane, metres: side by side, across the way to the goal, around the middle."""
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
     spans = [np.ptp(motion.joints[:, Joint.PELVIS] @ across) for motion in scene.motions]
     step = max(_LEAST_LANE, float(max(spans))) + _BETWEEN
@@ -42,8 +42,8 @@ def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
     return places[:, None] * across
 
 
-def set_up_room(server: ViserServer, scenes: Sequence[Scene]) -> None:
-    """Floor, light, and a camera that sees the first sequence from where its goal is."""
+def set_up_scene(server: ViserServer, scenes: Sequence[Scene]) -> None:
+    """Add a floor, and a camera that sees the first sequence from the side of its goal."""
     server.scene.set_up_direction("+y")
     server.scene.add_grid(
         "/floor",
@@ -62,12 +62,17 @@ def set_up_room(server: ViserServer, scenes: Sequence[Scene]) -> None:
 
 
 def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Place of a camera and what it looks at: ahead of the bodies and to their side, far enough to see all lanes."""
+    """Place a camera ahead of the bodies and to their side, far enough to see all lanes.
+
+    Returns:
+        Position of the camera, and the point that it looks at; canonical frame, metres.
+    """
     lanes = lane_offsets(scene)
     pelvis = np.concatenate(
         [motion.joints[:, Joint.PELVIS] + lane for motion, lane in zip(scene.motions, lanes, strict=True)]
     )
-    low, high = pelvis.min(axis=0), pelvis.max(axis=0)
+    low = pelvis.min(axis=0)
+    high = pelvis.max(axis=0)
     look_at = np.array([(low[0] + high[0]) / 2, 0.9, (low[2] + high[2]) / 2])
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
     away = 0.8 * scene.picture_axis - 0.6 * across
@@ -78,11 +83,11 @@ def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "
 
 
 class PageStage:
-    """The nodes of one sequence, hidden until it is its turn.
+    """The nodes of one sequence, hidden until its turn.
 
     Args:
-        server: Keeps the scene.
-        number: Of the sequence on the page.
+        server: Server that keeps the scene.
+        number: Number of the sequence on the page.
         scene: The sequence.
     """
 
@@ -158,7 +163,7 @@ class _Body:
 def _add_still(
     server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
 ) -> None:
-    """Label, way of the pelvis on the floor, and goal."""
+    """Add the parts that do not move: label, path of the pelvis on the floor, surroundings and goal."""
     colour = rgb(motion.colour)
     floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
     way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)

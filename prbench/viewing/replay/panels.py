@@ -154,7 +154,7 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
         axes.plot(*top_view(ray)[0].T, color=GAZE_COLOUR, linewidth=1.5)
     if scene.goal is not None:
         corners = top_view(scene.goal.box_corners)
-        draw_goal(axes, corners, top_view(scene.goal.location), linewidth=1.0, markersize=5, zorder=5)
+        draw_goal(axes, corners, top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
     limit_top_view(axes, scene, least=1.3, margin=0.45)
     axes.set_xlabel("x (m), seen from above", fontsize=8)
     axes.set_ylabel("z (m)", fontsize=8)

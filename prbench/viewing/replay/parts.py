@@ -156,7 +156,7 @@ def draw_goal(
     *,
     linewidth: float,
     markersize: float,
-    zorder: float,
+    zorder: int,
 ) -> None:
     """Draw the flat edges of a goal's box and a square at its location."""
     draw_box(axes, corners, color=BOX_COLOUR, linewidth=linewidth, zorder=zorder)

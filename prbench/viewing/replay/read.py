@@ -1,4 +1,4 @@
-"""Scenes out of a table and the runs that were made on it."""
+"""Read scenes from a table and from the runs that were made on it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotio
 
 _SIDES = {"left": 0, "right": 1}
 _Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
-"""Tells what stood around one sequence (:attr:`Scene.surroundings`)."""
+"""Returns points on the surroundings of one sequence (:attr:`Scene.surroundings`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunMotions:
-    """What one run made of one dataset."""
+    """The motions that one run generated for one dataset, and their scores."""
 
     label: str
     run: RunFolder
@@ -55,14 +55,14 @@ class RunMotions:
 
     @property
     def files(self) -> DatasetFolder:
-        """Of the dataset."""
+        """The run's files of the dataset."""
         return self.run.dataset(self.dataset)
 
     def __contains__(self, sequence_id: str) -> bool:
         return (sequence_id, self.sample) in self.predictions
 
     def joints(self, sequence_id: str, n_frames: int) -> Float[np.ndarray, "n 22 3"]:
-        """The motion of a sequence, canonical frame, metres.
+        """Read the motion of a sequence, canonical frame, metres.
 
         Raises:
             PredictionsError: if it has another length than the recorded one, or holds NaN.
@@ -77,7 +77,7 @@ class RunMotions:
         return joints
 
     def scores(self, sequence_ids: Sequence[str]) -> Mapping[str, Mapping[str, float]]:
-        """Metric values by sequence id; none for a run that was interrupted before it was scored.
+        """Map each sequence id to its metric values; to none for a run that was interrupted before it was scored.
 
         Raises:
             RunError: if the scores cannot be read.
@@ -87,14 +87,13 @@ class RunMotions:
             return found
         table = read_scores(self.files.scores)
         table = table.filter((pc.field("sample") == self.sample) & pc.field("sequence_id").isin(list(sequence_ids)))
-        names, metrics, values = (table[column].to_pylist() for column in ("sequence_id", "metric", "value"))
-        for name, metric, value in zip(names, metrics, values, strict=True):
-            found[name][metric] = value
+        for row in table.select(["sequence_id", "metric", "value"]).to_pylist():
+            found[row["sequence_id"]][row["metric"]] = row["value"]
         return found
 
 
 def run_labels(paths: Sequence[Path], records: Sequence[RunRecord]) -> list[str]:
-    """A short name for each run: method and condition, and the folder where two would read the same."""
+    """Return a short label for each run: method and condition, and the folder's name where two would be equal."""
     labels = []
     for record in records:
         control = f", {record.control}" if record.control else ""
@@ -113,17 +112,17 @@ def read_scenes(
     permitted: Collection[str] = (),
     around: _Around | None = None,
 ) -> Iterator[Scene]:
-    """Read sequences with what each run made of them, in the order given.
+    """Read sequences with each run's motions of them, in the order given.
 
     Where the dataset's licence keeps recorded motion (``redistribution``), the recorded motion, its gaze and its goal
     are left out; generated motions stay.
 
     Args:
-        table: Where the sequences are.
-        sequence_ids: Of the table, and of every run.
-        runs: Made on that very table.
+        table: Table of the sequences.
+        sequence_ids: Ids that the table and every run have.
+        runs: Runs that were made on this table.
         permitted: Datasets for which the user has permission to pass recorded motion on.
-        around: Tells what stood around a sequence; None draws the motions alone.
+        around: Returns points on the surroundings of a sequence; None draws the motions alone.
 
     Raises:
         RedistributionError: if nothing is left that may be shown.
@@ -141,7 +140,7 @@ def read_scenes(
 
 
 def _require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
-    """Refuse a view in which only recorded motion would stand, or a control's, which is made of it, if that is kept.
+    """Refuse a view of recorded motion alone, or of a control made from it, where the licence keeps recorded motion.
 
     Raises:
         RedistributionError: naming the dataset and how permission is stated.
@@ -161,20 +160,20 @@ def scene_of(
     permitted: Collection[str] = (),
     around: _Around | None = None,
 ) -> Scene:
-    """One row of a table with generated motions beside it.
+    """Make the scene of one row of a table, with generated motions beside the recorded one.
 
     Args:
         chunk: The row, with all columns.
-        info: Of its dataset.
-        motions: What methods made of it.
+        info: Description of its dataset.
+        motions: Motions that methods generated for it.
         permitted: See :func:`read_scenes`.
         around: See :func:`read_scenes`.
     """
     constants = load_protocol().metrics
     shown = may_pass_on(info, permitted)
     gaze = _gaze(chunk)
-    placed = info.why_not_scored is None  # else nobody knows where the goal is, so that no distance means anything
-    scores = _own_scores(chunk, constants) if placed else {}
+    placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything
+    scores = _own_scores(chunk, gaze, constants) if placed else {}
     recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores)
     return Scene(
         sequence_id=chunk.sequence_ids[0],
@@ -200,7 +199,8 @@ def _title(chunk: SequenceChunk) -> str:
 
 
 def _goal(chunk: SequenceChunk) -> Goal:
-    low, high = chunk.vectors("goal_box_world_min")[0], chunk.vectors("goal_box_world_max")[0]
+    low = chunk.vectors("goal_box_world_min")[0]
+    high = chunk.vectors("goal_box_world_max")[0]
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
     canonical_from_world = invert_rigid(chunk.vectors("world_from_canonical").reshape(4, 4))
     return Goal(chunk.vectors("goal_location")[0].astype(np.float64), transform_points(canonical_from_world, corners))
@@ -214,16 +214,9 @@ def _gaze(chunk: SequenceChunk) -> Gaze:
     )
 
 
-def _own_scores(chunk: SequenceChunk, constants: MetricConstants) -> dict[str, float]:
-    """What the recorded motion itself scores: the ceiling that a method is compared with."""
-    recorded = MotionBatch(chunk.joints, chunk.offsets)
-    gaze = _gaze(chunk)
-    values = score(recorded, recorded, _targets(chunk, gaze), constants)
-    return {metric: float(column.value[0]) for metric, column in values.items()}
-
-
-def _targets(chunk: SequenceChunk, gaze: Gaze) -> ScoringTargets:
-    return ScoringTargets(
+def _own_scores(chunk: SequenceChunk, gaze: Gaze, constants: MetricConstants) -> dict[str, float]:
+    """Score the recorded motion itself, as the ceiling that a method is compared with."""
+    targets = ScoringTargets(
         goal_location=chunk.vectors("goal_location").astype(np.float64),
         prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
         hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
@@ -231,3 +224,6 @@ def _targets(chunk: SequenceChunk, gaze: Gaze) -> ScoringTargets:
         fps=chunk.numbers("fps"),
         gaze=GazeRays(gaze.origin, gaze.direction, gaze.valid),
     )
+    recorded = MotionBatch(chunk.joints, chunk.offsets)
+    values = score(recorded, recorded, targets, constants)
+    return {metric: float(column.value[0]) for metric, column in values.items()}

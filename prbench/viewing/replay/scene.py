@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.skeleton import Joint
+from prbench.viewing.figures import horizontal_direction
 
 RECORDED = "ground truth"
 """Label of the recorded motion."""
@@ -117,12 +118,12 @@ class Scene:
 
     @property
     def picture_axis(self) -> Float[np.ndarray, "3"]:
-        """Horizontal unit vector that points to the right in side views: towards the goal when the event comes.
+        """Horizontal unit vector that points to the right in side views, so that the reach is seen from the side.
 
-        Without a goal, the way that the first motion's pelvis went; the reach is then seen from the side all the same.
+        It points from the first motion's pelvis to the goal at the event; without a goal, from where that pelvis began
+        to where it ends.
         """
         pelvis = self.motions[0].joints[:, Joint.PELVIS]
-        towards = (pelvis[-1] - pelvis[0]) if self.goal is None else (self.goal.location - pelvis[-1])
-        towards = towards * [1.0, 0.0, 1.0]
-        length = float(np.linalg.norm(towards))
-        return towards / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+        if self.goal is None:
+            return horizontal_direction(pelvis[-1] - pelvis[0])
+        return horizontal_direction(self.goal.location - pelvis[-1])

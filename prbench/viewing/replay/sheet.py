@@ -40,7 +40,7 @@ _FOOT = 0.3  # inches, for the notice
 
 
 def block_height(n_motions: int) -> float:
-    """Inches that a sequence with so many motions takes."""
+    """Return the height, inches, of a block with this number of motions."""
     left = _TITLE + n_motions * _STRIP_STEP + _CURVES_GAP + _CURVES_HEIGHT + 0.65
     right = _TITLE + _WAY_SIDE + 0.75 + (n_motions + 1.5) * _ROW + 0.15 + _KEY + 0.3
     return max(left, right)
@@ -55,11 +55,11 @@ class Block:
     """Inches from the lower edge of the sheet."""
 
     def strip(self, number: int) -> Axes:
-        """For the poses of one motion."""
+        """Add the panel for the poses of one motion."""
         return self._axes(_LEFT, _TITLE + 0.25 + number * _STRIP_STEP, _STRIP_WIDTH, _STRIP_HEIGHT)
 
     def curves(self, n_motions: int) -> tuple[Axes, Axes, Axes]:
-        """Three beside one another under the poses."""
+        """Add the three panels for curves, side by side under the poses."""
         down = _TITLE + n_motions * _STRIP_STEP + _CURVES_GAP
         one, two, three = (
             self._axes(_LEFT + number * _CURVES_STEP, down, _CURVES_WIDTH, _CURVES_HEIGHT) for number in range(3)
@@ -67,20 +67,20 @@ class Block:
         return one, two, three
 
     def way(self) -> Axes:
-        """For the view from above."""
+        """Add the panel for the view from above."""
         return self._axes(_RIGHT, _TITLE, _WAY_SIDE, _WAY_SIDE)
 
     def scores(self, n_motions: int) -> Axes:
-        """For the table of scores."""
+        """Add the panel for the table of scores."""
         return self._axes(_RIGHT - 0.35, _TITLE + _WAY_SIDE + 0.75, _WAY_SIDE + 0.5, (n_motions + 1.5) * _ROW)
 
     def key(self, n_motions: int) -> Axes:
-        """For the meaning of lines and marks."""
+        """Add the panel that explains lines and marks."""
         down = _TITLE + _WAY_SIDE + 0.75 + (n_motions + 1.5) * _ROW + 0.15
         return self._axes(_RIGHT - 0.35, down, _WAY_SIDE + 0.5, _KEY)
 
     def text(self, left: float, down: float, text: str, **style: Any) -> None:
-        """Write a line whose foot is ``down`` inches under the top."""
+        """Write a line whose lower edge is ``down`` inches under the top of the block."""
         width, height = self.figure.get_size_inches()
         self.figure.text(left / width, (self.top - down) / height, figure_text(text), **style)
 
@@ -92,7 +92,7 @@ class Block:
 
 
 def _draw_scores(axes: Axes, scene: Scene) -> None:
-    """One row a motion: Prime Success, Reach Success, nearest wrist, Location Error, Goal MPJPE, MPJPE."""
+    """Write the table of scores, one row a motion, in the order of :data:`HEADER`."""
     axes.set_axis_off()
     rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
     colours = ["0.35", *(motion.colour for motion in scene.motions)]
@@ -106,14 +106,7 @@ def _draw_scores(axes: Axes, scene: Scene) -> None:
 
 
 def _draw_key(axes: Axes, scene: Scene) -> None:
-    """What lines and marks mean."""
-    axes.set_axis_off()
-    handles = _key_handles(scene)
-    axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
-
-
-def _key_handles(scene: Scene) -> list[Artist]:
-    """Of the lines and marks that this sequence's picture has."""
+    """Explain the lines and marks that this sequence's picture has."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -135,14 +128,15 @@ def _key_handles(scene: Scene) -> list[Artist]:
     if scene.surroundings is not None:
         dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": SURROUNDINGS_COLOUR}
         handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
-    return handles
+    axes.set_axis_off()
+    axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
 
 
 def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress: Progress | None = None) -> None:
     """Draw sequences below one another and write the picture.
 
     Args:
-        scenes: What to draw, from top to bottom.
+        scenes: Scenes to draw, from top to bottom.
         path: PNG to write; replaced when it exists.
         dpi: Resolution.
         progress: Called after each sequence.
