@@ -67,7 +67,7 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
     next_source: str
     world_from_canonical: tuple[float, ...]
     motion_frame: str
-    """``canonical`` or ``world``: what motions, goal and gazes of this file are in."""
+    """Frame of motions, goal and gazes of this file: ``canonical`` or ``world``."""
     goal_frame: str = "known"
     """``unknown`` where the table itself came from a release whose goals could not be placed."""
     extra: dict[str, str]
@@ -79,10 +79,10 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def parse_block(value: Any) -> Block | None:
-    """The block of an entry.
+    """Read the block of an entry; None if there is none.
 
     Raises:
-        ValueError: if there is one of another form.
+        ValueError: if the block has another form.
     """
     if value is None:
         return None
@@ -90,7 +90,7 @@ def parse_block(value: Any) -> Block | None:
 
 
 def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """An uncompressed ``.npz``, equal bytes for equal values."""
+    """Pack arrays as an uncompressed ``.npz``, with equal bytes for equal values."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, values in arrays.items():
@@ -101,7 +101,7 @@ def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """The known arrays of a ``.npz`` that nobody vouches for.
+    """Read the known arrays of a ``.npz`` without trusting it.
 
     Raises:
         InputFileError: if it is damaged, compressed, or holds objects.
@@ -113,7 +113,7 @@ def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
 
 
 def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
-    """Whether the arrays belong to a motion of this length."""
+    """Return True if the arrays are complete and belong to a motion of this length."""
     shapes = {
         "previous_joints": (22, 3),
         "next_joints": (22, 3),
@@ -137,9 +137,9 @@ def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
     """Read the header and check that the file is as long as it claims.
 
     Args:
-        path: For messages.
+        path: File, for messages.
         content: The beginning of the file.
-        size: Of the whole file, bytes.
+        size: Size of the whole file, bytes.
 
     Raises:
         InputFileError: if this is no ``.npy`` file, holds objects, or is truncated.
@@ -152,7 +152,7 @@ def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
 
 
 def scan_header(path: Path) -> ArrayHeader:
-    """The header of a file, without its values.
+    """Read the header of a file without its values.
 
     Raises:
         InputFileError: see :func:`_parse_header`, or if the file cannot be opened.
@@ -165,7 +165,7 @@ def scan_header(path: Path) -> ArrayHeader:
 
 
 def parse_array(path: Path, content: bytes) -> np.ndarray:
-    """The values of a ``.npy`` file whose bytes were read.
+    """Return the array of a ``.npy`` file whose bytes were read.
 
     Raises:
         InputFileError: see :func:`_parse_header`.
@@ -175,7 +175,7 @@ def parse_array(path: Path, content: bytes) -> np.ndarray:
 
 
 def require_frames(path: Path, header: ArrayHeader, per_frame: tuple[int, ...]) -> int:
-    """The number of frames of an array of shape (N, *per_frame) in single or double precision.
+    """Return the number of frames of an array of shape (N, *per_frame) in single or double precision.
 
     Raises:
         InputFileError: for another shape or kind of number.
