@@ -22,15 +22,8 @@ from prbench.bounded import open_regular
 from prbench.errors import InputFileError
 from prbench.numpy_files import Archive, ArrayHeader, read_header
 
-_ARRAYS = (
-    "previous_joints",
-    "next_joints",
-    "gaze_origin",
-    "gaze_direction",
-    "gaze_valid",
-    "head_position",
-    "head_rotation",
-)
+_REQUIRED = ("previous_joints", "next_joints", "gaze_origin", "gaze_direction", "gaze_valid")
+_HEAD = ("head_position", "head_rotation")  # both or none
 _ACCEPTED = (np.dtype(np.float32), np.dtype(np.float64))
 _REMEDY = "Copy or download the file again."
 _HEADER_BYTES = 12_000  # numpy's own limit is 10,000
@@ -109,7 +102,7 @@ def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
     archive = Archive(path, content)
     if not all(map(archive.stored_as_is, archive.members)):
         raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
-    return archive.load(_ARRAYS)
+    return archive.load((*_REQUIRED, *_HEAD))
 
 
 def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
@@ -123,11 +116,9 @@ def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
         "head_position": (n_frames, 3),
         "head_rotation": (n_frames, 4),
     }
-    needed = {"previous_joints", "next_joints", "gaze_origin", "gaze_direction", "gaze_valid"}
-    heads = {"head_position", "head_rotation"} & set(arrays)
     return (
-        needed <= set(arrays)
-        and len(heads) != 1
+        set(_REQUIRED) <= set(arrays)
+        and len(set(_HEAD) & set(arrays)) != 1
         and all(values.shape == shapes[name] and values.dtype.kind in "fb" for name, values in arrays.items())
         and all(np.isfinite(values).all() for values in arrays.values())
     )

@@ -1,4 +1,4 @@
-"""Which of a release's fields means what: exact alias, then part of a name, then the form of the values."""
+"""Find the meaning of a release's fields: by exact alias, then by part of a name, then by the form of the values."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _FITTING = 0.8  # share of them that must have the form: a few broken entries do
 
 @dataclass(frozen=True)
 class _FieldRule:
-    """How one canonical field is recognised (docs/specification/pr-release.md#tolerant-parser)."""
+    """The signs of one canonical field (docs/specification/pr-release.md#tolerant-parser)."""
 
     canonical: str
     aliases: tuple[str, ...]
     fits: Callable[[Any, str], bool]
-    """Whether a value, under a field of the given name, has the right form."""
+    """Returns True if a value has the right form; called with the value and the field's name."""
     part: str | None = None
     """Pattern within a name (letters and digits only); None for fields on which no number depends."""
     by_value: bool = False
@@ -109,16 +109,16 @@ FIELDS: tuple[_FieldRule, ...] = (
     _FieldRule("up", ("up", "upaxis"), lambda value, _: isinstance(value, str)),
     _FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
 )  # fmt: skip
-"""In the order in which names are given away; a field means one thing only."""
+"""The canonical fields in the order in which they choose; a field of the release gets one meaning only."""
 
 
 def letters(name: str) -> str:
-    """A name in lower case, letters and digits only."""
+    """Return a name in lower case, letters and digits only."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 
 def names_a_field(name: str) -> bool:
-    """Whether a name is an exact alias of some field."""
+    """Return True if a name is an exact alias of some canonical field."""
     return any(letters(name) in rule.aliases for rule in FIELDS)
 
 
@@ -130,8 +130,8 @@ def choose_fields(
     Args:
         where: File, for messages.
         names: Fields of the release.
-        values: Values of a field.
-        given: Canonical names with the fields that the user chose for them.
+        values: Returns all values of a field.
+        given: Maps canonical names to the fields that the user chose for them.
 
     Raises:
         UsageError: if the user names a field that does not exist.
@@ -178,7 +178,7 @@ def _choose(
     )
     for names, certainty, evidence in steps:
         found = [name for name in names if _fits(rule, name, values[name])]
-        if len(found) > 1 and rule.part is None:  # nothing hangs on it: the better known name
+        if len(found) > 1 and rule.part is None:  # no number depends on it
             found = sorted(found, key=lambda name: rule.aliases.index(letters(name)))[:1]
         if len(found) > 1 and (rule.required or certainty == "certain"):
             raise InputFileError(
@@ -194,7 +194,7 @@ def _choose(
 
 
 def _some(values: Sequence[Any]) -> Sequence[Any]:
-    """Values from all over a field."""
+    """Return a sample of the values, spread evenly over the field."""
     return values[:: max(1, len(values) // _LOOKED_AT)]
 
 

@@ -1,4 +1,4 @@
-"""What the authors say of their release, and the numbers by which an import judges what it finds."""
+"""The authors' statements about their release, and the limits by which an import judges measurements."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class KnownDataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class _PelvisToHead(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Range of the median distance, metres."""
+    """Range of the median distance from pelvis to head, metres."""
 
     lowest: float
     highest: float
 
 
 class _GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How close goals must be to wrists and gaze, metres."""
+    """Largest distances of goals from wrists and gaze, metres, and the share of gazes within theirs."""
 
     wrist_distance: float
     gaze_distance: float
@@ -38,7 +38,7 @@ class _GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class _CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """When a motion counts as canonical already."""
+    """Limits within which a motion counts as canonical already: metres, degrees, share of the sequences."""
 
     position: float
     yaw_deg: float
@@ -46,14 +46,14 @@ class _CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 class _GazeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Lengths of gaze vectors."""
+    """Tolerances of the lengths of gaze vectors."""
 
     unit_tolerance: float
     renormalised_tolerance: float
 
 
 class _SkeletonRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """When bones count as uniform, metres."""
+    """Largest spread, metres, with which bones count as one skeleton's."""
 
     uniform: float
 
@@ -75,12 +75,12 @@ class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 @cache
 def load_known() -> KnownRelease:
-    """The constants, read once."""
+    """Read the constants, once."""
     return read_toml("prbench_benchmarks.prime_and_reach", "release.toml", KnownRelease)
 
 
 def dataset_of(folder: str) -> str | None:
-    """The dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
+    """Return the dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
     name = folder.lower()
     prefix = SYNTHETIC_PREFIX if name.startswith(SYNTHETIC_PREFIX) else ""
     wanted = _letters(name.removeprefix(prefix))
@@ -91,7 +91,7 @@ def dataset_of(folder: str) -> str | None:
 
 
 def folder_of(dataset: str) -> str:
-    """The name of a dataset's folder in the layout; that of a dataset which the study lacks is its own."""
+    """Return the folder name of a dataset; a dataset that is not the study's keeps its own name."""
     known = load_known().datasets.get(dataset)
     return dataset if known is None else known.folder
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from prbench.storage import file_digest, read_json, text_digest
 
 _STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"
 _STUDY_REDISTRIBUTION = "non-commercial"
-"""Assumed of the study's own contribution, for want of a statement: the terms that most of its datasets have."""
+"""Our assumption, since the study states no terms of its own contribution: the terms of most of its datasets."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Terms:
 
 
 def read_export_record(folder: Path) -> dict[str, Any] | None:
-    """What our own exporter left in a dataset's folder, or None.
+    """Read the record that our own exporter left in a dataset's folder, or None.
 
     Raises:
         InputFileError: if it is no JSON.
@@ -64,23 +64,23 @@ def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | Non
             citation="",
             synthetic=True,
         )
-    if exported is not None:
-        stated = exported.get("redistribution", manifest.redistribution)
-        return Terms(
-            title=manifest.title,
-            licence=manifest.licence,
-            redistribution=strictest([manifest.redistribution, str(stated)]),
-            homepage=manifest.homepage,
-            citation=manifest.citation.strip(),
-            synthetic=False,
-        )
-    return Terms(
-        title=f"{manifest.title}, as released with Prime and Reach",
-        licence=f"{manifest.licence} (source recordings); {_STUDY_TERMS}",
-        redistribution=strictest([manifest.redistribution, _STUDY_REDISTRIBUTION]),
+    source = Terms(
+        title=manifest.title,
+        licence=manifest.licence,
+        redistribution=manifest.redistribution,
         homepage=manifest.homepage,
-        citation=f"{load_citations().study.strip()}\n\n{manifest.citation.strip()}",
+        citation=manifest.citation.strip(),
         synthetic=False,
+    )
+    if exported is not None:
+        stated = str(exported.get("redistribution", source.redistribution))
+        return replace(source, redistribution=strictest([source.redistribution, stated]))
+    return replace(
+        source,
+        title=f"{source.title}, as released with Prime and Reach",
+        licence=f"{source.licence} (source recordings); {_STUDY_TERMS}",
+        redistribution=strictest([source.redistribution, _STUDY_REDISTRIBUTION]),
+        citation=f"{load_citations().study.strip()}\n\n{source.citation}",
     )
 
 
@@ -92,8 +92,9 @@ def describe(
     inferences: tuple[Inference, ...],
     rows: ImportedRows,
 ) -> DatasetInfo:
-    """Provenance of an import: every inference stands among its options; the digests are filled in by the writer."""
-    protocol, n = load_protocol(), len(rows.measured)
+    """Describe an import: every inference stands among its options; the writer fills in the digests."""
+    protocol = load_protocol()
+    n = len(rows.measured)
     failed = [record for record in rows.records if record.status == "failed"]
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
@@ -134,17 +135,16 @@ def describe(
 
 def _options(interpreted: Interpreted, inferences: tuple[Inference, ...]) -> dict[str, str]:
     goal_frame = next(each.value for each in inferences if each.name == "goal_frame")
-    return (
-        {"source": "release", "goal_frame": goal_frame, "in_hand_rule": "the release's own events"}
-        | {f"release.{each.name}": each.text for each in inferences}
-        | {
-            f"release.field.{choice.canonical}": f"{choice.field} ({choice.certainty}: {choice.evidence})"
-            for choice in interpreted.fields
-        }
-    )
+    options = {"source": "release", "goal_frame": goal_frame, "in_hand_rule": "the release's own events"}
+    options |= {f"release.{each.name}": each.text for each in inferences}
+    for choice in interpreted.fields:
+        options[f"release.field.{choice.canonical}"] = f"{choice.field} ({choice.certainty}: {choice.evidence})"
+    return options
 
 
 def _input_digest(interpreted: Interpreted, rows: ImportedRows) -> str:
-    """Over ``target_information.json`` and the arrays of every sequence that was taken."""
-    arrays = (text for each in rows.measured for text in (str(each.candidate.index), each.digest))
+    """Return the digest of ``target_information.json`` and of the arrays of every imported sequence."""
+    arrays = []
+    for each in rows.measured:
+        arrays += [str(each.candidate.index), each.digest]
     return text_digest(file_digest(interpreted.files.targets), *arrays)

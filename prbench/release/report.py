@@ -1,4 +1,4 @@
-"""What an import found out by itself, and its report for people and as ``import_report.json``."""
+"""The inferences and problems of an import, and its report for people and as ``import_report.json``."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from prbench.sequences import DatasetInfo
 from prbench.storage import write_json
 
 Certainty = Literal["certain", "likely", "assumed", "unknown"]
-"""Stated by the data or the user and confirmed; measured with room for doubt; taken for granted; not found out."""
+"""In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out."""
 FILE_NAME = "import_report.json"
 
 
 @dataclass(frozen=True)
 class Inference:
-    """One thing that the release does not say outright."""
+    """One property that the release does not state."""
 
     name: str
     value: str
@@ -28,13 +28,13 @@ class Inference:
 
     @property
     def text(self) -> str:
-        """One line, as it stands among the options of ``dataset.json``."""
+        """The inference in one line, as it stands among the options of ``dataset.json``."""
         return f"{self.value} ({self.certainty}: {self.evidence})"
 
 
 @dataclass(frozen=True)
 class FieldChoice:
-    """Which field of the release stands for a canonical one."""
+    """The field of the release that was chosen for a canonical one."""
 
     canonical: str
     field: str
@@ -44,16 +44,16 @@ class FieldChoice:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with one sequence."""
+    """One problem of one sequence."""
 
     key: str
     message: str
     left_out: bool
-    """The sequence was left out; else it was taken with what is said here."""
+    """True if the sequence was left out; else it was imported in spite of the problem."""
 
 
 def grouped(problems: Iterable[Problem]) -> list[tuple[str, int, str]]:
-    """Messages with how many sequences they concern and the first of them, the most frequent first."""
+    """Return messages, the number of sequences they concern, and the first of these; the most frequent first."""
     counts: Counter[str] = Counter()
     first: dict[str, str] = {}
     for problem in problems:
@@ -64,17 +64,17 @@ def grouped(problems: Iterable[Problem]) -> list[tuple[str, int, str]]:
 
 @dataclass(frozen=True)
 class _CountRow:
-    """Sequences of one split, beside what the study says."""
+    """Number of sequences of one split, beside the study's."""
 
     split: str
     found: int
     expected: int | None
-    """None where the study says nothing."""
+    """None where the study states none."""
 
 
 @dataclass(frozen=True)
 class ImportReport:
-    """Everything that an import of one dataset inferred, and what it could not use."""
+    """Everything that an import of one dataset inferred, and every problem that it met."""
 
     dataset: str
     folder: Path
@@ -90,7 +90,7 @@ class ImportReport:
 
     @property
     def left_out(self) -> int:
-        """Number of sequences that could not be taken."""
+        """Number of sequences that were left out."""
         return len({problem.key for problem in self.problems if problem.left_out})
 
     def write(self) -> None:
@@ -119,16 +119,16 @@ class ImportReport:
         }
 
     def problem_lines(self, most: int = 12) -> list[str]:
-        """Problems by kind, the most frequent first."""
+        """Return one line for each kind of problem, the most frequent first."""
         groups = grouped(self.problems)
         lines = [f"{count} × {message} (first: {key})" for message, count, key in groups[:most]]
-        return lines + (
-            [f"… and {len(groups) - most} more kinds; {FILE_NAME} lists them"] if len(groups) > most else []
-        )
+        if len(groups) > most:
+            lines.append(f"… and {len(groups) - most} more kinds; {FILE_NAME} lists them")
+        return lines
 
 
 def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_CountRow, ...]:
-    """Sequences found by split, beside the study's."""
+    """Count the sequences of each split, beside the study's."""
     found = Counter(splits)
     expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
     names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
@@ -136,7 +136,7 @@ def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_Coun
 
 
 def count_warnings(rows: Iterable[_CountRow]) -> tuple[str, ...]:
-    """A sentence for each split whose count is not the study's; a later release may well differ."""
+    """Return a sentence for each split whose count differs from the study's, as that of a later release may."""
     return tuple(
         f"{row.split}: {row.found} sequences, the study has {row.expected}."
         for row in rows
