@@ -162,7 +162,8 @@ def _is_by_field(content: dict[str, Any]) -> bool:
 
 
 def _transposed(path: Path, content: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    names = content.pop(_key_field(content), None)
+    key_field = _key_field(content)
+    names = None if key_field is None else content.pop(key_field)
     keys = [str(name) for name in names] if isinstance(names, list) else None
     rows: dict[str, dict[str, Any]] = {}
     for field, part in content.items():
