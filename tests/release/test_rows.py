@@ -1,4 +1,4 @@
-"""Tables that curation built from invented recordings of each dataset go through the layout without change."""
+"""Tables that curation built from synthetic recordings of each dataset go through the layout without change."""
 
 from __future__ import annotations
 

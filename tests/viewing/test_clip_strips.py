@@ -1,4 +1,4 @@
-"""Filmstrips of clips are drawn, and every invented activity is among them."""
+"""Filmstrips of clips are drawn, and every activity of synthetic people is among them."""
 
 from __future__ import annotations
 
