@@ -15,7 +15,9 @@ from prbench.skeleton import WRISTS, Joint
 from prbench.synthetic.performance import Performance, TrueEvent
 
 PREROLL = 2.0
+"""Seconds before the prime time (docs/specification/curation.md#clip)."""
 FPS = 20.0
+"""Frames a second (docs/specification/constants.md#protocol)."""
 
 
 @dataclass(frozen=True)

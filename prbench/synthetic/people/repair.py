@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from prbench.rays import near_miss
 from prbench.synthetic.people.gaze_plan import WINDOW, GazePlan, Look
 from prbench.synthetic.people.geometry import direction, yaw_and_pitch
 from prbench.synthetic.people.plan import Plan
@@ -58,10 +57,7 @@ def _offending_looks(plan: Plan, gaze_plan: GazePlan, eye: np.ndarray, gaze: np.
             continue
         until = reach.event if prime is None or kind == "swept" else prime
         first, last = np.searchsorted(times, [reach.event - WINDOW, until])
-        low, high = reach.centre - reach.half_world, reach.centre + reach.half_world
-        passed = near_miss(eye[first:last], gaze[first:last], low[None], high[None])
-        along = passed.along[:, 0]
-        close = (passed.distance[:, 0] <= _MARGIN + _MARGIN_PER_METRE * along) & (along >= 0.0)
+        close = _passes_close(eye[first:last], gaze[first:last], reach.centre, reach.half_world)
         frames = times[first:last][close]
         numbers = np.unique(np.searchsorted(starts, frames, side="right") - 1)
         found.update(
@@ -70,6 +66,17 @@ def _offending_looks(plan: Plan, gaze_plan: GazePlan, eye: np.ndarray, gaze: np.
             if not gaze_plan.looks[number].is_goal and gaze_plan.looks[number].reach is None
         )
     return found
+
+
+def _passes_close(eye: np.ndarray, gaze: np.ndarray, centre: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Return (n,) True where a ray passes a box in front of the eye, closer than its margin."""
+    offset = centre - eye
+    along = np.einsum("nk,nk->n", offset, gaze)
+    across = offset - along[:, None] * gaze
+    with np.errstate(divide="ignore"):  # the ray through the centre is at no share of the way
+        border = (half / np.abs(across)).min(axis=1)  # share of the way from the centre to the ray where the box ends
+    distance = np.linalg.norm(across, axis=1) * np.maximum(1.0 - border, 0.0)
+    return (distance <= _MARGIN + _MARGIN_PER_METRE * along) & (along >= 0.0)
 
 
 def _moved(look: Look, eye: np.ndarray, rng: np.random.Generator) -> Look:

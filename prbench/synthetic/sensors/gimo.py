@@ -12,7 +12,6 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.randomness import named_generator
-from prbench.rays import slab_test
 from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
@@ -162,15 +161,24 @@ def looked_at(
     margin = np.array([_BEHIND_FURNITURE, 0.0, _BEHIND_FURNITURE])
     low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
     low[1], high[1] = 0.0, max(float(high[1]), _CEILING)
-    room = slab_test(origin, direction, low[None], high[None])
-    distance = room.far[:, 0]
+    _, distance = _crossings(origin, direction, low, high)
     for motion in boxes:
         turned = Rotation.from_quat(motion.rotation[0], scalar_first=True).inv()
-        half = motion.half_extents[None]
-        hits = slab_test(turned.apply(origin - motion.position[0]), turned.apply(direction), -half, half)
-        seen = hits.hit[:, 0] & (hits.near[:, 0] > 0)
-        distance = np.where(seen, np.minimum(distance, hits.near[:, 0]), distance)
+        half = motion.half_extents
+        enters, leaves = _crossings(turned.apply(origin - motion.position[0]), turned.apply(direction), -half, half)
+        distance = np.where((enters > 0) & (enters < leaves), np.minimum(distance, enters), distance)
     return origin + distance[:, None] * direction
+
+
+def _crossings(
+    origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the distances at which rays cross the last plane of a box before it and the first one behind it."""
+    with np.errstate(divide="ignore"):  # a ray along a plane crosses it infinitely far away
+        inverse = 1.0 / direction
+    one = (low - origin) * inverse
+    other = (high - origin) * inverse
+    return np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
 
 
 def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.ndarray, " n"]:
