@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from prbench.skeleton import Joint, facing_yaw
-from prbench.synthetic.activities.narrated import TrueNarration
+from prbench.synthetic.activities.narrate import TrueNarration
 from prbench.synthetic.activities.wording import Facts, clause, sentence
 from prbench.synthetic.people.plan import OPENING
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent

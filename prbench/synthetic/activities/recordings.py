@@ -18,8 +18,7 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities.act_out import act_out
 from prbench.synthetic.activities.acts import PAUSE, SHORT, SITTING, STANDING, stand
 from prbench.synthetic.activities.goals import narrate_events
-from prbench.synthetic.activities.narrate import narrate
-from prbench.synthetic.activities.narrated import NarratedMotion
+from prbench.synthetic.activities.narrate import NarratedMotion, narrate
 from prbench.synthetic.activities.script import Script
 from prbench.synthetic.activities.stage import Stage
 from prbench.synthetic.people import PRESETS, Preset, perform
