@@ -12,8 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from prbench.synthetic.activities.script import Hand, Loop
-from prbench.synthetic.activities.stage import SITTING_TIME, Stage
+from prbench.synthetic.activities.stage import SITTING_TIME, Hand, Loop, Stage
 
 _SPEEDS = ((0.5, 0.65), (0.8, 1.1), (0.8, 1.1), (1.28, 1.32))
 """Slow, normal (twice as often) and brisk walking, metres a second; nobody turns a corner briskly."""
