@@ -14,12 +14,11 @@ from prbench.synthetic.people.channels import add_bump, blend, bump, eased_trape
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
 from prbench.synthetic.people.geometry import direction, turn
 from prbench.synthetic.people.head_eye import Head, move_head
-from prbench.synthetic.people.legs import Legs, pose_legs
+from prbench.synthetic.people.legs import Legs, place_feet, plan_steps, pose_legs
 from prbench.synthetic.people.motion import Motion, assemble
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.posture import Bending, Sway, draw_sway, move_trunk
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.steps import place_feet, plan_steps
 from prbench.synthetic.people.trunk import Trunk, seated_pelvis_height, standing_pelvis_height
 from prbench.synthetic.people.world import Room
 

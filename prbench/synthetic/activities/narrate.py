@@ -12,8 +12,8 @@ from prbench.synthetic.activities.acts import PAUSE, SHORT
 from prbench.synthetic.activities.patterns import BODY_POSTURE
 from prbench.synthetic.activities.stage import Act, Script
 from prbench.synthetic.activities.wording import Facts, Span, clause, facts_of, sentence
+from prbench.synthetic.people.legs import plan_steps
 from prbench.synthetic.people.motion import Motion
-from prbench.synthetic.people.steps import plan_steps
 
 
 @dataclass(frozen=True)
