@@ -16,10 +16,10 @@ from prbench.synthetic.people.geometry import direction, turn
 from prbench.synthetic.people.head_eye import Head, move_head
 from prbench.synthetic.people.legs import Legs, place_feet, plan_steps, pose_legs
 from prbench.synthetic.people.motion import Motion, assemble
+from prbench.synthetic.people.person import Trunk, seated_pelvis_height, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.posture import Bending, Sway, draw_sway, move_trunk
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import Trunk, seated_pelvis_height, standing_pelvis_height
 from prbench.synthetic.people.world import Room
 
 _ALONG_THIGH, _ABOVE_THIGH = 0.62, 0.055

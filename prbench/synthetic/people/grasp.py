@@ -13,9 +13,8 @@ from jaxtyping import Float
 from prbench.synthetic.people.base import BasePose
 from prbench.synthetic.people.channels import wrap
 from prbench.synthetic.people.geometry import UP, frame_of_bone, orthogonal_unit, turn, unit
-from prbench.synthetic.people.person import Body, Person
+from prbench.synthetic.people.person import Body, Person, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import pose_trunk, standing_pelvis_height
 
 _LEANS = np.deg2rad(np.linspace(0.0, 70.0, 15))
 _CROUCHES = np.linspace(0.0, 0.5, 14)

@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float
 from prbench.synthetic.people.base import BasePath, BasePose, Segment
 from prbench.synthetic.people.channels import eased_trapezoid, minimum_jerk, smooth
 from prbench.synthetic.people.geometry import direction, turn, two_bone
-from prbench.synthetic.people.person import Body, Person
-from prbench.synthetic.people.trunk import BALL_HEIGHT
+from prbench.synthetic.people.person import BALL_HEIGHT, Body, Person
 
 _ROLL_BEFORE_LIFT = 0.05  # the ball begins to rise before it moves, as a rolling foot does
 _HEEL_UP = np.deg2rad(48.0)

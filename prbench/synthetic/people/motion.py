@@ -20,9 +20,9 @@ from prbench.synthetic.people.geometry import frame_of_bone, quaternion, rotatio
 from prbench.synthetic.people.grasp import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.head_eye import Head, move_head
 from prbench.synthetic.people.legs import Feet, Legs, place_feet, plan_steps, pose_legs
+from prbench.synthetic.people.person import Trunk
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.posture import bend, draw_sway, move_trunk
-from prbench.synthetic.people.trunk import Trunk
 
 _WRIST_TOLERANCE = 0.008
 _CORRECTIONS = 2

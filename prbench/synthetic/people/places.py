@@ -21,9 +21,8 @@ from prbench.synthetic.people.grasp import (
     solve_posture,
     take_hold,
 )
-from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import seated_pelvis_height
 from prbench.synthetic.people.world import Room, Surface
 
 _WITHIN_REACH = 0.92

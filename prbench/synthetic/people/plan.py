@@ -16,9 +16,8 @@ from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePose, Segment
 from prbench.synthetic.people.grasp import Grasp, Posture
-from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import seated_pelvis_height
 from prbench.synthetic.people.world import Item, Room
 
 OPENING = 2.5

@@ -17,8 +17,8 @@ from prbench.synthetic.people.channels import blend, smooth, two_pole_low_pass, 
 from prbench.synthetic.people.grasp import Posture, pelvis_setback
 from prbench.synthetic.people.head_eye import Head
 from prbench.synthetic.people.legs import Feet, Step, lowered_pelvis
+from prbench.synthetic.people.person import Trunk, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan
-from prbench.synthetic.people.trunk import Trunk, pose_trunk, standing_pelvis_height
 
 _CHEST_LIMIT = np.deg2rad(49.0)
 _PELVIS_LIMIT = np.deg2rad(17.0)
