@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from prbench.synthetic.people.channels import add_bump, blend, minimum_jerk
 from prbench.synthetic.people.geometry import UP, frame_of_bone, turn, two_bone, unit
+from prbench.synthetic.people.movements import DOOR
 from prbench.synthetic.people.person import Body, Trunk
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.posture import Sway
-from prbench.synthetic.people.provocations import DOOR
 
 _ARM_LIMIT = (0.95, 0.995)
 _HANGING = 0.96
