@@ -18,12 +18,11 @@ from prbench.readers.egoallo.format import EgoAlloOutput
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.annotated_masks import Sighting, masks_of
 from prbench.synthetic.sensors.aria_gaze import gaze_bias as aria_gaze_bias
 from prbench.synthetic.sensors.aria_mps import sense_mps
 from prbench.synthetic.sensors.egoallo import sense_egoallo
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.invented_priming import invented_priming
+from prbench.synthetic.sensors.hd_epic_annotations import Sighting, invented_priming, masks_of
 
 GAZE_PERIOD = 0.1
 """Seconds."""
