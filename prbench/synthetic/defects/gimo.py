@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
 from prbench.synthetic.defects import Defect
-from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
+from prbench.synthetic.layouts.file_forms import pickled_tensors
 
 _SHORT_GAP, _LONG_GAP = 3, 15  # frames
 _FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."

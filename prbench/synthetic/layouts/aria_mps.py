@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
 from prbench.storage import atomic_path, write_json
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
+from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.sensors.aria_mps import GRAVITY
 
 ROLES = (

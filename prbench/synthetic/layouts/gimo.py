@@ -22,7 +22,7 @@ from prbench.recording import Recording
 from prbench.skeleton import WRISTS, Joint
 from prbench.storage import atomic_folder, atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
+from prbench.synthetic.layouts.file_forms import pickled_tensors
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import gimo as sensors

@@ -23,8 +23,8 @@ from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.csv_files import write_csv
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.layouts.file_forms import write_csv
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import hd_epic as sensors
 from prbench.synthetic.sensors.egoallo import invented_smplh

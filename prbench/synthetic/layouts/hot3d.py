@@ -17,9 +17,8 @@ from prbench.recording import Recording
 from prbench.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
-from prbench.synthetic.layouts.glb import glb_bytes
+from prbench.synthetic.layouts.file_forms import glb_bytes, split_columns, write_csv
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import aria_gaze

@@ -12,7 +12,7 @@ from prbench.corpora.nymeria import format as nymeria
 from prbench.corpora.nymeria.format import Narration
 from prbench.readers.aria_mps import format as mps
 from prbench.storage import atomic_path, write_bytes, write_json
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
+from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.sensors.nymeria import GlassesPoses, NymeriaReadings
 
 _SCALAR_LAST = ("qx_world_device", "qy_world_device", "qz_world_device", "qw_world_device")
