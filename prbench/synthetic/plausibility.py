@@ -18,7 +18,7 @@ from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.smoothness import jitter
 from prbench.skeleton import WRISTS, Joint, bone_lengths
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.true_clips import FPS, true_clips
+from prbench.synthetic.statistics import FPS, true_clips
 
 _HIPS, _KNEES = [Joint.LEFT_HIP, Joint.RIGHT_HIP], [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]
 _ANKLES, _BALLS = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE], [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]

@@ -17,7 +17,7 @@ from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.population import Source, cast
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.true_clips import FPS, PREROLL, TrueClip, sample_joints, true_clips
+from prbench.synthetic.statistics import FPS, PREROLL, TrueClip, sample_joints, true_clips
 
 DATASET = "synthetic-conformance"
 _PRESET, _SEED, _RATE = "adt", 2024, 60.0  # another seed than that of the embedded table
