@@ -13,7 +13,7 @@ import numpy as np
 from prbench.errors import UsageError
 from prbench.synthetic.people.bystander import bystander_acts
 from prbench.synthetic.people.carry import move_objects
-from prbench.synthetic.people.gaze_plan import GazePlan, Look
+from prbench.synthetic.people.gaze_plan import GazePlan, Look, repaired
 from prbench.synthetic.people.head_eye import move_eyes
 from prbench.synthetic.people.legs import plan_steps
 from prbench.synthetic.people.motion import Generators, Motion, synthesise
@@ -23,7 +23,6 @@ from prbench.synthetic.people.plan import OPENING, Plan
 from prbench.synthetic.people.planner import plan_recording
 from prbench.synthetic.people.population import Source, SplitRule, World, cast
 from prbench.synthetic.people.presets import PRESETS, Preset
-from prbench.synthetic.people.repair import repaired
 from prbench.synthetic.people.truth import Scene, events_of_others, true_events
 from prbench.synthetic.people.world import Room, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, Performance
