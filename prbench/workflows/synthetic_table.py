@@ -17,7 +17,7 @@ from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, cast
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.recordings import synthetic_recording
 

@@ -15,7 +15,7 @@ from prbench.manifests import load_protocol
 from prbench.sequences import Sequence
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, cast
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import FPS, PREROLL, TrueClip, sample_joints, true_clips
 

@@ -22,7 +22,7 @@ from prbench.synthetic.activities.narrate import NarratedMotion, narrate
 from prbench.synthetic.activities.stage import Script, Stage
 from prbench.synthetic.people import PRESETS, Preset, perform
 from prbench.synthetic.people.person import Person, draw_person
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, cast
 
 RATE = 240.0
 N_ACTIVITIES = 14

@@ -15,8 +15,7 @@ from prbench.synthetic.people.motion import Generators, Motion, synthesise
 from prbench.synthetic.people.person import draw_person
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.planner import plan_recording
-from prbench.synthetic.people.population import Source
-from prbench.synthetic.people.world import Item
+from prbench.synthetic.people.world import Item, Source
 from prbench.synthetic.performance import ObjectMotion, OtherPerson
 
 _EVENTS = 2

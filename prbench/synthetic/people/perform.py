@@ -21,10 +21,9 @@ from prbench.synthetic.people.movements import shares_for
 from prbench.synthetic.people.person import Person, draw_person
 from prbench.synthetic.people.plan import OPENING, Plan
 from prbench.synthetic.people.planner import plan_recording
-from prbench.synthetic.people.population import Source, SplitRule, World, cast
 from prbench.synthetic.people.presets import PRESETS, Preset
 from prbench.synthetic.people.truth import Scene, events_of_others, true_events
-from prbench.synthetic.people.world import Room, draw_room, seated
+from prbench.synthetic.people.world import Room, Source, SplitRule, World, cast, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, Performance
 
 _CLOSING = 2.0  # seconds after the last movement
@@ -60,7 +59,7 @@ def perform(
         provocations: Share of the movements for each tag of docs/specification/synthetic-recordings.md#provocations;
         None: 10 % together, {}: none.
         bystander_objects: Objects that never move; 3 to 12, drawn with the room, if None.
-        split_rule: See :func:`prbench.synthetic.people.population.cast`.
+        split_rule: See :func:`prbench.synthetic.people.world.cast`.
 
     Raises:
         UsageError: if there is no such preset.

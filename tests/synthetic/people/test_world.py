@@ -6,7 +6,7 @@ from typing import Literal
 
 import pytest
 
-from prbench.synthetic.people.population import Casting, Source, cast
+from prbench.synthetic.people.world import Casting, Source, cast
 
 
 def castings(
