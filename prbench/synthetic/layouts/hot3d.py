@@ -21,7 +21,7 @@ from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts.file_forms import glb_bytes, split_columns, write_csv
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors import aria_gaze
+from prbench.synthetic.sensors import aria_mps as aria_gaze
 from prbench.synthetic.sensors import hot3d as sensors
 from prbench.synthetic.sensors.aria_mps import GAZE_RATE
 from prbench.synthetic.sensors.errors import Switches

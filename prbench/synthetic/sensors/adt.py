@@ -18,7 +18,7 @@ from prbench.readers.aria_mps.format import device_from_cpf
 from prbench.skeleton import invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
-from prbench.synthetic.sensors.aria_gaze import (
+from prbench.synthetic.sensors.aria_mps import (
     GAZE_MARGIN,
     gaze_bias,
     gaze_clock_us,
