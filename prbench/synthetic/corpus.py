@@ -23,7 +23,7 @@ from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import cast_of, narrated_recording
-from prbench.synthetic.sensors.nymeria import sense_nymeria
+from prbench.synthetic.layouts.nymeria import sense_nymeria
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"
 _COST = Cost(0, 1.2, 0.5e6)

@@ -16,7 +16,7 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import narrated_recording
 from prbench.synthetic.defects import defect
 from prbench.synthetic.layouts import humanml3d, nymeria
-from prbench.synthetic.sensors.nymeria import sense_nymeria
+from prbench.synthetic.layouts.nymeria import sense_nymeria
 from prbench.synthetic.write_tree import SYNTHETIC_FILE, WrittenRecording, WrittenTree, require_free
 
 CORPUS_LAYOUTS = ("nymeria", "humanml3d")
