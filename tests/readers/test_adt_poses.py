@@ -19,11 +19,10 @@ from prbench.readers.egoallo import poses_folder
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
 from prbench.skeleton import Joint
+from prbench.synthetic.egoallo import invented_smplh, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.layouts.adt import estimated_outputs, write
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.egoallo import invented_smplh
 from prbench.synthetic.sensors.errors import Switches
 from prbench.timelines import interpolate
 from tests.comparing import differences

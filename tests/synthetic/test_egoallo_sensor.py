@@ -19,9 +19,8 @@ from prbench.readers.egoallo.to_recording import body_from_outputs, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
 from prbench.skeleton import Joint, bone_lengths, head_forward, invert_rigid
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
 from prbench.synthetic.sensors.errors import Switches
 from prbench.timelines import interpolate, slerp
 from tests.comparing import differences

@@ -16,11 +16,10 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.recording import Recording
 from prbench.storage import atomic_folder, write_bytes, write_json
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.egoallo import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import adt as sensors
-from prbench.synthetic.sensors.egoallo import sense_egoallo
 from prbench.synthetic.sensors.errors import Switches
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"

@@ -21,13 +21,12 @@ from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json
+from prbench.synthetic.egoallo import invented_smplh, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts.file_forms import write_csv
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import hd_epic as sensors
-from prbench.synthetic.sensors.egoallo import invented_smplh
 from prbench.synthetic.sensors.errors import Switches
 
 SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)

@@ -15,9 +15,9 @@ from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.readers.hot3d.umetrack import HandModel
 from prbench.recording import Recording
 from prbench.storage import atomic_folder, read_json, write_bytes, write_json
+from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts.file_forms import glb_bytes, split_columns, write_csv
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent

@@ -16,11 +16,11 @@ import numpy as np
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloOutput
 from prbench.readers.hd_epic import format as hd_epic
+from prbench.synthetic.egoallo import sense_egoallo
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.aria_mps import gaze_bias as aria_gaze_bias
 from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.egoallo import sense_egoallo
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.synthetic.sensors.hd_epic_annotations import Sighting, invented_priming, masks_of
 

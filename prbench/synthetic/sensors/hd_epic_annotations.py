@@ -14,8 +14,8 @@ from jaxtyping import Float
 from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.skeleton import transform_points
+from prbench.synthetic.egoallo import NATIVE_FROM_WORLD
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.timelines import interpolate
 

@@ -20,9 +20,9 @@ from prbench.axes import z_up
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
 from prbench.skeleton import Joint
+from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.synthetic.sensors.hot3d_hand import finger_angles, invented_hand, wrist_rotation
 from prbench.timelines import interpolate, slerp
