@@ -15,11 +15,10 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.layouts import layout_for
+from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, cast
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.recordings import synthetic_recording
 
 Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""

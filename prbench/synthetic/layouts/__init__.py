@@ -101,3 +101,18 @@ def layout_for(preset: str) -> Layout:
         known = ", ".join(LAYOUT_MODULES)
         raise UsageError(f"there are no native files of '{preset}'; use one of: {known}.")
     return importlib.import_module(LAYOUT_MODULES[preset]).LAYOUT
+
+
+def synthetic_recording(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Recording:
+    """Sense a performance and turn it into a recording.
+
+    Args:
+        performance: Of a preset that has sensors.
+        noise: Multiplies every sensor error; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+
+    Raises:
+        UsageError: for a preset without sensors.
+    """
+    layout = layout_for(performance.preset)
+    return layout.recording(layout.sense(performance, noise=noise, switches=switches))
