@@ -6,12 +6,13 @@ Source: docs/specification/synthetic-recordings.md.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
 
 from prbench.errors import UsageError
-from prbench.synthetic.people.bystander import bystander_acts
+from prbench.synthetic.people.base import sample_base
 from prbench.synthetic.people.carry import move_objects
 from prbench.synthetic.people.gaze_plan import GazePlan, Look, repaired
 from prbench.synthetic.people.head_eye import move_eyes
@@ -23,8 +24,74 @@ from prbench.synthetic.people.plan import OPENING, Plan
 from prbench.synthetic.people.planner import plan_recording
 from prbench.synthetic.people.presets import PRESETS, Preset
 from prbench.synthetic.people.truth import Scene, events_of_others, true_events
-from prbench.synthetic.people.world import Room, Source, SplitRule, World, cast, draw_room, seated
-from prbench.synthetic.performance import Fixation, ObjectMotion, Performance
+from prbench.synthetic.people.world import Item, Room, Source, SplitRule, World, cast, draw_room, seated
+from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
+
+_EVENTS = 2
+_PLANS_OF_BYSTANDER = 8
+_POLITE_DISTANCE = 0.9  # metres between two people
+
+
+@dataclass(frozen=True)
+class Bystander:
+    """The other person, what they planned, and the objects that they moved."""
+
+    person: OtherPerson
+    plan: Plan
+    objects: list[ObjectMotion]
+
+
+def bystander_acts(
+    source: Source, index: int, wearer: Plan, motion: Motion, times: np.ndarray, object_ids: list[str]
+) -> Bystander | None:
+    """Let somebody else pick and put one object in the same room at the same time.
+
+    Args:
+        source: Names the generators.
+        index: Of the recording.
+        wearer: Whose objects must not be in the way.
+        motion: Of the wearer, to keep away from.
+        times: Frame times of the recording, seconds.
+        object_ids: Ids for the objects of the other person.
+
+    Returns:
+        None if the recording is too short for it.
+    """
+    preset, participant = wearer.preset, f"B{index:04d}"
+    person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
+    taken = [_stand_in(wearer, reach.item, reach.centre) for reach in wearer.reaches]
+    room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
+    best: tuple[float, Plan] | None = None
+    for attempt in range(_PLANS_OF_BYSTANDER):
+        plan = plan_recording(
+            preset, person, room, _EVENTS, source.generator("recording", index, f"bystander-plan{attempt}")
+        )
+        if len(plan.reaches) < _EVENTS or plan.reaches[-1].event > times[-1] - 1.5:
+            continue
+        path = sample_base(plan.start, plan.segments, times)
+        distance = float(np.hypot(path.x - motion.base.x, path.z - motion.base.z).min())
+        if best is None or distance > best[0]:
+            best = distance, plan
+        if distance > _POLITE_DISTANCE:
+            break
+    return None if best is None else _move_bystander(source, index, best[1], times, object_ids)
+
+
+def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
+    """Something that stands where the wearer's object was or will be."""
+    return replace(wearer.items[item], position=centre, rides_on=None)
+
+
+def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> Bystander:
+    purposes = (source.generator("recording", index, f"bystander-{name}") for name in ("sway", "gaze", "head"))
+    motion = synthesise(plan, times, Generators(*purposes))
+    handled = 1 + max(reach.item for reach in plan.reaches)
+    plan = replace(plan, items=plan.items[:handled])
+    objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, object_ids[:handled])
+    held = [replace(item, held_by=np.where(item.held_by >= 0, 2, -1)) for item in objects]
+    person = OtherPerson(plan.person.participant_id, motion.joints, motion.finger_bases)
+    return Bystander(person, plan, held)
+
 
 _CLOSING = 2.0  # seconds after the last movement
 _WORST_WRIST = 0.020
