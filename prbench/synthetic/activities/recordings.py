@@ -17,8 +17,7 @@ from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities.act_out import act_out
 from prbench.synthetic.activities.acts import PAUSE, SHORT, SITTING, STANDING, stand
-from prbench.synthetic.activities.goals import narrate_events
-from prbench.synthetic.activities.narrate import NarratedMotion, narrate
+from prbench.synthetic.activities.narrate import NarratedMotion, narrate, narrate_events
 from prbench.synthetic.activities.stage import Script, Stage
 from prbench.synthetic.people import PRESETS, Preset, perform
 from prbench.synthetic.people.person import Person, draw_person

@@ -11,7 +11,7 @@ import pytest
 from prbench.skeleton import WRISTS, Joint
 from prbench.synthetic.activities import NarratedMotion, cast_of, narrated_recording
 from prbench.synthetic.activities.acts import SITTING, STANDING
-from prbench.synthetic.activities.goals import spoken_name
+from prbench.synthetic.activities.narrate import spoken_name
 from prbench.synthetic.activities.patterns import PATTERNS
 from prbench.synthetic.activities.wording import amount_word, speed_word
 from prbench.synthetic.people import PRESETS
