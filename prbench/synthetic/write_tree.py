@@ -23,7 +23,7 @@ from prbench.locks import sole_writer
 from prbench.storage import atomic_folder, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.defects import defect
-from prbench.synthetic.layouts import SHARED_PARTS, EstimatedBodies, layout_for
+from prbench.synthetic.layouts import SHARED_PARTS, layout_for
 from prbench.synthetic.people import perform
 from prbench.synthetic.truth_files import (
     events_table,
@@ -112,7 +112,7 @@ def synthesize_tree(
         StorageError: if the disk is full or the folder cannot be written.
     """
     layout = layout_for(preset)
-    if estimates and not isinstance(layout, EstimatedBodies):
+    if estimates and layout.write_estimates is None:
         raise UsageError(f"{preset} has no bodies of its own beside which EgoAllo's estimates could stand.")
     damages = [defect(preset, name) for name in defects]
     amount = _amount(size)
@@ -197,7 +197,7 @@ def _write_recording(job: _Job) -> _Done:
     layout = layout_for(job.preset)
     readings = layout.sense(performance, noise=job.noise)
     layout.write(readings, job.root)
-    if job.estimates and isinstance(layout, EstimatedBodies):
+    if job.estimates and layout.write_estimates is not None:
         layout.write_estimates(performance, readings, job.root, noise=job.noise)
     write_truth(joints_table(performance, rate=job.truth_rate), job.root, "joints", part=name)
     write_truth(objects_table(performance), job.root, "objects", part=name)

@@ -14,81 +14,21 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import load_manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import BvhMotion
 from prbench.readers.gimo.to_recording import recording_from_gimo
-from prbench.recording import Recording
 from prbench.skeleton import WRISTS, Joint
 from prbench.storage import atomic_folder, atomic_path, write_json, write_text
-from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.file_forms import pickled_tensors
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import gimo as sensors
-from prbench.synthetic.sensors.errors import Switches
 from prbench.timelines import interpolate
 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8
 _UNNAMED_COLUMNS = 3
-
-
-class GimoLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> gimo.GimoReadings:
-        """Fitted body, suit, gaze, and an annotator who sees every pick."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: gimo.GimoReadings) -> Recording:
-        """The streams of one synthetic segment."""
-        return recording_from_gimo(readings, load_manifest("gimo"), dataset="synthetic-gimo")
-
-    def write(self, readings: gimo.GimoReadings, root: Path) -> None:
-        """One folder a sequence, in the folder of its scene."""
-        segment = readings.segment
-        write_sequence(readings, root / segment.scene / segment.sequence)
-        norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
-        write_text(norm, _matrix_text(readings.transform.room_from_scene))
-        events = [[event.frame, event.hand] for event in readings.events]
-        write_json(
-            root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events}
-        )
-
-    def finish(self, root: Path) -> None:
-        """``dataset.csv`` (with byte-order mark, unnamed columns and one repeated row) and the table of events."""
-        parts = [json.loads(path.read_text("utf-8")) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
-        segments = [gimo.Segment(**part["segment"]) for part in parts]
-        write_table(root / gimo.TABLE_FILE, [*segments, segments[-1]])
-        events = [
-            (segment, gimo.EventFrame(frame, hand))
-            for segment, part in zip(segments, parts, strict=True)
-            for frame, hand in part["events"]
-        ]
-        write_events(root / gimo.EVENTS_FILE, events)
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """Picks alone, with the wrist as their goal, and primes as rays from the head joint to the scan show them."""
-        shown = _as_shown(performance)
-        return tuple(_as_known(shown, event) for event in sensors.picks(performance))
-
-    def clock_start(self, performance: Performance) -> float:
-        """Video time of the first instant, seconds."""
-        return sensors.first_frame(performance) / gimo.FRAME_RATE
-
-    def object_id(self, object_id: str) -> str:  # noqa: ARG002 (one target for all)
-        """The dataset knows no objects."""
-        return gimo.OBJECT_ID
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return sensors.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = GimoLayout()
 
 
 def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
@@ -211,3 +151,45 @@ def _as_known(shown: Performance, event: TrueEvent) -> TrueEvent:
     instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
     wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]
     return replace(seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE), goal=wrist)
+
+
+def _write_below(readings: gimo.GimoReadings, root: Path) -> None:
+    """Write one folder a sequence, in the folder of its scene."""
+    segment = readings.segment
+    write_sequence(readings, root / segment.scene / segment.sequence)
+    norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
+    write_text(norm, _matrix_text(readings.transform.room_from_scene))
+    events = [[event.frame, event.hand] for event in readings.events]
+    write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events})
+
+
+def _finish(root: Path) -> None:
+    """Write ``dataset.csv`` (byte-order mark, unnamed columns, one repeated row) and the table of events."""
+    parts = [json.loads(path.read_text("utf-8")) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
+    segments = [gimo.Segment(**part["segment"]) for part in parts]
+    write_table(root / gimo.TABLE_FILE, [*segments, segments[-1]])
+    events = [
+        (segment, gimo.EventFrame(frame, hand))
+        for segment, part in zip(segments, parts, strict=True)
+        for frame, hand in part["events"]
+    ]
+    write_events(root / gimo.EVENTS_FILE, events)
+
+
+def _events(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Return picks alone, with the wrist as goal, and primes as rays from the head joint to the scan show them."""
+    shown = _as_shown(performance)
+    return tuple(_as_known(shown, event) for event in sensors.picks(performance))
+
+
+LAYOUT = Layout(
+    dataset="gimo",
+    sense=sensors.sense,
+    to_recording=recording_from_gimo,
+    write=_write_below,
+    finish=_finish,
+    events=_events,
+    clock_start=lambda performance: sensors.first_frame(performance) / gimo.FRAME_RATE,
+    object_id=lambda _: gimo.OBJECT_ID,  # the dataset knows one target and no objects
+    gaze_bias=sensors.gaze_bias,
+)

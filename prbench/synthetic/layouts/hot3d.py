@@ -7,24 +7,20 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.manifests import load_manifest
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import umetrack
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.readers.hot3d.umetrack import HandModel
-from prbench.recording import Recording
 from prbench.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
-from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.layouts.file_forms import glb_bytes, split_columns, write_csv
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors import aria_mps as aria_gaze
 from prbench.synthetic.sensors import hot3d as sensors
-from prbench.synthetic.sensors.aria_mps import GAZE_RATE
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.aria_mps import GAZE_RATE, gaze_bias
 
 HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]
@@ -33,53 +29,6 @@ _OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
 _OF_AN_EVENT = ("sequence", "not_primed", "too_short", "minimum_movement")
 _UNSET = 255.0
 """Of the hand model's unused tables of joints."""
-
-
-class Hot3dLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> hot3d.Hot3dReadings:
-        """Objects, headset, hands, glasses and gaze, and EgoAllo's bodies."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: hot3d.Hot3dReadings) -> Recording:
-        """The streams of one synthetic recording."""
-        return recording_from_hot3d(readings, load_manifest("hot3d"), dataset="synthetic-hot3d")
-
-    def write(self, readings: hot3d.Hot3dReadings, root: Path) -> None:
-        """One folder a recording; the models of its objects wait for :meth:`finish`."""
-        write(readings, root / readings.recording_id)
-        write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
-
-    def finish(self, root: Path) -> None:
-        """The object library and the body model that all recordings share."""
-        finish(root)
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """All of them; whether a prime is certain depends on the ten gaze samples a second."""
-        return tuple(
-            seen_again(event, performance, event.box_min, event.box_max, gaze_period=1.0 / GAZE_RATE)
-            if event.expected in _OF_AN_EVENT
-            else event
-            for event in performance.events
-        )
-
-    def clock_start(self, performance: Performance) -> float:
-        """Time of the ground truth's clock at the first instant, seconds."""
-        return sensors.clock_start(performance)
-
-    def object_id(self, object_id: str) -> str:
-        """Fifteen digits."""
-        return sensors.native_object_id(object_id)
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return aria_gaze.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = Hot3dLayout()
 
 
 def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
@@ -125,7 +74,7 @@ def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
             write_bytes(folder / f"{entry.object_id}.glb", content)
 
 
-def finish(root: Path) -> None:
+def _finish(root: Path) -> None:
     """Gather the parts of all recordings into the object library, and write the body model.
 
     Raises:
@@ -232,3 +181,32 @@ def _instance(uid: str, name: str, kind: str) -> dict[str, object]:
         "motion_type": "dynamic",
         "rigidity": "rigid",
     }
+
+
+def _write_below(readings: hot3d.Hot3dReadings, root: Path) -> None:
+    """Write one folder a recording; the models of its objects wait for :func:`_finish`."""
+    write(readings, root / readings.recording_id)
+    write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
+
+
+def _events(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Return all events; whether a prime is certain depends on the ten gaze samples a second."""
+    return tuple(
+        seen_again(event, performance, event.box_min, event.box_max, gaze_period=1.0 / GAZE_RATE)
+        if event.expected in _OF_AN_EVENT
+        else event
+        for event in performance.events
+    )
+
+
+LAYOUT = Layout(
+    dataset="hot3d",
+    sense=sensors.sense,
+    to_recording=recording_from_hot3d,
+    write=_write_below,
+    finish=_finish,
+    events=_events,
+    clock_start=sensors.clock_start,
+    object_id=sensors.native_object_id,
+    gaze_bias=gaze_bias,
+)

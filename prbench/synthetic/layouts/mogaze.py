@@ -18,12 +18,9 @@ from prbench.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
-from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json, write_text
-from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.sensors import mogaze as sensors
-from prbench.synthetic.sensors.errors import Switches
 
 _GAZE_COLUMNS = 7
 _COLOUR = "1 0.5 0.5 0.5"
@@ -32,51 +29,6 @@ _FACES = (
     (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
     (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
 )  # fmt: skip
-
-
-class MogazeLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> mogaze.MogazeReadings:
-        """Body, goggles and gaze, objects, segments."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: mogaze.MogazeReadings) -> Recording:
-        """The streams of one synthetic recording."""
-        return recording_from_mogaze(readings, load_manifest("mogaze"), dataset="synthetic-mogaze")
-
-    def write(self, readings: mogaze.MogazeReadings, root: Path) -> None:
-        """Four files, and the recording's share of the scene."""
-        write(readings, root)
-        entries = [_scene_entry(body) for body in readings.bodies]
-        write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", msgspec.to_builtins(entries))
-
-    def finish(self, root: Path) -> None:
-        """Scene and meshes of all recordings."""
-        parts = sorted((root / SHARED_PARTS).glob("*.json"))
-        entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
-        write_scene(root, {entry.body_id: entry for entry in entries})
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """All but those of doors."""
-        return sensors.events(performance)
-
-    def clock_start(self, performance: Performance) -> float:  # noqa: ARG002 (equal for all)
-        """The first frame is time 0."""
-        return 0.0
-
-    def object_id(self, object_id: str) -> str:
-        """Sixteen digits, as in the performance."""
-        return object_id
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return sensors.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = MogazeLayout()
 
 
 class SceneEntry(msgspec.Struct, frozen=True):
@@ -169,3 +121,30 @@ def _scene_entry(body: mogaze.MogazeBody) -> SceneEntry:
     shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
     mesh = "" if body.name == mogaze.GOGGLES else f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
     return SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
+
+
+def _write_below(readings: mogaze.MogazeReadings, root: Path) -> None:
+    """Write four files, and the recording's share of the scene."""
+    write(readings, root)
+    entries = [_scene_entry(body) for body in readings.bodies]
+    write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", msgspec.to_builtins(entries))
+
+
+def _finish(root: Path) -> None:
+    """Write scene and meshes of all recordings."""
+    parts = sorted((root / SHARED_PARTS).glob("*.json"))
+    entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
+    write_scene(root, {entry.body_id: entry for entry in entries})
+
+
+LAYOUT = Layout(
+    dataset="mogaze",
+    sense=sensors.sense,
+    to_recording=recording_from_mogaze,
+    write=_write_below,
+    finish=_finish,
+    events=sensors.events,
+    clock_start=lambda _: 0.0,  # the first frame is time 0
+    object_id=lambda object_id: object_id,
+    gaze_bias=sensors.gaze_bias,
+)
