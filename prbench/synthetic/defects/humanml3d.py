@@ -9,7 +9,7 @@ import numpy as np
 
 from prbench.corpora.humanml3d import format as layout
 from prbench.storage import atomic_path
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Damage, Defect
 
 
 def _joints(root: Path, name: str) -> Path:
@@ -20,7 +20,7 @@ def _texts(root: Path, name: str) -> Path:
     return root / layout.TEXTS_FOLDER / f"{name}.txt"
 
 
-def _on_joints(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path, str], None]:
+def _on_joints(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
     def apply(root: Path, name: str) -> None:
         joints = change(np.load(_joints(root, name), allow_pickle=False))
         with atomic_path(_joints(root, name)) as temporary:

@@ -12,7 +12,7 @@ import numpy as np
 from prbench.corpora.nymeria import format as nymeria
 from prbench.joint_names import XSENS_SEGMENTS
 from prbench.storage import atomic_path
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Damage, Defect, change_cells, cut_in_half
 
 _ATOMIC = nymeria.NARRATION_FILES["atomic_action"]
 Arrays = dict[str, np.ndarray]
@@ -26,7 +26,7 @@ def _narration(root: Path, recording: str, name: str = _ATOMIC) -> Path:
     return root / recording / "narration" / name
 
 
-def _on_arrays(change: Callable[[Arrays], None]) -> Callable[[Path, str], None]:
+def _on_arrays(change: Callable[[Arrays], None]) -> Damage:
     """A defect that changes arrays of the suit's file."""
 
     def apply(root: Path, recording: str) -> None:
@@ -40,7 +40,7 @@ def _on_arrays(change: Callable[[Arrays], None]) -> Callable[[Path, str], None]:
     return apply
 
 
-def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Callable[[Path, str], None]:
+def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Damage:
     """A defect that changes the rows below the header of the atomic actions."""
 
     def apply(root: Path, recording: str) -> None:
@@ -105,10 +105,8 @@ def _swapped(arrays: Arrays) -> None:
         arrays[key] = turned.reshape(len(values), -1)
 
 
-def _cut_in_half(root: Path, recording: str) -> None:
-    path = _suit(root, recording)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+def _cut_suit(root: Path, recording: str) -> None:
+    cut_in_half(_suit(root, recording))
 
 
 def _empty_texts(root: Path, recording: str) -> None:
@@ -148,10 +146,7 @@ def _no_mark(root: Path, recording: str) -> None:
 def _another_head(root: Path, recording: str) -> None:
     """The trajectory of another recording: the same poses backwards in time."""
     path = root / recording / nymeria.HEAD_FOLDER / "mps" / "slam" / nymeria.TRAJECTORY_FILE
-    header, *lines = path.read_text().splitlines()
-    cells = [line.split(",") for line in lines]
-    turned = [[row[0], row[1], *other[2:]] for row, other in zip(cells, reversed(cells), strict=True)]
-    path.write_text("\n".join([header, *(",".join(row) for row in turned)]) + "\n")
+    change_cells(path, lambda rows: [[*row[:2], *other[2:]] for row, other in zip(rows, reversed(rows), strict=True)])
 
 
 DEFECTS = (
@@ -171,7 +166,7 @@ DEFECTS = (
     Defect("wrong-rate", "the suit ran at 60 Hz", _on_arrays(_another_rate), "failed", "frameRate"),
     Defect("upside-down", "another axis is up", _on_arrays(_y_up), "failed", "Z up"),
     Defect("swapped-sides", "left and right are exchanged", _on_arrays(_swapped), "failed", "Left and right"),
-    Defect("cut-archive", "the suit's file is cut in half", _cut_in_half, "failed", "xdata.npz"),
+    Defect("cut-archive", "the suit's file is cut in half", _cut_suit, "failed", "xdata.npz"),
     Defect("empty-narrations", "text files without a byte", _empty_texts, "read", "no texts of the chosen kinds"),
     Defect(
         "no-narrations",
