@@ -145,7 +145,8 @@ def synthesize_tree(
             damage.apply(root, done[0].recording.recording_id)
         for name in ("recordings", "events", "fixations"):
             write_truth(pa.concat_tables([getattr(result, name) for result in done]), root, name)
-        _write_mark(root, preset, seed, done)
+        splits = {result.recording.recording_id: result.recording.split for result in done}
+        write_mark(root, preset, seed, done[0].world, splits)
     return WrittenTree(out, tuple(result.recording for result in done))
 
 
@@ -213,7 +214,8 @@ def _write_recording(job: _Job) -> _Done:
     )
 
 
-def _write_mark(root: Path, preset: str, seed: int, done: list[_Done]) -> None:
+def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[str, str]) -> None:
+    """Write the mark that tells readers and people that a tree is synthetic, and which recording is in which split."""
     write_json(
         root / SYNTHETIC_FILE,
         {
@@ -221,8 +223,8 @@ def _write_mark(root: Path, preset: str, seed: int, done: list[_Done]) -> None:
             "version": GENERATOR_VERSION,
             "seed": seed,
             "preset": preset,
-            "world": done[0].world,
-            "split": {result.recording.recording_id: result.recording.split for result in done},
+            "world": world,
+            "split": dict(split),
         },
     )
 
