@@ -62,11 +62,11 @@ class SyntheticSource:
     cost: Cost = _COST
 
     def input_digest(self) -> str:
-        """Of what the recording is made from."""
+        """Return the digest of what the recording is made from."""
         return text_digest("corpus", str(GENERATOR_VERSION), str(self.options.seed), str(self.index))
 
     def without_places(self, message: str) -> str:
-        """Nothing of this machine is in the messages."""
+        """Return the message itself: nothing of this machine is in it."""
         return message
 
     def read(self) -> ReadRecording:
@@ -97,7 +97,7 @@ class SyntheticCorpus:
         return None
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
-        """Rate, lengths, seed and generator."""
+        """Return the rate, lengths, seed and generator."""
         limits, chosen = self._limits(options), self._options(options)
         return {
             "fps": f"{limits.fps:g}",
@@ -107,7 +107,7 @@ class SyntheticCorpus:
         }
 
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[SyntheticSource, ...]:
-        """As many recordings as were asked for."""
+        """Return as many recordings as were asked for."""
         if root is not None:
             raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
         chosen, limits = self._options(options), self._limits(options)
@@ -119,7 +119,7 @@ class SyntheticCorpus:
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
-        """Every recording is worked on alone."""
+        """Return the recording itself: recordings do not influence one another."""
         return recording_id
 
     def _options(self, options: CorpusOptions) -> SyntheticOptions:

@@ -62,7 +62,7 @@ def sense_egoallo(
     size: GlassesSize = "DVT-S",
     native_from_world: Float[np.ndarray, "4 4"] = NATIVE_FROM_WORLD,
 ) -> tuple[ego.EgoAlloOutput, ...]:
-    """What EgoAllo would write for a performance: several overlapping windows of every 33rd pose.
+    """Return what EgoAllo would write for a performance: several overlapping windows of every 33rd pose.
 
     Args:
         performance: The truth.
@@ -100,7 +100,7 @@ def sense_egoallo(
 
 
 def _windows(n_frames: int) -> list[tuple[int, int]]:
-    """First and last frame of each window, in output frames; the last one ends with the recording."""
+    """Return the first and last frame of each window, in output frames; the last one ends with the recording."""
     stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
     starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
     windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
@@ -108,7 +108,7 @@ def _windows(n_frames: int) -> list[tuple[int, int]]:
 
 
 def _true_pose(performance: Performance, times: Float[np.ndarray, " n"]) -> _Pose:
-    """The truth at some times; rotations are interpolated, so that bones keep their lengths."""
+    """Return the truth at some times; rotations are interpolated, so that bones keep their lengths."""
     n = len(times)
     segments = np.stack(
         [slerp(performance.times, performance.rotations[:, joint], times) for joint in Joint], axis=1
@@ -128,7 +128,7 @@ def _estimate(
     noise: float,
     switches: Switches,
 ) -> _Pose:
-    """The body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
+    """Return the body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
     height = strength(switches.root_height, noise) * _ROOT_HEIGHT
     limbs, slip = strength(switches.limb_wobble, noise), strength(switches.foot_slip, noise)
     if height == limbs == slip == 0.0:
@@ -176,14 +176,14 @@ def _bend(
 
 
 def _shortest_turn(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Rotation:
-    """The rotation about the common normal that takes each direction to another one."""
+    """Return the rotation about the common normal that takes each direction to another one."""
     cross, dot = np.cross(first, second), np.einsum("ni,ni->n", first, second)
     sine = np.linalg.norm(cross, axis=1)
     return Rotation.from_rotvec(cross * (np.arctan2(sine, dot) / np.maximum(sine, 1e-15))[:, None])
 
 
 def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"]:
-    """Rotations of the joints 1 to 21 in their parents."""
+    """Return the rotations of the joints 1 to 21 in their parents."""
     world = [Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint]
     local = [(world[PARENTS[child]].inv() * world[child]).as_quat(scalar_first=True) for child in range(1, len(Joint))]
     return np.stack(local, axis=1)
@@ -192,7 +192,7 @@ def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"
 def _model_parameters(
     pose: _Pose, native_from_world: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "n 21 4"]]:
-    """Root pose in the native world, and local rotations; float32, as the files hold them."""
+    """Return the root pose in the native world, and local rotations; float32, as the files hold them."""
     turn = Rotation.from_matrix(native_from_world[:3, :3])
     root = turn * Rotation.from_quat(pose.rotations[:, Joint.PELVIS], scalar_first=True)
     position = turn.apply(pose.joints[:, Joint.PELVIS]) + native_from_world[:3, 3]

@@ -59,7 +59,7 @@ class TrueClip:
 
 
 def true_clips(performance: Performance) -> list[TrueClip]:
-    """All events of a performance that should become sequences."""
+    """Return all events of a performance that should become sequences."""
     return [_clip(performance, event) for event in performance.events if event.expected == "sequence"]
 
 
@@ -72,7 +72,7 @@ def _clip(performance: Performance, event: TrueEvent) -> TrueClip:
 
 
 def sample_joints(performance: Performance, times: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m 22 3"]:
-    """Joints between frames, by cubic interpolation: linear interpolation would add jerk of its own."""
+    """Return joints between frames, by cubic interpolation: linear interpolation would add jerk of its own."""
     first, last = np.searchsorted(performance.times, [times[0], times[-1]])
     part = slice(max(int(first) - 3, 0), int(last) + 4)
     velocity = np.gradient(performance.joints[part], performance.times[part], axis=0)
@@ -89,7 +89,7 @@ class SequenceStatistics:
     hand: Spread
 
     def deviations(self, target: SequenceStatistics) -> dict[str, float]:
-        """(ours - target) / target sd of every mean."""
+        """Return (ours - target) / target sd of every mean."""
         names = ("duration", "gap", "body", "hand")
         pairs = {name: (getattr(self, name), getattr(target, name)) for name in names}
         return {name: (ours.mean - theirs.mean) / theirs.sd for name, (ours, theirs) in pairs.items()}
@@ -105,7 +105,7 @@ TARGETS: Mapping[str, SequenceStatistics] = MappingProxyType(
 
 
 def sequence_statistics(clips: Sequence[TrueClip]) -> SequenceStatistics:
-    """Mean and spread of the four numbers over sequences."""
+    """Return mean and spread of the four numbers over sequences."""
     gaps = np.array([clip.event.event_time - clip.start - clip.prime_after for clip in clips])
     return SequenceStatistics(
         duration=_spread(gaps + 2.0),
@@ -151,5 +151,5 @@ def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
 
 
 def clips_of(performances: Sequence[Performance]) -> list[TrueClip]:
-    """The sequences of several performances."""
+    """Return the sequences of several performances."""
     return [clip for performance in performances for clip in true_clips(performance)]

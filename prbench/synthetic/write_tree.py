@@ -151,7 +151,7 @@ def synthesize_tree(
 
 
 def planned_recordings(size: str, recordings: int | None) -> int:
-    """How many recordings a tree will have.
+    """Return how many recordings a tree will have.
 
     Raises:
         UsageError: for less than one, or a size that is not written.

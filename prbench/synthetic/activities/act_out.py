@@ -29,7 +29,7 @@ _LOOP_EASE = 0.35  # s in which a loop begins and ends
 def move_hands(
     plan: Plan, script: Script, trunk: Trunk, legs: Legs, sway: Sway, head: Head, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3"]]:
-    """Wanted wrists, and directions of the elbows in the chest's frame. Commands are applied in time order."""
+    """Return wanted wrists, and directions of the elbows in the chest's frame. Commands act in time order."""
     rest = move_wrists(plan, trunk, sway, times)
     wrists = rest.copy()
     commands = sorted(script.hands, key=lambda command: command.begin)
@@ -74,7 +74,7 @@ def _target(
 
 
 def _loop(loop: Loop | None, trunk: Trunk, times: np.ndarray) -> np.ndarray:
-    """The ellipse in the chest's frame, growing at its beginning and shrinking at its end."""
+    """Return the ellipse in the chest's frame, growing at its beginning and shrinking at its end."""
     if loop is None:
         return np.zeros(3)
     size = minimum_jerk((times - loop.begin) / _LOOP_EASE) * minimum_jerk((loop.end - times) / _LOOP_EASE)
@@ -90,7 +90,7 @@ _NOWHERE = Room("", (0.0, 0.0), (), ())
 
 
 def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generator) -> Motion:
-    """The whole body at every frame.
+    """Return the whole body at every frame.
 
     Args:
         preset: Gains of the head.
@@ -121,7 +121,7 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
 
 
 def sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
-    """Where the feet carry the person, at every frame."""
+    """Return where the feet carry the person, at every frame."""
     path = sample_base(script.start, (), times)
     x, z, heading = path.x.copy(), path.z.copy(), path.heading.copy()
     for move in script.moves:
@@ -142,7 +142,7 @@ def sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
 
 
 def _seated(script: Script, times: np.ndarray) -> Float[np.ndarray, " n"]:
-    """0 standing to 1 sitting."""
+    """Return 0 where the person stands to 1 where they sit."""
     seated = np.zeros(times.size)
     for sit in script.sits:
         blend(seated, times, sit.begin, sit.duration, float(sit.down))
@@ -150,7 +150,7 @@ def _seated(script: Script, times: np.ndarray) -> Float[np.ndarray, " n"]:
 
 
 def _sat_back(base: BasePath, seated: np.ndarray, stature: float) -> BasePath:
-    """The pelvis moves back onto the seat; the feet stay."""
+    """Move the pelvis back onto the seat; the feet stay."""
     back = _SEAT_BACK * stature * seated
     return replace(base, x=base.x - back * np.sin(base.heading), z=base.z - back * np.cos(base.heading))
 
@@ -171,7 +171,7 @@ def _bending(script: Script, seated: np.ndarray, times: np.ndarray) -> Bending:
 def _all_looks(
     script: Script, base: BasePath, seated: np.ndarray, times: np.ndarray, rng: np.random.Generator
 ) -> tuple[Look, ...]:
-    """The looks of the activities, and looks ahead in between."""
+    """Return the looks of the activities, and looks ahead in between."""
     looks: list[Look] = []
     now = 0.0
     last = Look(float(times[-1]), float(times[-1]), np.zeros(3), False, None)
@@ -189,7 +189,7 @@ def _all_looks(
 def _ahead(
     script: Script, base: BasePath, seated: np.ndarray, times: np.ndarray, now: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A point some metres ahead of where the person will soon be and face."""
+    """Return a point some metres ahead of where the person will soon be and face."""
     index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
     pose: BasePose = base.pose(index)
     height = script.person.body.stature * (0.93 - 0.22 * float(seated[index]))

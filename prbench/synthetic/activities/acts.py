@@ -87,7 +87,7 @@ def stand(stage: Stage) -> None:
 
 
 def look_around(stage: Stage) -> None:
-    """Wide looks to both sides."""
+    """Look far to both sides in turn."""
     begin, time, side = stage.now, stage.now, stage.side()
     for _ in range(int(stage.rng.integers(3, 5))):
         length = stage.draw(0.75, 1.15)
@@ -107,7 +107,7 @@ def look_at_hands(stage: Stage) -> None:
 
 
 def step_sideways(stage: Stage) -> None:
-    """Side steps, still facing the same way."""
+    """Step sideways, still facing the same way."""
     begin, side = stage.now, stage.side()
     goal = stage.base.point + side * stage.draw(0.3, 0.6) * stage.base.left
     segment = stage.go(replace(stage.base, x=float(goal[0]), z=float(goal[2])), 1.0)
@@ -115,7 +115,7 @@ def step_sideways(stage: Stage) -> None:
 
 
 def step_back(stage: Stage) -> None:
-    """Steps backwards."""
+    """Step backwards."""
     begin = stage.now
     goal = stage.base.point - stage.draw(0.3, 0.55) * stage.base.forward
     segment = stage.go(replace(stage.base, x=float(goal[0]), z=float(goal[2])), 1.0)
@@ -149,17 +149,17 @@ def _rub(stage: Stage, name: str, size: tuple[float, float], frequency: tuple[fl
 
 
 def wipe(stage: Stage) -> None:
-    """Wide circles of a hand before the body, as on a table."""
+    """Move a hand in wide circles before the body, as on a table."""
     _rub(stage, "wipe", (0.12, 0.15), (0.8, 1.2))
 
 
 def stir(stage: Stage) -> None:
-    """Small quick circles of a hand, as in a pot."""
+    """Move a hand in small quick circles, as in a pot."""
     _rub(stage, "stir", (0.08, 0.10), (1.2, 1.6))
 
 
 def crouch(stage: Stage) -> None:
-    """Down with bent knees, and up again."""
+    """Go down with bent knees, and up again."""
     begin, depth = stage.now, stage.draw(0.32, 0.48)
     down = 0.8 + 1.25 * depth
     stay = stage.draw(0.4, 1.0)
@@ -178,7 +178,7 @@ def bend_forward(stage: Stage) -> None:
 
 
 def wave(stage: Stage) -> None:
-    """A hand waves beside the head."""
+    """Wave a hand beside the head."""
     begin, hand = stage.now, stage.free_hand()
     frequency, cycles = stage.draw(1.5, 2.5), int(stage.rng.integers(3, 7))
     waving = cycles / frequency
@@ -191,7 +191,7 @@ def wave(stage: Stage) -> None:
 
 
 def raise_arms(stage: Stage) -> None:
-    """Both arms up, and down again."""
+    """Raise both arms, and lower them again."""
     begin, up, stay = stage.now, stage.draw(0.9, 1.2), stage.draw(0.4, 1.1)
     for hand in (0, 1):
         stage.move_hand(hand, begin, up, "shoulder", (stage.draw(0.02, 0.06), 0.265, 0.05), bulge=_BULGE)
@@ -200,7 +200,7 @@ def raise_arms(stage: Stage) -> None:
 
 
 def scratch_head(stage: Stage) -> None:
-    """A hand rubs the head."""
+    """Rub the head with a hand."""
     begin, hand, length = stage.now, stage.free_hand(), stage.draw(2.8, 3.8)
     loop = Loop(
         begin + 0.8,
@@ -215,14 +215,14 @@ def scratch_head(stage: Stage) -> None:
 
 
 def sit_down(stage: Stage) -> None:
-    """Onto a chair that nobody sees."""
+    """Sit down on a chair that is not shown."""
     begin = stage.now
     stage.sit(down=True)
     stage.did("sit down", begin, begin + SITTING_TIME + 0.6)
 
 
 def stand_up(stage: Stage) -> None:
-    """From the chair."""
+    """Stand up from the chair."""
     begin = stage.now
     stage.sit(down=False)
     stage.did("stand up", begin, begin + SITTING_TIME + 0.5)

@@ -82,7 +82,7 @@ _LEGS = {
 
 
 def narrate(script: Script, motion: Motion, rate: float, rng: np.random.Generator) -> tuple[TrueNarration, ...]:
-    """Every activity in words, told from what the body did.
+    """Describe every activity in words, from what the body did.
 
     Args:
         script: What was planned, for names and times.
@@ -106,7 +106,7 @@ def _span(script: Script, motion: Motion, act: Act, rate: float) -> Span:
 
 
 def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[TrueNarration]:
-    """One row an activity; two short neighbours may share one."""
+    """Write one row an activity; two short neighbours may share one."""
     narrations, number = [], 0
     while number < len(facts):
         act, fact = facts[number]
@@ -141,7 +141,7 @@ def _about_body(act: Act, fact: Facts) -> TrueNarration:
 
 
 def _summaries(facts: list[tuple[Act, Facts]]) -> list[TrueNarration]:
-    """What happened in stretches of 15 to 30 seconds."""
+    """Return what happened in stretches of 15 to 30 seconds."""
     narrations: list[TrueNarration] = []
     members: list[tuple[Act, Facts]] = []
     for act, fact in facts:
@@ -176,7 +176,7 @@ _BESIDE = np.deg2rad(18.0)
 
 
 def narrate_events(performance: Performance, rng: np.random.Generator) -> tuple[TrueNarration, ...]:
-    """One narration for every pick and put of a performance, in time order; overlapping ones are left out."""
+    """Write one narration for every pick and put of a performance, in time order, without overlaps."""
     narrations = _waiting(performance, rng)
     for event in sorted(performance.events, key=lambda event: event.event_time):
         if event.expected in ("not_an_event", "excluded_category", "other_wearer"):
@@ -193,7 +193,7 @@ def narrate_events(performance: Performance, rng: np.random.Generator) -> tuple[
 
 
 def _waiting(performance: Performance, rng: np.random.Generator) -> list[TrueNarration]:
-    """Everybody stands for some seconds before anything happens; seated people have no words here."""
+    """Describe the seconds of standing before anything happens; seated people have no words here."""
     end = min([OPENING, *(event.motor_start for event in performance.events)])
     knees = performance.joints[0, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE], 1].mean()
     if performance.joints[0, Joint.PELVIS, 1] < 1.4 * knees:
@@ -203,7 +203,7 @@ def _waiting(performance: Performance, rng: np.random.Generator) -> list[TrueNar
 
 
 def goal_facts(performance: Performance, event: TrueEvent, since: float) -> Facts:
-    """What the words for a pick or put depend on.
+    """Return what the words for a pick or put depend on.
 
     Args:
         performance: Who did it.
@@ -223,7 +223,7 @@ def goal_facts(performance: Performance, event: TrueEvent, since: float) -> Fact
 
 
 def spoken_name(name: str) -> str:
-    """``cup_red`` and ``BlackCeramicMug`` as people say them: red cup, black ceramic mug."""
+    """Return ``cup_red`` and ``BlackCeramicMug`` as people say them: red cup, black ceramic mug."""
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name.replace("_", " "))
     words = [word.lower() for word in words]
     colours = {"red", "green", "blue", "pink", "white", "black", "bamboo"}
@@ -233,7 +233,7 @@ def spoken_name(name: str) -> str:
 
 
 def _place(performance: Performance, event: TrueEvent) -> str:
-    """The furniture under the goal, and whether it is low or high."""
+    """Return the furniture under the goal, and whether it is low or high."""
     bottom = event.goal.copy()
     bottom[1] = event.box_min[1]
     surfaces = [item for item in performance.objects if not item.movable and len(item.position) == 1]
@@ -244,7 +244,7 @@ def _place(performance: Performance, event: TrueEvent) -> str:
 
 
 def _distance_to_top(item: ObjectMotion, point: np.ndarray) -> float:
-    """Of a point from the rectangle on top of a box that stands along the walls."""
+    """Return the distance of a point from the rectangle on top of a box that stands along the walls."""
     w, _, y, _ = item.rotation[0]
     yaw = 2.0 * np.arctan2(y, w)
     offset = point - item.position[0]
@@ -255,7 +255,7 @@ def _distance_to_top(item: ObjectMotion, point: np.ndarray) -> float:
 
 
 def _side(joints: np.ndarray, event: TrueEvent) -> str:
-    """Where the goal is seen from the body at the event."""
+    """Return in words where the goal lies, seen from the body at the event."""
     pelvis = joints[-1, Joint.PELVIS]
     bearing = np.arctan2(event.goal[0] - pelvis[0], event.goal[2] - pelvis[2]) - facing_yaw(joints[-1])
     bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi

@@ -49,7 +49,7 @@ class Cast:
 
 
 def cast_of(seed: int, index: int) -> Cast:
-    """Who acts in recording ``index`` of the corpus of a seed."""
+    """Return who acts in recording ``index`` of the corpus of a seed."""
     preset = _GOAL_PRESETS[(index // _EVERY) % len(_GOAL_PRESETS)] if index % _EVERY == _EVERY - 1 else None
     source = _source(seed, "activities") if preset is None else Source(_goal_seed(seed), preset, "default")
     casting = cast(source, index, "person_and_room")
@@ -108,7 +108,7 @@ def _source(seed: int, preset: str) -> Source:
 
 
 def _goal_seed(seed: int) -> int:
-    """Of the prime-and-reach recordings: no seed that anybody gives to a benchmark table."""
+    """Return the seed of the prime-and-reach recordings, which nobody gives to a benchmark table."""
     drawn = named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", "goals").integers(2**40, 2**60)
     return int(drawn)
 

@@ -38,7 +38,7 @@ class Arc:
         return BasePose(float(x[0]), float(z[0]), float(heading[0]))
 
     def at(self, progress: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x, z and heading after a share of the way."""
+        """Return x, z and heading after a share of the way."""
         radius, first = self.length / self.turn, self.start.heading
         heading = first + progress * self.turn
         x = self.start.x + radius * (np.cos(first) - np.cos(heading))
@@ -151,26 +151,26 @@ class Stage:
         return self.person.body.stature
 
     def draw(self, low: float, high: float) -> float:
-        """Uniform."""
+        """Draw a uniform number."""
         return float(self.rng.uniform(low, high))
 
     def side(self) -> int:
-        """+1 left or -1 right, equally often."""
+        """Draw +1 (left) or -1 (right), equally often."""
         return 1 if self.rng.random() < 0.5 else -1
 
     def free_hand(self) -> int:
-        """The preferred hand three times in four."""
+        """Draw a hand: the preferred one three times in four."""
         right = bool(self.person.habits.right_handed) is (self.rng.random() < 0.75)
         return int(right)
 
     def did(self, name: str, begin: float, end: float, hand: int | None = None) -> None:
-        """An activity is planned; the next begins after it."""
+        """Record that an activity is planned; the next begins after it."""
         self.script.acts.append(Act(name, begin, end, hand))
         self.now = end
         self.script.end = end
 
     def pace(self, speed: float, distance: float) -> float:
-        """The factor on this person's usual speed at which a way of that length is walked that fast."""
+        """Return the factor on this person's usual speed at which a way of that length is walked that fast."""
         return speed / (self.person.habits.walk_speed * float(1.0 - np.exp(-(distance + 0.15) / 0.75)))
 
     def go(self, goal: BasePose, pace: float) -> Segment | None:
@@ -182,7 +182,7 @@ class Stage:
         return segment
 
     def ahead(self, distance: float, heading: float) -> BasePose:
-        """A place in some direction, facing that way."""
+        """Return a place in some direction, facing that way."""
         return BasePose(
             self.base.x + distance * float(np.sin(heading)), self.base.z + distance * float(np.cos(heading)), heading
         )
@@ -225,7 +225,7 @@ class Stage:
         self.script.hands.append(Hand(hand, at, duration, place, offset, bulge=bulge))
 
     def rest(self, hand: int, at: float, duration: float, *, bulge: float = 0.0) -> None:
-        """Back to where the hand waits."""
+        """Bring a hand back to where it waits."""
         self.move_hand(hand, at, duration, "thigh" if self.is_seated else "rest", bulge=bulge)
 
     def look(self, begin: float, end: float, yaw: float, pitch: float, distance: float = 2.5) -> None:
@@ -251,7 +251,7 @@ class Stage:
         return point + np.array([0.0, self.stature * (_SEATED_EYE_HEIGHT if self.is_seated else _EYE_HEIGHT), 0.0])
 
     def before_chest(self, up: float, forward: float, left: float = 0.0) -> np.ndarray:
-        """A point of the world before the person; fractions of the stature, ``up`` from the eyes."""
+        """Return a point of the world before the person; fractions of the stature, ``up`` from the eyes."""
         return self.eye + self.stature * (
             up * np.array([0.0, 1.0, 0.0]) + forward * self.base.forward + left * self.base.left
         )

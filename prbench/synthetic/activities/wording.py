@@ -81,20 +81,20 @@ def facts_of(name: str, hand: int | None, span: Span) -> Facts:
 
 
 def clause(facts: Facts, rng: np.random.Generator) -> str:
-    """One of the patterns of an activity with its slots filled."""
+    """Draw one of the patterns of an activity and fill its slots."""
     patterns = PATTERNS[facts.name]
     filled = patterns[int(rng.integers(len(patterns)))].format_map(facts.slots)
     return re.sub(r"\s+([,.])", r"\1", re.sub(r"\s+", " ", filled)).strip()
 
 
 def sentence(clauses: list[str], rng: np.random.Generator) -> str:
-    """Clauses with a subject; two activities are joined by "then"."""
+    """Put a subject before the clauses; two activities are joined by "then"."""
     subject = _SUBJECTS[int(rng.random() < _OTHER_SUBJECT)]
     return f"{subject} {', then '.join(clauses)}."
 
 
 def walking_speed(span: Span) -> float:
-    """Median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s."""
+    """Return the median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s."""
     tenth = max(1, round(span.rate / 10.0))
     way = np.diff(span.joints[::tenth, Joint.PELVIS][:, [0, 2]], axis=0)
     speed = np.linalg.norm(way, axis=1) * span.rate / tenth
@@ -102,12 +102,12 @@ def walking_speed(span: Span) -> float:
 
 
 def speed_word(speed: float) -> str:
-    """``slowly``, ``briskly`` or nothing."""
+    """Return ``slowly``, ``briskly`` or nothing."""
     return "slowly" if speed < SLOW else "briskly" if speed > BRISK else ""
 
 
 def amount_word(degrees: float) -> str:
-    """How far somebody turns."""
+    """Return the word for how far somebody turns."""
     return "slightly" if degrees < SLIGHT else "around" if degrees > AROUND else ""
 
 
@@ -121,7 +121,7 @@ def _distance_word(metres: float) -> str:
 
 
 def _reach_height(joints: np.ndarray, hand: int) -> str:
-    """Where the wrist is when it is farthest from the shoulder's vertical."""
+    """Return in words where the wrist is when it is farthest from the shoulder's vertical."""
     wrist, shoulder = joints[:, WRISTS[hand]], joints[:, Joint.LEFT_SHOULDER + hand]
     out = np.linalg.norm((wrist - joints[:, Joint.PELVIS])[:, [0, 2]], axis=1)
     frame = int(out.argmax())

@@ -48,14 +48,14 @@ class Defect:
 
 
 def defects_of(preset: str) -> tuple[Defect, ...]:
-    """All defects of a preset's layout."""
+    """Return all defects of a preset's layout."""
     if preset not in DEFECT_MODULES:
         return ()
     return importlib.import_module(DEFECT_MODULES[preset]).DEFECTS
 
 
 def defect(preset: str, name: str) -> Defect:
-    """One defect by name.
+    """Return one defect by name.
 
     Raises:
         UsageError: for an unknown one, naming those there are.

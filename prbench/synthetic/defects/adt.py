@@ -18,7 +18,7 @@ from prbench.synthetic.defects import Damage, Defect, Row, change_json, changed_
 
 
 def _truncated(name: str) -> Damage:
-    """As a copy that stopped: the file ends in the middle of a number."""
+    """Cut a file in the middle of a number, as a copy that stopped."""
 
     def cut(root: Path, recording: str) -> None:
         path = root / recording / name
@@ -84,20 +84,20 @@ def _two_swapped(rows: list[Row]) -> list[Row]:
 
 
 def _one_object_lost(rows: list[Row]) -> list[Row]:
-    """All poses of one tracked object are gone."""
+    """Remove all poses of one tracked object."""
     lost = min(row[adt.OBJECT_ID] for row in rows if row[adt.OBJECT_TIME] != str(adt.STATIC_TIME))
     return [row for row in rows if row[adt.OBJECT_ID] != lost]
 
 
 def _objects_untracked(rows: list[Row]) -> list[Row]:
-    """No object is tracked in the middle third of the recording."""
+    """Remove all poses of objects in the middle third of the recording."""
     times = sorted({int(row[adt.OBJECT_TIME]) for row in rows} - {adt.STATIC_TIME})
     first, last = times[len(times) // 3], times[2 * len(times) // 3]
     return [row for row in rows if not first <= int(row[adt.OBJECT_TIME]) < last]
 
 
 def _skeleton(root: Path, recording: str) -> Path:
-    """The wearer's skeleton file."""
+    """Return the wearer's skeleton file."""
     folder = root / recording
     serial = json.loads((folder / adt.METADATA_FILE).read_text())["serial"]
     people = json.loads((folder / adt.ASSOCIATION_FILE).read_text())["SkeletonMetadata"]
@@ -110,7 +110,7 @@ def _missing_skeleton(root: Path, recording: str) -> None:
 
 
 def _no_skeleton(root: Path, recording: str) -> None:
-    """More than half of the dataset: nobody wore the suit."""
+    """Remove the suit, which nobody wore in more than half of the dataset."""
     _missing_skeleton(root, recording)
     write_json(root / recording / adt.ASSOCIATION_FILE, {"SkeletonMetadata": []})
 
@@ -130,7 +130,7 @@ def _frames(change: Callable[[list[Any]], None]) -> Damage:
 
 
 def _lost_markers(frames: list[Any]) -> None:
-    """The suit is out of sight for a second: all joints at the origin."""
+    """Move all joints to the origin for a second, as a suit out of sight does."""
     for frame in frames[len(frames) // 2 : len(frames) // 2 + 120]:
         frame["joints"] = [[0, 0, 0]] * adt.N_NATIVE_JOINTS
 
@@ -150,7 +150,7 @@ def _other_clock(content: dict[str, Any]) -> None:
 
 
 def _mps_gaze(root: Path, recording: str) -> None:
-    """The release's gaze is not there, but that of the services is: schema and places of another version."""
+    """Replace the release's gaze by that of the services: schema and places of another version."""
     folder = root / recording / adt.MPS_FOLDER / "eye_gaze"
     folder.mkdir(parents=True)
     (root / recording / adt.GAZE_FILE).rename(folder / mps.GAZE_FILES[2])

@@ -32,7 +32,7 @@ def _gaze_archive(root: Path, video: str) -> Path:
 
 
 def _slam_archive(root: Path, video: str) -> Path:
-    """The archive that the participant's map names."""
+    """Return the archive that the participant's map names."""
     for path in sorted((root / hd_epic.DATA_FOLDER).glob(f"{hd_epic.MPS_FOLDER}/*/*/*/{hd_epic.SLAM_MAP_FILE}")):
         for key, number in json.loads(path.read_text()).items():
             if key.endswith(f"/{video}.vrs"):
@@ -76,7 +76,7 @@ def _truncated_time(root: Path, video: str) -> None:
 
 
 def _swapped_clock(root: Path, video: str) -> None:
-    """Microseconds where the column says nanoseconds."""
+    """Write microseconds where the column says nanoseconds."""
     change_cells(_time_file(root, video), lambda rows: [[a, b, str(int(c) // 1000)] for a, b, c in rows])
 
 
@@ -138,14 +138,14 @@ def _missing_bodies(root: Path, video: str) -> None:
 
 
 def _foreign_bodies(root: Path, video: str) -> None:
-    """Another video's outputs, copied here."""
+    """Copy another video's outputs here."""
     others = [path for path in sorted((root / ego.POSES_FOLDER).iterdir()) if path.name != video]
     _missing_bodies(root, video)
     shutil.copytree(others[0], root / ego.POSES_FOLDER / video)
 
 
 def _other_alignment(root: Path, video: str) -> None:
-    """No multi-recording SLAM, but an archive of an unknown layout."""
+    """Replace the multi-recording SLAM by an archive of an unknown layout."""
     path = _slam_archive(root, video)
     target = path.parents[2] / hd_epic.OTHER_SLAM_FOLDER / f"{video}.zip"
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -158,7 +158,7 @@ def _other_alignment(root: Path, video: str) -> None:
 
 
 def _unpacked(root: Path, video: str) -> None:
-    """What users do with archives."""
+    """Unpack the archives, as users do."""
     for path in (_slam_archive(root, video), _gaze_archive(root, video)):
         with zipfile.ZipFile(path) as archive:
             archive.extractall(path.parent)

@@ -92,13 +92,13 @@ def _move_elsewhere(rows: Rows) -> Rows:
 
 
 def _shift_a_third(rows: Rows) -> Rows:
-    """The clock jumps by 3 ms in the middle: neither an offset nor a drift fits all rows."""
+    """Let the clock jump by 3 ms in the middle: neither an offset nor a drift fits all rows."""
     later = 2 * len(rows) // 3
     return [[row[0], str(int(row[1]) + 3_000_000), *row[2:]] if n > later else row for n, row in enumerate(rows)]
 
 
 def _lose_an_object(rows: Rows) -> Rows:
-    """A quarter of one object's instants is missing, RGB and SLAM rows alike."""
+    """Remove a quarter of one object's instants, RGB and SLAM rows alike."""
     uid, seen = rows[0][0], 0
     kept = []
     for row in rows:
@@ -109,19 +109,19 @@ def _lose_an_object(rows: Rows) -> Rows:
 
 
 def _lose_slam(rows: Rows) -> Rows:
-    """A second in the middle was not tracked."""
+    """Remove a second in the middle."""
     middle = len(rows) // 2
     return [*rows[:middle], *rows[middle + 1000 :]]
 
 
 def _lose_gaze_angles(root: Path, recording: str) -> None:
-    """No row holds an angle, as while eyes are closed."""
+    """Empty the angles of every row, as while eyes are closed."""
     for path in (root / recording / hot3d.MPS_FOLDER / GAZE_FOLDER).glob("*_eye_gaze.csv"):
         change_cells(path, lambda rows: [[row[0], "", "", "", *row[4:]] for row in rows])
 
 
 def _fail_the_start(root: Path, recording: str) -> None:
-    """Newer releases say which frames are wrong: here the first second."""
+    """Mark the first second as wrong, as newer releases do."""
     header, *lines = (
         (root / recording / hot3d.MASK_FOLDER / "mask_hand_pose_available.csv").read_text(encoding="utf-8").splitlines()
     )

@@ -39,7 +39,7 @@ def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _with_rows(part: str, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Damage:
-    """A defect that writes other rows under the same name, with the same attributes."""
+    """Return a damage that writes other rows under the same name, with the same attributes."""
 
     def apply(root: Path, recording: str) -> None:
         with h5py.File(_file(root, recording, part), "r+") as file:
@@ -96,7 +96,7 @@ def _write_metres(rows: np.ndarray) -> np.ndarray:
 
 
 def _disorder_segments(rows: np.ndarray) -> np.ndarray:
-    """Out of order, repeated, ending before they begin, outside of the recording, and of unknown things."""
+    """Add segments out of order, repeated, ending before they begin, beyond the recording, and of unknown things."""
     bad = [(70, 60, b"null"), (10_000_000, 10_000_100, b"null"), (5, 20, b"spoon")]
     return np.concatenate([rows[::-1], rows[:1], np.array(bad, dtype=rows.dtype)])
 

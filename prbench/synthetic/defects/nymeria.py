@@ -27,7 +27,7 @@ def _narration(root: Path, recording: str, name: str = _ATOMIC) -> Path:
 
 
 def _on_arrays(change: Callable[[Arrays], None]) -> Damage:
-    """A defect that changes arrays of the suit's file."""
+    """Return a damage that changes arrays of the suit's file."""
 
     def apply(root: Path, recording: str) -> None:
         path = _suit(root, recording)
@@ -41,7 +41,7 @@ def _on_arrays(change: Callable[[Arrays], None]) -> Damage:
 
 
 def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Damage:
-    """A defect that changes the rows below the header of the atomic actions."""
+    """Return a damage that changes the rows below the header of the atomic actions."""
 
     def apply(root: Path, recording: str) -> None:
         path = _narration(root, recording)
@@ -58,7 +58,7 @@ def _jump(arrays: Arrays) -> None:
 
 
 def _back_and_forth(arrays: Arrays) -> None:
-    """Jumps that cancel each other, which a test of the end point alone lets pass."""
+    """Let the clock jump there and back, which a test of the end point alone lets pass."""
     third = len(arrays["timestamps_us"]) // 3
     arrays["timestamps_us"][third : 2 * third] -= 61_400
 
@@ -88,7 +88,7 @@ def _fewer_frames(arrays: Arrays) -> None:
 
 
 def _y_up(arrays: Arrays) -> None:
-    """Exported with another axis up, the head where the suit has the feet."""
+    """Turn another axis up, with the head where the suit has the feet."""
     position = arrays["segment_tXYZ"].reshape(-1, nymeria.N_SEGMENTS, 3)
     arrays["segment_tXYZ"] = position[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
     arrays["segment_tXYZ"][..., 2] -= position[..., 2]
@@ -144,7 +144,7 @@ def _no_mark(root: Path, recording: str) -> None:
 
 
 def _another_head(root: Path, recording: str) -> None:
-    """The trajectory of another recording: the same poses backwards in time."""
+    """Replace the trajectory by one of another recording: the same poses backwards in time."""
     path = root / recording / nymeria.HEAD_FOLDER / "mps" / "slam" / nymeria.TRAJECTORY_FILE
     change_cells(path, lambda rows: [[*row[:2], *other[2:]] for row, other in zip(rows, reversed(rows), strict=True)])
 

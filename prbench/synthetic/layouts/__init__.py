@@ -82,7 +82,7 @@ class Layout:
 
 
 def layout_for(preset: str) -> Layout:
-    """The layout of a preset.
+    """Return the layout of a preset.
 
     Raises:
         UsageError: for a preset of which there is motion only, naming those that have a layout.

@@ -33,7 +33,7 @@ _QUATERNION_SCALAR_LAST = (1, 2, 3, 0)
 def estimated_outputs(
     performance: Performance, readings: adt.AdtReadings, *, noise: float = 1.0, switches: Switches | None = None
 ) -> tuple[ego.EgoAlloOutput, ...]:
-    """What EgoAllo would make of the glasses of one recording, in the scene turned to Z up."""
+    """Return what EgoAllo would make of the glasses of one recording, in the scene turned to Z up."""
     return sense_egoallo(
         performance,
         prepared_trajectory(readings.glasses),

@@ -85,7 +85,7 @@ def _trajectory_columns(trajectory: mps.AriaTrajectory) -> dict[str, object]:
 
 
 def _velocities(trajectory: mps.AriaTrajectory) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Linear (m/s) and angular (rad/s) velocity in the device frame, between neighbouring rows; not to be used."""
+    """Return linear (m/s) and angular (rad/s) velocity in the device frame, between neighbouring rows."""
     rotation = Rotation.from_quat(trajectory.rotation, scalar_first=True)
     if len(rotation) < 2:
         return np.zeros((len(rotation), 3)), np.zeros((len(rotation), 3))
@@ -96,7 +96,7 @@ def _velocities(trajectory: mps.AriaTrajectory) -> tuple[Float[np.ndarray, "n 3"
 
 
 def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:
-    """The schema of two eyes, which here look in parallel."""
+    """Return columns in the schema of two eyes, which here look in parallel."""
     yaw, yaw_range = np.round(gaze.yaw, 6), np.round(gaze.yaw_range, 6)
     n = len(yaw)
     return {
@@ -169,7 +169,7 @@ def _from_translation(place: np.ndarray) -> np.ndarray:
 
 
 def _intrinsics(label: str) -> tuple[float, float, float]:
-    """Focal length and principal point, pixels: 2880 x 2880 for RGB, 640 x 480 for SLAM."""
+    """Return the focal length and principal point, pixels: 2880 x 2880 for RGB, 640 x 480 for SLAM."""
     return (1220.0, 1440.0, 1440.0) if label == "camera-rgb" else (242.0, 320.0, 240.0)
 
 

@@ -21,7 +21,7 @@ from prbench.storage import atomic_path
 
 
 def split_columns(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:
-    """The columns of an array under their names."""
+    """Return the columns of an array under their names."""
     return {name: columns[:, index] for index, name in enumerate(names)}
 
 
@@ -44,7 +44,7 @@ _KEY = b"X" + struct.pack("<I", 1) + b"0"
 
 
 def pickled_tensors(values: Mapping[str, np.ndarray], *, requires_grad: Collection[str] = ()) -> bytes:
-    """A pickled dictionary of torch tensors.
+    """Return a pickled dictionary of torch tensors.
 
     Args:
         values: float32 arrays of one axis by name.
@@ -76,7 +76,7 @@ class _Pickler(pickle.Pickler):
 
 @cache
 def _storage_head(size: int) -> bytes:
-    """What ``torch.save`` writes before the numbers of a float32 storage, with a fixed key for the memory address."""
+    """Return what ``torch.save`` writes before float32 numbers, with a fixed key for the memory address."""
     import torch
 
     buffer = io.BytesIO()
@@ -98,7 +98,7 @@ _FLOAT, _SHORT, _TRIANGLES = 5126, 5123, 4
 
 
 def glb_bytes(mesh: ObjectMesh, *, name: str, turned: bool) -> bytes:
-    """The file of one model: the node's transform brings its raw vertices into the object's frame.
+    """Return the file of one model: the node's transform brings its raw vertices into the object's frame.
 
     Args:
         mesh: In the object's frame, metres; less than 65,536 vertices.

@@ -50,7 +50,7 @@ def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
 
 
 def write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
-    """One pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them."""
+    """Write one pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them."""
     folder.mkdir(parents=True)
     zeros = {name: np.zeros(size, dtype=np.float32) for name, size in _UNUSED_KEYS.items()}
     for row, frame in enumerate(poses.frames):
@@ -59,7 +59,7 @@ def write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
 
 
 def write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
-    """Two PLY files a frame: the point with copies of it beside it, and some points of the cone around it."""
+    """Write two PLY files a frame: the point with copies of it beside it, and some points of the cone around it."""
     folder.mkdir(parents=True)
     around = np.linspace(-0.05, 0.05, _CONE_POINTS)[:, None] * np.ones(3)
     for frame, point in zip(gaze.frames, gaze.points, strict=True):
@@ -68,7 +68,7 @@ def write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
 
 
 def ply_bytes(vertices: Float[np.ndarray, "v 3"]) -> bytes:
-    """A binary PLY file of points with normals, as the dataset has them."""
+    """Return a binary PLY file of points with normals, as the dataset has them."""
     names = "".join(f"property double {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}end_header\n"
     rows = np.concatenate([vertices, np.tile([0.0, 1.0, 0.0], (len(vertices), 1))], axis=1)
@@ -76,7 +76,7 @@ def ply_bytes(vertices: Float[np.ndarray, "v 3"]) -> bytes:
 
 
 def write_bvh(motion: BvhMotion, path: Path) -> None:
-    """The hierarchy, whose joints stand in the order of a file, with an end site at every tip; six decimals."""
+    """Write the hierarchy, whose joints stand in the order of a file, with an end site at every tip; six decimals."""
     lines = ["HIERARCHY", *_joint_lines(motion, 0, ""), "MOTION", f"Frames: {len(motion.values)}"]
     lines.append(f"Frame Time: {motion.frame_time!r}")
     lines += [" ".join(f"{value:.6f}" for value in row) for row in motion.values.tolist()]
@@ -100,7 +100,7 @@ def _joint_lines(motion: BvhMotion, index: int, indent: str) -> list[str]:
 
 
 def write_table(path: Path, segments: Sequence[gimo.Segment]) -> None:
-    """``dataset.csv`` as the fuller copies have it."""
+    """Write ``dataset.csv`` as the fuller copies have it."""
     header = [*gimo.TABLE_COLUMNS, gimo.ACTIVITY_COLUMN, *[""] * _UNNAMED_COLUMNS]
     rows = [
         [
@@ -120,7 +120,7 @@ def write_table(path: Path, segments: Sequence[gimo.Segment]) -> None:
 
 
 def write_events(path: Path, events: Sequence[tuple[gimo.Segment, gimo.EventFrame]]) -> None:
-    """The table of events that a user would have annotated."""
+    """Write the table of events that a user would have annotated."""
     rows = [
         [segment.scene, segment.sequence, segment.start_frame, segment.end_frame, event.frame, "pick", event.hand or ""]
         for segment, event in events
@@ -138,7 +138,7 @@ def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
 
 
 def _as_shown(performance: Performance) -> Performance:
-    """The performance as the dataset can show it: rays from the head joint to the points on the scan."""
+    """Return the performance as the dataset can show it: rays from the head joint to the points on the scan."""
     points = sensors.looked_at(performance, performance.eye, performance.gaze)
     head = performance.joints[:, Joint.HEAD]
     apart = points - head
@@ -146,7 +146,7 @@ def _as_shown(performance: Performance) -> Performance:
 
 
 def _as_known(shown: Performance, event: TrueEvent) -> TrueEvent:
-    """A pick whose goal is the wrist on the annotated frame."""
+    """Return a pick whose goal is the wrist on the annotated frame."""
     frame = sensors.event_frame(shown, event) - sensors.first_frame(shown)
     instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
     wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]

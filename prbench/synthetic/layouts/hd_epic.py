@@ -48,7 +48,7 @@ _SHARE = msgspec.json.Decoder(_Share)
 
 
 def slam_number(video: str) -> str:
-    """Number of the SLAM archive that holds an invented video: its own, at the end of its name."""
+    """Return the number of the SLAM archive that holds an invented video: its own, at the end of its name."""
     return str(int(video.rpartition("_")[2]))
 
 
@@ -69,7 +69,7 @@ def write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
 
 
 def _write_archive(path: Path, folder: str, readings: mps.MpsReadings, roles: Collection[str]) -> None:
-    """MPS files in a zip archive; equal contents give equal bytes."""
+    """Write MPS files into a zip archive; equal contents give equal bytes."""
     with tempfile.TemporaryDirectory() as unpacked:
         write_mps(readings, Path(unpacked), only=roles)
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:

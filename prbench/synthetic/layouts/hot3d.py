@@ -95,7 +95,7 @@ def _finish(root: Path) -> None:
 
 
 def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
-    """Columns of a pose table, rows in the order of time."""
+    """Return columns of a pose table, rows in the order of time."""
     times = np.concatenate([rows.time_ns for rows in bodies.values()])
     order = np.argsort(times, kind="stable")
     uids = np.concatenate([np.full(len(rows.time_ns), uid) for uid, rows in bodies.items()])
@@ -108,7 +108,7 @@ def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
 
 
 def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
-    """One line an instant, also where no hand is tracked."""
+    """Write one line an instant, also where no hand is tracked."""
     lines: dict[int, dict[str, object]] = {time: {} for time in readings.headset.time_ns.tolist()}
     for hand in readings.hands:
         numbers = zip(
@@ -129,7 +129,7 @@ def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
 
 
 def profile(model: HandModel) -> dict[str, object]:
-    """The hand model with the keys of ``umetrack_hand_user_profile.json``, lengths in millimetres."""
+    """Return the hand model with the keys of ``umetrack_hand_user_profile.json``, lengths in millimetres."""
     bones = model.landmark_weights.argmax(axis=1)
     firsts = [joint % umetrack.JOINTS_A_FINGER == 0 for joint in range(umetrack.N_JOINTS)]
     return {
@@ -162,7 +162,7 @@ def _write_masks(readings: hot3d.Hot3dReadings, folder: Path) -> None:
 
 
 def mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
-    """One row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
+    """Return one row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
     slam = rows.time_ns + round(sensors.SLAM_DELAY * 1e9)
     streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
     return {

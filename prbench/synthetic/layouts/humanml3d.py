@@ -36,7 +36,7 @@ class CaptionedMotion:
 
 
 def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
-    """Neighbouring actions two by two: a caption for both together, and one for each part."""
+    """Return neighbouring actions two by two: a caption for both together, and one for each part."""
     rows = sorted(
         (row for row in motion.narrations if row.kind == "atomic_action"), key=lambda row: (row.start, row.end)
     )
@@ -61,7 +61,7 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
 
 
 def mirrored(motion: CaptionedMotion) -> CaptionedMotion:
-    """Left and right exchanged, in joints and words."""
+    """Exchange left and right, in joints and words."""
     joints = motion.joints * np.array([-1.0, 1.0, 1.0])
     swapped = joints.copy()
     for left, right in _PAIRS:
@@ -98,5 +98,5 @@ def _other_side(text: str) -> str:
 
 
 def _tokens(text: str) -> str:
-    """``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
+    """Return ``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
     return " ".join(f"{word}/X" for word in re.findall(r"[a-z]+", text.lower()))

@@ -77,7 +77,7 @@ def write_scene(root: Path, entries: dict[int, SceneEntry]) -> None:
 
 
 def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
-    """A box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
+    """Return a box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
     corners = np.where(_CORNERS, high, low).tolist()
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
     return "\n".join([*lines, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in _FACES), ""])
@@ -99,7 +99,7 @@ def _write_objects(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
 
 
 def _write_gaze(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
-    """One row more than the other files have, as in the release; columns of unknown meaning are zero."""
+    """Write one row more than the other files have, as in the release; columns of unknown meaning are zero."""
     rows = np.zeros((len(readings.gaze_points) + 1, _GAZE_COLUMNS))
     rows[:-1, mogaze.GAZE_POINT], rows[:-1, -1] = readings.gaze_points, readings.gaze_confidence
     rows[-1] = rows[-2]

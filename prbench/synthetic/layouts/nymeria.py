@@ -122,7 +122,7 @@ def _rotations(motion: NarratedMotion) -> Float[np.ndarray, "n 23 4"]:
 
 
 def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generator, noise: float) -> GlassesPoses:
-    """Eyes and head of the wearer; the frame of the glasses on the head is of no consequence here."""
+    """Return the eyes and head of the wearer; the frame of the glasses on the head is of no consequence here."""
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
     on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
     turned = _Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head
@@ -132,7 +132,7 @@ def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generat
 
 
 def calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
-    """The wearer in a T-pose: upright, arms out to the sides; Z up, metres."""
+    """Return the wearer in a T-pose: upright, arms out to the sides; Z up, metres."""
     lengths = dict(zip(range(1, len(PARENTS)), bone_lengths(motion.joints[0]), strict=True))
     tilt = np.deg2rad(motion.neck_tilt_deg)
     directions = {

@@ -133,12 +133,12 @@ class BasePath:
         return np.stack([self.x, np.zeros_like(self.x), self.z], axis=-1)
 
     def pose(self, index: int) -> BasePose:
-        """At one frame."""
+        """Return the base pose at one frame."""
         return BasePose(float(self.x[index]), float(self.z[index]), float(self.heading[index]))
 
 
 def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.ndarray, " n"]) -> BasePath:
-    """Base pose at every frame of a recording that begins standing at ``start``."""
+    """Return the base pose at every frame of a recording that begins standing at ``start``."""
     position = np.tile([start.x, start.z], (times.size, 1))
     heading = np.full(times.size, start.heading)
     for segment in segments:

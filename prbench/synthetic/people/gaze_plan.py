@@ -54,7 +54,7 @@ class _Timeline:
         self.looks: list[Look] = []
 
     def free_parts(self, start: float, end: float) -> list[tuple[float, float]]:
-        """What is left of an interval."""
+        """Return what is left of an interval."""
         parts = [(start, end)]
         for look in self.looks:
             parts = [
@@ -138,7 +138,7 @@ class _Scheduler:
         self.plan, self.base, self.eye, self.times, self.rng = plan, base, eye, times, rng
 
     def kind(self, reach: Reach) -> str:
-        """Whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
+        """Draw whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
         preset, chance = self.plan.preset, self.rng.random()
         if reach.action == "hover":
             return "unseen"
@@ -149,7 +149,7 @@ class _Scheduler:
         return "near" if chance < preset.unprimed + preset.near_miss else "plain"
 
     def prime_time(self, reach: Reach) -> float:
-        """When the first look at the goal begins."""
+        """Draw when the first look at the goal begins."""
         preset, rng = self.plan.preset, self.rng
         if reach.twist.gap is not None:
             return reach.event - reach.twist.gap
@@ -169,7 +169,7 @@ class _Scheduler:
         return min(prime, reach.event - _GAP_LIMITS[0])
 
     def goal_looks(self, reach: Reach, prime: float, kind: str) -> tuple[list[Look], list[Look], list[Look]]:
-        """Prime; guide; returns in between. In the order in which they claim time."""
+        """Draw prime, guide, and returns in between, in the order in which they claim time."""
         rng = self.rng
         guide = max(prime, reach.reach_start - float(rng.uniform(0.0, 0.45)))
         dwell = self.plan.preset.prime_look * np.exp(0.5 * rng.standard_normal())
@@ -190,7 +190,7 @@ class _Scheduler:
         return [first], [last] if last.end > last.start else [], returns
 
     def sweep(self, reach: Reach, prime: float) -> tuple[list[Look], list[Look], list[Look]]:
-        """Two short looks on both sides of the goal, so that one fast saccade crosses it."""
+        """Return two short looks on both sides of the goal, so that one fast saccade crosses it."""
         index = int(np.searchsorted(self.times, prime))
         sight = reach.centre - self.eye[index]
         sideways = np.tan(_SWEEP) * np.array([sight[2], 0.0, -sight[0]])
@@ -205,7 +205,7 @@ class _Scheduler:
         return Look(start, end, point, True, reach.number)
 
     def _beside(self, start: float, reach: Reach) -> np.ndarray:
-        """A point that the ray passes 1 to 3.5 cm beside the box."""
+        """Return a point that the ray passes 1 to 3.5 cm beside the box."""
         index = min(int(np.searchsorted(self.times, start)), self.times.size - 1)
         sight = reach.centre - self.eye[index]
         sideways = np.array([sight[2], 0.0, -sight[0]]) / np.hypot(sight[0], sight[2])
@@ -233,7 +233,7 @@ def repaired(
     times: Float[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> GazePlan:
-    """One round of repair; returns the plan itself when nothing offends.
+    """Apply one round of repair; return the plan itself when nothing offends.
 
     Args:
         plan: Goals and event times.
@@ -285,7 +285,7 @@ def _passes_close(eye: np.ndarray, gaze: np.ndarray, centre: np.ndarray, half: n
 
 
 def _moved(look: Look, eye: np.ndarray, rng: np.random.Generator) -> Look:
-    """Up, or down when already high, and to one side."""
+    """Move a look up, or down when it is already high, and to one side."""
     sight = look.point - eye
     yaw, pitch = yaw_and_pitch(sight)
     upward, sideways = rng.uniform(*_SHIFT, 2)

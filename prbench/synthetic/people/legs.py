@@ -48,7 +48,7 @@ class Feet:
 
 
 def plan_steps(person: Person, segments: tuple[Segment, ...]) -> tuple[Step, ...]:
-    """The steps that carry a person along the segments of the base."""
+    """Return the steps that carry a person along the segments of the base."""
     return tuple(step for segment in segments for step in _steps_of(person, segment))
 
 
@@ -69,7 +69,7 @@ def _steps_of(person: Person, segment: Segment) -> list[Step]:
 
 
 def _first_foot(segment: Segment) -> int:
-    """The foot on the side of the turn, or of the side step."""
+    """Return the foot on the side of the turn, or of the side step."""
     if segment.kind == "walk":
         return int(segment.course < segment.start.heading)
     sideways = (segment.goal.point - segment.start.point) @ segment.start.left
@@ -80,7 +80,7 @@ def _first_foot(segment: Segment) -> int:
 def place_feet(
     person: Person, base: BasePath, steps: tuple[Step, ...], times: Float[np.ndarray, " n"], *, seated: bool
 ) -> Feet:
-    """The balls of both feet over time.
+    """Return the balls of both feet over time.
 
     Args:
         person: Who.
@@ -112,7 +112,7 @@ def place_feet(
 def _plant(
     person: Person, pose: BasePose, foot: int, speed: float, ahead: float | None
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Where the ball of a foot rests when the base is at ``pose``, and its yaw."""
+    """Return where the ball of a foot rests when the base is at ``pose``, and its yaw."""
     side = 1.0 if foot == 0 else -1.0
     forward = person.body.foot_length * (0.62 - 0.30 * min(1.0, speed)) if ahead is None else ahead
     ball = pose.point + side * person.habits.half_stance * pose.left + forward * pose.forward
@@ -143,7 +143,7 @@ def _swing(
 
 
 def _roll(pitch: np.ndarray, times: np.ndarray, step: Step, factor: float) -> None:
-    """Heel off before the lift, toes up at landing, flat soon after."""
+    """Lift the heel before the foot, land with the toes up, and set the foot flat soon after."""
     keys = np.array(
         [
             step.lift - 0.55 * step.period,
@@ -176,7 +176,7 @@ class Legs:
 
 
 def ankles(body: Body, feet: Feet) -> Float[np.ndarray, "n 2 3"]:
-    """Ankles of feet that turn and roll about their balls."""
+    """Return the ankles of feet that turn and roll about their balls."""
     return feet.ball - turn(feet.yaw, feet.pitch, np.array([0.0, -body.ankle_height, body.foot_length]))
 
 
@@ -229,7 +229,7 @@ def _add_dip(
 
 
 def _allowed_height(body: Body, height: np.ndarray, hips: np.ndarray, feet: Feet) -> np.ndarray:
-    """Highest pelvis for which every planted leg is at most .9885 of its length."""
+    """Return the highest pelvis for which every planted leg is at most .9885 of its length."""
     ankle = ankles(body, feet)
     across = hips - ankle
     horizontal = across[..., 0] ** 2 + across[..., 2] ** 2
@@ -244,7 +244,7 @@ def pose_legs(
     pelvis_yaw: Float[np.ndarray, " n"],
     feet: Feet,
 ) -> Legs:
-    """Knees by two-bone kinematics; a swinging foot follows the ankle where the leg is too short for it."""
+    """Find the knees by two-bone kinematics; a swinging foot follows the ankle where the leg is too short for it."""
     wanted = ankles(body, feet)
     knees, reached = [], []
     for side in (0, 1):

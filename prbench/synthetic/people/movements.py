@@ -41,7 +41,7 @@ HANDLE_HALF = np.array([0.025, 0.02, 0.025])
 
 
 def shares_for(preset: Preset, wanted: Mapping[str, float] | None) -> dict[str, float]:
-    """The share of each tag that can happen in a preset.
+    """Return the share of each tag that can happen in a preset.
 
     Args:
         preset: Decides which tags are possible: nothing is put down in gimo, only adt records other people.
@@ -62,7 +62,7 @@ def shares_for(preset: Preset, wanted: Mapping[str, float] | None) -> dict[str, 
 
 
 def possible_tags(preset: Preset) -> tuple[str, ...]:
-    """The tags that make sense in a preset."""
+    """Return the tags that make sense in a preset."""
     if not preset.puts:
         return ("pass_by", "touch", "too_near", "early", "swept")
     without = set() if preset.name == "adt" else {"bystander"}
@@ -72,7 +72,7 @@ def possible_tags(preset: Preset) -> tuple[str, ...]:
 
 
 def draw_tag(shares: Mapping[str, float], movements: int, is_first: bool, rng: np.random.Generator) -> str:
-    """The tag of the next pick (and its put), or ``plain``.
+    """Draw the tag of the next pick (and its put), or ``plain``.
 
     Args:
         shares: Of the movements, for each tag.
@@ -118,7 +118,7 @@ class Movement:
 
 
 def tag_of(pair: Pair, action: Action) -> str:
-    """The tag that a movement itself carries."""
+    """Return the tag that a movement itself carries."""
     if action == "hover":
         return "too_near"
     if action in EXTRA:

@@ -78,7 +78,7 @@ def bystander_acts(
 
 
 def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
-    """Something that stands where the wearer's object was or will be."""
+    """Return something that stands where the wearer's object was or will be."""
     return replace(wearer.items[item], position=centre, rides_on=None)
 
 
@@ -212,7 +212,7 @@ def _acted(
 
 
 def _looked(source: Source, index: int, plan: Plan, motion: Motion, times: np.ndarray) -> tuple[GazePlan, np.ndarray]:
-    """True gaze, after moving fills that would prime a goal too early; the head stays as it was."""
+    """Return the true gaze, after moving fills that would prime a goal too early; the head stays as it was."""
     gaze_plan, shifts = motion.gaze_plan, source.generator("recording", index, "repair")
     gaze = np.empty((0, 3))
     for left in reversed(range(_REPAIRS + 1)):
@@ -234,7 +234,7 @@ def _duration(plan: Plan) -> float:
 
 
 def _object_ids(source: Source, index: int, count: int) -> list[str]:
-    """Sixteen decimal digits each, distinct within the recording."""
+    """Draw ids of sixteen decimal digits, distinct within the recording."""
     rng = source.generator("object", index, "id")
     numbers: list[int] = []
     while len(numbers) < count:
@@ -245,14 +245,14 @@ def _object_ids(source: Source, index: int, count: int) -> list[str]:
 
 
 def name_of_recording(preset: str, seed: int, index: int) -> str:
-    """The recording's id, known before it is acted out; unlike any real one."""
+    """Return the recording's id, known before it is acted out; unlike any real one."""
     if preset == "adt":
         return f"Apartment_release_synthetic_seed{seed}_seq{index:03d}_M1292"
     return f"{preset}_synthetic_seed{seed}_{index:04d}"
 
 
 def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion]:
-    """Each surface as a static box from the floor, or a board, up to its top."""
+    """Return each surface as a static box from the floor, or a board, up to its top."""
     rng = source.generator("room", room_index, "furniture-id")
     pieces = []
     for number, surface in enumerate(plan.room.surfaces):

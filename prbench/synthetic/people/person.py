@@ -88,7 +88,7 @@ class Person:
     habits: Habits
 
     def style(self) -> PersonStyle:
-        """The public record of this person."""
+        """Return the public record of this person."""
         drawn = {name: float(value) for name, value in asdict(self.habits).items()}
         lengths = {name: cast(float, getattr(self.body, name)) for name in ("thigh", "shin", "upper_arm", "forearm")}
         return PersonStyle(
@@ -229,12 +229,12 @@ def pose_trunk(
 
 
 def standing_pelvis_height(body: Body) -> float:
-    """Pelvis height of a person who stands upright."""
+    """Return the pelvis height of a person who stands upright."""
     return BALL_HEIGHT + body.ankle_height + STANDING_LEG * body.leg - body.hip[1]
 
 
 def seated_pelvis_height(body: Body) -> float:
-    """Pelvis height of a person who sits."""
+    """Return the pelvis height of a person who sits."""
     return 0.34 * body.stature
 
 

@@ -38,7 +38,7 @@ class Scene:
 def true_events(
     plan: Plan, gaze: GazePlan, scene: Scene, objects: list[ObjectMotion], recording_id: str
 ) -> tuple[TrueEvent, ...]:
-    """The truth about every pick, put and provocation of a recording."""
+    """Return the truth about every pick, put and provocation of a recording."""
     events = []
     for reach, prime, kind in zip(plan.reaches, gaze.primes, gaze.kinds, strict=True):
         if reach.action == "hover":
@@ -52,7 +52,7 @@ def true_events(
 
 
 def events_of_others(plan: Plan, scene: Scene, objects: list[ObjectMotion], recording_id: str) -> tuple[TrueEvent, ...]:
-    """What a bystander does; it belongs to the other person's recording."""
+    """Return what a bystander does; it belongs to the other person's recording."""
     events = [
         _true_event(reach, None, "bystander", scene, objects[reach.item], f"{recording_id}/other")
         for reach in plan.reaches
@@ -93,7 +93,7 @@ def _true_event(
 
 
 def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> float:
-    """First (pick) or last (put) instant at which the object is more than 1 mm from its rest; crossing interpolated."""
+    """Return the first (pick) or last (put) instant at which the object is 1 mm from its rest, interpolated."""
     if len(motion.position) == 1:
         return reach.event
     first, last = np.searchsorted(times, [reach.event - 1.0, reach.event + 1.5])
@@ -113,7 +113,7 @@ def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> f
 def seen_again(
     event: TrueEvent, performance: Performance, low: np.ndarray, high: np.ndarray, *, gaze_period: float
 ) -> TrueEvent:
-    """The same event for a dataset that knows another box of the goal, or samples gaze at another rate.
+    """Return the same event for a dataset that knows another box of the goal, or samples gaze at another rate.
 
     Args:
         event: Of that performance, one that is an event.
@@ -138,7 +138,7 @@ def seen_again(
 
 
 def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
-    """The outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
+    """Return the outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
     if reach.tag == "hinge":
         return "excluded_category", np.inf
     if reach.action not in ("pick", "put"):
@@ -147,7 +147,7 @@ def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
 
 
 def _outcome(sight: Sight, scene: Scene, goal: np.ndarray) -> tuple[str, float]:
-    """The outcome of an event with a place (docs/specification/curation.md#minimum-movement), and its margin."""
+    """Return the outcome of an event with a place (docs/specification/curation.md#minimum-movement), and its margin."""
     curation = load_protocol().curation
     if sight.lasting is None:
         return "not_primed", np.inf

@@ -50,7 +50,7 @@ class Surface:
         return np.cross(UP, -self.normal)
 
     def point(self, lateral: float, depth: float) -> Float[np.ndarray, "3"]:
-        """The point ``lateral`` to the left of the middle and ``depth`` behind the front edge."""
+        """Return the point ``lateral`` to the left of the middle and ``depth`` behind the front edge."""
         return self.edge_centre + lateral * self.left - depth * self.normal
 
 
@@ -96,7 +96,7 @@ def draw_room(preset: Preset, room_id: str, rng: np.random.Generator, n_bystande
 
 
 def seated(room: Room, rng: np.random.Generator) -> Room:
-    """The same room with its one table lowered for a person who sits at it."""
+    """Return the same room with its one table lowered for a person who sits at it."""
     height = _SEATED_TABLE_HEIGHT + 0.04 * float(rng.standard_normal())
     drop = np.array([0.0, room.surfaces[0].height - height, 0.0])
     surfaces = tuple(replace(surface, edge_centre=surface.edge_centre - drop) for surface in room.surfaces)
@@ -105,14 +105,14 @@ def seated(room: Room, rng: np.random.Generator) -> Room:
 
 
 def draw_item_shape(kind: ObjectKind, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Half extents of an object's box and its yaw."""
+    """Draw half extents of an object's box and its yaw."""
     drawn = np.array([rng.uniform(0.025, 0.06), rng.uniform(0.03, 0.10), rng.uniform(0.025, 0.06)])
     yaw = float(rng.uniform(-np.pi, np.pi))
     return (drawn if kind.half_extents is None else np.array(kind.half_extents)), yaw
 
 
 def world_half_extents(half_extents: Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "3"]:
-    """Half extents of the world-aligned box around a box turned by ``yaw``."""
+    """Return half extents of the world-aligned box around a box turned by ``yaw``."""
     cosine, sine = abs(np.cos(yaw)), abs(np.sin(yaw))
     x, y, z = half_extents
     return np.array([cosine * x + sine * z, y, sine * x + cosine * z])
@@ -125,7 +125,7 @@ def draw_spot(
     rng: np.random.Generator,
     around: tuple[float, float] | None = None,
 ) -> Float[np.ndarray, "3"]:
-    """Centre of a box that stands on a free spot of a surface.
+    """Draw the centre of a box that stands on a free spot of a surface.
 
     Args:
         surface: Where.
@@ -154,7 +154,7 @@ def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, .
 
 
 def _draw_kinds(preset: Preset, rng: np.random.Generator) -> list[SurfaceKind]:
-    """One surface of each kind, as far as there is room, and the others by weight."""
+    """Draw one surface of each kind, as far as there is room, and the others by weight."""
     weights = np.array([kind.weight for kind in preset.surfaces])
     first = rng.permutation(len(preset.surfaces))
     rest = rng.choice(len(preset.surfaces), preset.n_surfaces, p=weights / weights.sum())
@@ -194,7 +194,7 @@ def _overlap(surface: Surface, other: Surface) -> bool:
 def _draw_bystander(
     preset: Preset, surfaces: tuple[Surface, ...], items: list[Item], number: int, rng: np.random.Generator
 ) -> Item:
-    """Somewhere on the furniture; beyond a dozen, on boards above it, out of everybody's way."""
+    """Draw a place on the furniture; beyond a dozen, on boards above it, out of everybody's way."""
     kind = preset.objects[int(rng.integers(len(preset.objects)))]
     half_extents, yaw = draw_item_shape(kind, rng)
     level = number // 12
@@ -226,7 +226,7 @@ class Source:
     world: World
 
     def generator(self, kind: str, index: int, purpose: str) -> np.random.Generator:
-        """The stream of one thing and one purpose; independent of every other."""
+        """Return the stream of one thing and one purpose; independent of every other."""
         return named_generator(
             "prbench-synth", GENERATOR_VERSION, self.seed, self.preset, self.world, kind, index, purpose
         )
@@ -269,6 +269,6 @@ def cast(source: Source, index: int, rule: SplitRule) -> Casting:
 
 
 def _ranked(source: Source, kind: str) -> list[int]:
-    """All people or rooms of the world in the order of a hash."""
+    """Return all people or rooms of the world in the order of a hash."""
     count = (_PEOPLE if kind == "person" else _ROOMS)[source.world]
     return [int(number) for number in source.generator(kind, 0, "rank").permutation(count)]

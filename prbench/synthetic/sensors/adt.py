@@ -47,7 +47,7 @@ _METRES, _QUATERNION = 6, 9  # decimals
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> adt.AdtReadings:
-    """What the sensors of an ADT recording say about a performance.
+    """Return what the sensors of an ADT recording say about a performance.
 
     Args:
         performance: The truth; any rate, usually 120 Hz.
@@ -71,7 +71,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 
 def clock_start_us(performance: Performance) -> int:
-    """Device time of the performance's first instant, microseconds.
+    """Return the device time of the performance's first instant, microseconds.
 
     Device seconds = performance seconds - ``performance.times[0]`` + this / 1e6: what turns the truth's times into
     those of the recording.
@@ -80,12 +80,12 @@ def clock_start_us(performance: Performance) -> int:
 
 
 def glasses_serial(performance: Performance, other: int = 0) -> str:
-    """An invented serial of the wearer's glasses, or of those of another person in the scene."""
+    """Return an invented serial of the wearer's glasses, or of those of another person in the scene."""
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
 
 def native_object_id(object_id: str) -> int:
-    """The id under which the native files know an object: 16 digits, the given ones where it has that many."""
+    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
     if re.fullmatch(r"[1-9]\d{14,15}", object_id):
         return int(object_id)
     return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
@@ -142,7 +142,7 @@ def _sense_gaze(
 
 
 def _gaze_depth(performance: Performance, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Distance from the eyes to the point fixated; 0, the file's "unknown", between fixations."""
+    """Return the distance from the eyes to the point fixated; 0, the file's "unknown", between fixations."""
     depth = np.zeros(len(times))
     eye = interpolate(performance.times, performance.eye, times)
     for look in performance.fixations:
@@ -191,7 +191,7 @@ def _sense_objects(
 def _object_poses(
     performance: Performance, motion: ObjectMotion, query: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
-    """Poses of an object's own frame, whose origin is the middle of the box's base."""
+    """Return the poses of an object's own frame, whose origin is the middle of the box's base."""
     track = performance.times[: len(motion.position)]
     rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
     centre = interpolate(track, motion.position, query)
@@ -201,14 +201,14 @@ def _object_poses(
 def _untracked(
     performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Instants of ``lost`` events, at which nobody sees the object."""
+    """Return the instants of ``lost`` events, at which nobody sees the object."""
     spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
     hidden = [(times >= start) & (times <= end) for start, end in spans]
     return np.any(hidden, axis=0) if hidden else np.zeros(len(times), dtype=bool)
 
 
 def _room_object() -> adt.AdtObject:
-    """The room itself as an object, as the real dataset has it; readers must leave it out."""
+    """Return the room itself as an object, as the real dataset has it; readers must leave it out."""
     half = np.array(_ROOM_HALF_EXTENTS)
     return adt.AdtObject(
         object_id=adt.SCENE_BOX_ID,

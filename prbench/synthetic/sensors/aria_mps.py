@@ -36,7 +36,7 @@ _BLINKS_A_MINUTE, _BLINK = 15.0, 0.15  # s
 def gaze_bias(
     performance: Performance, *, noise: float, switches: Switches, gaze_kind: GazeKind = "personalized"
 ) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
     size = _GAZE_BIAS * (_GENERAL if gaze_kind == "general" else 1.0)
     bias = sensor_generator(performance, "gaze-bias").normal(0.0, size, 2)
     yaw, pitch = bias * strength(switches.gaze_bias, noise)
@@ -51,7 +51,7 @@ def gaze_measurements(
     switches: Switches,
     gaze_kind: GazeKind = "personalized",
 ) -> Float[np.ndarray, "n 2"]:
-    """Yaw and pitch with bias and jitter, radians; NaN while the eyes are closed.
+    """Return the yaw and pitch with bias and jitter, radians; NaN while the eyes are closed.
 
     Args:
         performance: The truth.
@@ -70,13 +70,13 @@ def gaze_measurements(
 
 
 def lost_gaze(performance: Performance, n: int, *, noise: float, switches: Switches) -> Bool[np.ndarray, " n"]:
-    """Rows that the files lack."""
+    """Return rows that the files lack."""
     share = _GAZE_LOSS * strength(switches.gaze_losses, noise)
     return np.asarray(sensor_generator(performance, "gaze-losses").random(n) < share)
 
 
 def gaze_clock_us(performance: Performance, n: int, *, noise: float, switches: Switches) -> Int[np.ndarray, " n"]:
-    """Errors of the time stamps, microseconds."""
+    """Return the errors of the time stamps, microseconds."""
     shift = sensor_generator(performance, "gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, n)
     return np.rint(shift * strength(switches.gaze_clock, noise)).astype(np.int64)
 
@@ -115,7 +115,7 @@ def sense_mps(
     hands: bool = True,
     slam_gaps: Sequence[tuple[float, float]] = (),
 ) -> mps.MpsReadings:
-    """Trajectory at 1 kHz (all rows), gaze at 10 Hz, wrists at 10 Hz.
+    """Sense the trajectory at 1 kHz (all rows), gaze at 10 Hz, wrists at 10 Hz.
 
     Args:
         performance: The truth.
@@ -142,7 +142,7 @@ def sense_mps(
 
 
 def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]]) -> mps.MpsReadings:
-    """The same without the poses strictly inside of some spans, device microseconds: tracking was lost there."""
+    """Return the readings without the poses strictly inside of some spans, device microseconds: tracking was lost there."""
     time_us = readings.trajectory.time_us
     lost = [(time_us > start) & (time_us < end) for start, end in spans_us]
     if not lost:
@@ -151,7 +151,7 @@ def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]
 
 
 def device_from_rgb() -> Float[np.ndarray, "4 4"]:
-    """Nominal pose of the RGB camera, to the last bit as it comes back from a quaternion in a file."""
+    """Return the nominal pose of the RGB camera, to the last bit as it comes back from a quaternion in a file."""
     transform = mps.device_from_cpf(GLASSES_SIZE) @ mps.cpf_from_rgb()
     for _ in range(8):  # rounding settles after one or two steps
         quaternion = Rotation.from_matrix(transform[:3, :3]).as_quat(canonical=True)
@@ -160,7 +160,7 @@ def device_from_rgb() -> Float[np.ndarray, "4 4"]:
 
 
 def graph_uid(performance: Performance) -> str:
-    """The id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
+    """Return the id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
     identity = f"{performance.preset}/{performance.seed}/{performance.person.participant_id}"
     return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
 
@@ -168,7 +168,7 @@ def graph_uid(performance: Performance) -> str:
 def true_device_poses(
     performance: Performance, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
-    """Position and rotation of the device in the native world, noise-free; ``times`` in performance seconds."""
+    """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
     cpf = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
     cpf_from_device = invert_rigid(mps.device_from_cpf(GLASSES_SIZE))
     rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
@@ -214,7 +214,7 @@ def _step_errors(performance: Performance, n: int, switches: Switches, largest_u
 def _drift(
     performance: Performance, times: Float[np.ndarray, " n"], scale: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Slow errors of the estimated world: shift, metres, and rotation vector, radians."""
+    """Return the slow errors of the estimated world: shift, metres, and rotation vector, radians."""
     if scale == 0:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
     rng = sensor_generator(performance, "mps-pose-drift")
@@ -264,7 +264,7 @@ def _sense_hands(performance: Performance, start_us: int, noise: float, switches
 def _hand_confidence(
     performance: Performance, times: Float[np.ndarray, " n"], wrist: Float[np.ndarray, "n 2 3"], scale: float
 ) -> Float[np.ndarray, "n 2"]:
-    """1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 where ``scale`` is 0."""
+    """Return 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 where ``scale`` is 0."""
     head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
     away = wrist - interpolate(performance.times, performance.eye, times)[:, None]
     ahead = np.einsum("nhk,nk->nh", away, head.apply((0.0, 0.0, 1.0))) / np.linalg.norm(away, axis=2)
@@ -277,12 +277,12 @@ def _hand_confidence(
 def _in_device(
     performance: Performance, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 2 3"]:
-    """Points of the performance's world in the true device frame."""
+    """Return points of the performance's world in the true device frame."""
     position, rotation = true_device_poses(performance, times)
     native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
     return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
 
 
 def _steps(performance: Performance, first_us: int, rate: int) -> Int[np.ndarray, " n"]:
-    """Microseconds since the first instant, at a steady rate, until the performance ends."""
+    """Return the microseconds since the first instant, at a steady rate, until the performance ends."""
     return np.arange(first_us, int(performance.duration * 1e6) - 50, 1_000_000 // rate)

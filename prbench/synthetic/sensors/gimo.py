@@ -54,7 +54,7 @@ DEPTH_FIRST = _depth_first()
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> gimo.GimoReadings:
-    """What the sensors of a GIMO segment say about a performance.
+    """Return what the sensors of a GIMO segment say about a performance.
 
     Args:
         performance: The truth; any rate, usually 120 Hz.
@@ -78,7 +78,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 
 def segment_of(performance: Performance) -> gimo.Segment:
-    """The row of ``dataset.csv``: the whole performance is one segment."""
+    """Return the row of ``dataset.csv``: the whole performance is one segment."""
     start = first_frame(performance)
     known = [event_frame(performance, event) for event in picks(performance)]
     train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
@@ -95,31 +95,31 @@ def segment_of(performance: Performance) -> gimo.Segment:
 
 
 def first_frame(performance: Performance) -> int:
-    """Video frame of the performance's first instant: the segment was cut out of a longer video."""
+    """Return the video frame of the performance's first instant: the segment is a part of a longer video."""
     return int(sensor_generator(performance, "clock").integers(_FIRST_FRAMES))
 
 
 def event_frame(performance: Performance, event: TrueEvent) -> int:
-    """The frame that an annotator would name."""
+    """Return the frame that an annotator would name."""
     since = event.event_time - float(performance.times[0])
     return first_frame(performance) + round(since * gimo.FRAME_RATE)
 
 
 def picks(performance: Performance) -> tuple[TrueEvent, ...]:
-    """Events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
+    """Return events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
     others = ("not_an_event", "excluded_category", "other_wearer")
     return tuple(event for event in performance.events if event.action == "pick" and event.expected not in others)
 
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
     bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
     yaw, pitch = bias * strength(switches.gaze_bias, noise)
     return float(yaw), float(pitch)
 
 
 def scene_transform(performance: Performance) -> gimo.SceneTransform:
-    """How the suit and the scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
+    """Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
     room = named_generator(
         "prbench-synth",
         GENERATOR_VERSION,
@@ -149,7 +149,7 @@ def looked_at(
     origin: Float[np.ndarray, "n 3"],
     direction: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
+    """Return where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
 
     Args:
         performance: Whose room.
@@ -182,7 +182,7 @@ def _crossings(
 
 
 def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.ndarray, " n"]:
-    """Performance seconds of the segment's frames."""
+    """Return the performance seconds of the segment's frames."""
     return performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
 
 
@@ -214,7 +214,7 @@ def _sense_poses(
 def _sense_skeleton(
     performance: Performance, body_from_room: Float[np.ndarray, "4 4"], noise: float, switches: Switches
 ) -> BvhMotion:
-    """The suit's own file: centimetres, starting earlier than the segment with the first pose held."""
+    """Return the suit's own file: centimetres, starting earlier than the segment with the first pose held."""
     lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
     n = int((performance.duration + 1e-9) * SKELETON_RATE) + 1
     times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / SKELETON_RATE
@@ -238,7 +238,7 @@ def _sense_skeleton(
 
 
 def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
-    """Joints as a BVH file lists them: each with everything below it before its next sibling."""
+    """Return joints as a BVH file lists them: each with everything below it before its next sibling."""
     joints = []
     for joint in DEPTH_FIRST:
         parent = PARENTS[joint]

@@ -49,7 +49,7 @@ class SensedVideo:
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> SensedVideo:
-    """What glasses, body estimate and annotators say about a performance.
+    """Return what glasses, body estimate and annotators say about a performance.
 
     Args:
         performance: The truth.
@@ -83,23 +83,23 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 
 def _in_world_of(participant_id: str, glasses: MpsReadings) -> MpsReadings:
-    """All videos of one participant share a world."""
+    """Move a video into the world that all videos of one participant share."""
     uid = str(uuid.UUID(bytes=hashlib.sha256(f"kitchen of {participant_id}".encode()).digest()[:16]))
     return dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=(uid,)))
 
 
 def clock_start_us(performance: Performance) -> int:
-    """Device time of the performance's first instant, microseconds."""
+    """Return the device time of the performance's first instant, microseconds."""
     return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
 
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
     return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=GAZE_KIND)
 
 
 def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
-    """The events as HD-EPIC can know them: places are points, gaze comes ten times a second.
+    """Return the events as HD-EPIC can know them: places are points, gaze comes ten times a second.
 
     People annotate what is lifted and put down again: no doors and drawers, no touches, nothing that somebody else
     does, and no movement that the video does not see through.
@@ -112,7 +112,7 @@ def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
 
 
 def movements(performance: Performance) -> list[tuple[TrueEvent, TrueEvent]]:
-    """Every pick with the put of the same object that follows it."""
+    """Return every pick with the put of the same object that follows it."""
     ordered = sorted(performance.events, key=lambda event: event.event_time)
     known = [event for event in ordered if event.expected in _ANNOTATED]
     pairs = []
@@ -124,12 +124,12 @@ def movements(performance: Performance) -> list[tuple[TrueEvent, TrueEvent]]:
 
 
 def association_id(object_id: str) -> str:
-    """Sixteen hexadecimal digits for an object of a performance."""
+    """Return sixteen hexadecimal digits for an object of a performance."""
     return hashlib.sha256(f"association {object_id}".encode()).hexdigest()[:16]
 
 
 def sense_video_clock(performance: Performance, noise: float, switches: Switches) -> hd_epic.VideoClock:
-    """Device time of every frame: the image nearest to a regular time line, some shown twice, some skipped."""
+    """Return the device time of every frame: the image nearest to a regular time line, some twice, some skipped."""
     n = int((performance.duration + 1e-9) * hd_epic.FPS) + 1
     scale = strength(switches.video_clock, noise)
     rng = sensor_generator(performance, "video-clock")
@@ -144,7 +144,7 @@ def sense_video_clock(performance: Performance, noise: float, switches: Switches
 def _annotated_tracks(
     performance: Performance, clock: hd_epic.VideoClock, noise: float, switches: Switches
 ) -> tuple[hd_epic.ObjectTrack, ...]:
-    """One track a movement: the pick, and the put that ends it."""
+    """Return one track a movement: the pick, and the put that ends it."""
     rng = sensor_generator(performance, "annotated-times")
     device_start = clock_start_us(performance) / 1e6 - performance.times[0]
     last = (len(clock.device_ns) - 1) / hd_epic.FPS - _SHORTEST_TRACK

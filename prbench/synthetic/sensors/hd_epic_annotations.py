@@ -45,7 +45,7 @@ def masks_of(
     noise: float,
     switches: Switches,
 ) -> hd_epic.ObjectTrack:
-    """The track with its masks: one at either end, rarely none or a third, listed in either order."""
+    """Return the track with its masks: one at either end, rarely none or a third, listed in either order."""
     rng = sensor_generator(performance, f"masks-{track.track_id}")
     points = rng.normal(0.0, _POINT_NOISE, (2, 3)) * strength(switches.annotated_points, noise)
     lost = rng.random(2) < _MISSING * strength(switches.mask_losses, noise)
@@ -76,7 +76,7 @@ def _mask(
 def _middle(
     performance: Performance, track: hd_epic.ObjectTrack, event: TrueEvent, ends: Sequence[hd_epic.ObjectMask]
 ) -> hd_epic.ObjectMask:
-    """Somewhere in between, in the hand."""
+    """Draw a mask somewhere in between, in the hand."""
     frame = round((track.start + track.end) / 2 * hd_epic.FPS)
     known = [mask.location for mask in ends if mask.location is not None]
     return hd_epic.ObjectMask(
@@ -93,7 +93,7 @@ def _mask_id(track: hd_epic.ObjectTrack, what: str) -> str:
 
 
 def _box(performance: Performance, event: TrueEvent, frame: int) -> Float[np.ndarray, "4"]:
-    """In the middle of the image, as large as the object appears from the eyes."""
+    """Return a box in the middle of the image, as large as the object appears from the eyes."""
     eye = interpolate(performance.times, performance.eye, performance.times[:1] + frame / hd_epic.FPS)[0]
     moving = next((each for each in performance.objects if each.object_id == event.object_id), None)
     half = 0.05 if moving is None else float(moving.half_extents.mean())
@@ -103,7 +103,7 @@ def _box(performance: Performance, event: TrueEvent, frame: int) -> Float[np.nda
 
 
 def _fixture(performance: Performance, goal: Float[np.ndarray, "3"]) -> str | None:
-    """The piece of furniture whose top is nearest below."""
+    """Return the piece of furniture whose top is nearest below."""
     furniture = [each for each in performance.objects if len(each.position) == 1]
     distances = [float(np.linalg.norm(each.position[0] - goal)) for each in furniture]
     if not distances or min(distances) > _FIXTURE_REACH:
@@ -121,7 +121,7 @@ _FORGOTTEN = 0.02  # share of the events that the file does not mention
 def invented_priming(
     performance: Performance, tracks: Sequence[hd_epic.ObjectTrack]
 ) -> tuple[hd_epic.PublishedSide, ...]:
-    """One entry for every end of a movement that has a mask, but for a few."""
+    """Return one entry for every end of a movement that has a mask, but for a few."""
     rng = sensor_generator(performance, "published-priming")
     entries = []
     for number, track in enumerate(tracks):
@@ -139,7 +139,7 @@ def invented_priming(
 
 
 def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) -> int:
-    """The frame of the first look, or -1, or -2 for an event that is not tested."""
+    """Return the frame of the first look, or -1, or -2 for an event that is not tested."""
     assert mask.location is not None
     goal = transform_points(Y_UP_FROM_Z_UP, mask.location)
     if not _in_view(performance, goal, mask.frame):
@@ -164,5 +164,5 @@ def _in_view(performance: Performance, goal: np.ndarray, frame: int) -> bool:
 
 
 def _row(performance: Performance, frame: int) -> int:
-    """Row of the performance nearest to a video frame."""
+    """Return the row of the performance nearest to a video frame."""
     return min(round(frame / hd_epic.FPS * performance.rate), len(performance.times) - 1)
