@@ -142,7 +142,7 @@ def sense_mps(
 
 
 def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]]) -> mps.MpsReadings:
-    """Return the readings without the poses strictly inside of some spans, device microseconds: tracking was lost there."""
+    """Return the readings without the poses strictly inside of some spans (device microseconds) of lost tracking."""
     time_us = readings.trajectory.time_us
     lost = [(time_us > start) & (time_us < end) for start, end in spans_us]
     if not lost:
