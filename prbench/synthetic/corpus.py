@@ -26,7 +26,7 @@ from prbench.readers import SYNTHETIC_PREFIX, described_options
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import atomic_folder, text_digest, write_json
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.activities import cast_of, narrated_recording
+from prbench.synthetic.activities import identity_of, narrated_recording
 from prbench.synthetic.defects import defect
 from prbench.synthetic.layouts import humanml3d, nymeria
 from prbench.synthetic.layouts.nymeria import sense_nymeria
@@ -113,8 +113,10 @@ class SyntheticCorpus:
         chosen, limits = self._options(options), self._limits(options)
         sources = []
         for index in range(chosen.recordings):
-            cast = cast_of(chosen.seed, index)
-            belonging = Belonging(DATASET, cast.recording_id, cast.participant_id, cast.split, cast.participant_id)
+            identity = identity_of(chosen.seed, index)
+            belonging = Belonging(
+                DATASET, identity.recording_id, identity.participant_id, identity.split, identity.participant_id
+            )
             sources.append(SyntheticSource(index, belonging, chosen, limits))
         return tuple(sources)
 

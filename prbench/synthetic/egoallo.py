@@ -26,10 +26,8 @@ from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.people.geometry import soft_limit, two_bone
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.smplh import invented_smplh, model_rotations, shape_of
+from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh
 from prbench.timelines import interpolate, slerp
-
-__all__ = ["NATIVE_FROM_WORLD", "invented_smplh", "sense_egoallo"]
 
 NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""
@@ -115,7 +113,7 @@ def _true_pose(performance: Performance, times: Float[np.ndarray, " n"]) -> _Pos
     ).reshape(n, len(Joint), 4)
     rotations = model_rotations(segments)
     pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
-    rest = invented_smplh().rest_joints(shape_of(performance))
+    rest = synthetic_smplh().rest_joints(shape_of(performance))
     joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
     return _Pose(joints, rotations)
 
@@ -248,7 +246,7 @@ def write_smplh_model(path: Path) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    rest, n = invented_smplh(), ego.N_MODEL_JOINTS
+    rest, n = synthetic_smplh(), ego.N_MODEL_JOINTS
     hands = np.repeat([20, 21], ego.N_HAND_QUATS)
     owner = np.concatenate([np.arange(22), hands])
     parents = np.concatenate([[_NO_PARENT], np.array(PARENTS[1:]), hands])

@@ -21,12 +21,12 @@ from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches
 
-TRUTH_FOLDER = "truth"
-TRUTH_SCHEMA = 1
+_TRUTH_FOLDER = "truth"
+_TRUTH_SCHEMA = 1
 TruthTable = Literal["recordings", "events", "fixations", "joints", "objects"]
 
 _STREAMS = ("glasses", "gaze", "objects", "body")
-_METADATA = {"prbench.truth_schema": str(TRUTH_SCHEMA)}
+_METADATA = {"prbench.truth_schema": str(_TRUTH_SCHEMA)}
 _DECIMALS = 5  # 10 micrometres; keeps digests equal where the last bits of a sine differ
 _POINT = pa.list_(pa.float64(), 3)
 
@@ -154,7 +154,7 @@ def objects_table(performance: Performance) -> pa.Table:
 
 def write_truth(table: pa.Table, tree: Path, name: TruthTable, *, part: str | None = None) -> None:
     """Write one table, or one recording's part of it, below ``truth/``; equal tables give equal bytes."""
-    folder = tree / TRUTH_FOLDER
+    folder = tree / _TRUTH_FOLDER
     path = folder / f"{name}.parquet" if part is None else folder / name / f"{part}.parquet"
     with atomic_path(path) as temporary:
         pq.write_table(table, temporary, compression="zstd", compression_level=1)
@@ -166,7 +166,7 @@ def read_truth(tree: Path, name: TruthTable) -> pa.Table:
     Raises:
         InputFileError: if the tree has none, or it is of an unknown schema version.
     """
-    folder = tree / TRUTH_FOLDER
+    folder = tree / _TRUTH_FOLDER
     path = folder / f"{name}.parquet" if (folder / f"{name}.parquet").is_file() else folder / name
     if not path.exists():
         raise InputFileError(
@@ -174,11 +174,11 @@ def read_truth(tree: Path, name: TruthTable) -> pa.Table:
         )
     table = pq.read_table(path)
     version = (table.schema.metadata or {}).get(b"prbench.truth_schema", b"none").decode()
-    if version != str(TRUTH_SCHEMA):
+    if version != str(_TRUTH_SCHEMA):
         raise InputFileError(
             path,
             "schema version",
-            expected=str(TRUTH_SCHEMA),
+            expected=str(_TRUTH_SCHEMA),
             found=version,
             remedy="It was written by another version of prbench; synthesise the tree again.",
         )

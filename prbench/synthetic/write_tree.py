@@ -39,7 +39,7 @@ Size = Literal["tiny", "default", "large"]
 
 
 @dataclass(frozen=True)
-class SizeOfTree:
+class _SizeOfTree:
     """How much a size means."""
 
     recordings: int
@@ -48,9 +48,9 @@ class SizeOfTree:
     """Frames a second of the joints in the truth record."""
 
 
-SIZES: dict[str, SizeOfTree] = {
-    "tiny": SizeOfTree(recordings=2, events=6, truth_rate=30.0),
-    "default": SizeOfTree(recordings=24, events=10, truth_rate=120.0),
+SIZES: dict[str, _SizeOfTree] = {
+    "tiny": _SizeOfTree(recordings=2, events=6, truth_rate=30.0),
+    "default": _SizeOfTree(recordings=24, events=10, truth_rate=120.0),
 }
 
 
@@ -229,7 +229,7 @@ def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[st
     )
 
 
-def _amount(size: str) -> SizeOfTree:
+def _amount(size: str) -> _SizeOfTree:
     if size == "large":
         raise UsageError(
             "size 'large' (480 recordings a preset) is not written as native files: that would be about 30 GB of text"

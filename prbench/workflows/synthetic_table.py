@@ -17,7 +17,7 @@ from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.world import Source, cast
+from prbench.synthetic.people.world import Source, assign
 from prbench.synthetic.performance import Performance
 
 Progress = Callable[[int, int, str], None]
@@ -151,5 +151,5 @@ def build_synthetic_table(
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
     """Recording ``index`` by name and split, not yet acted out."""
-    casting = cast(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
+    casting = assign(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
     return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), casting.split)

@@ -26,7 +26,7 @@ _ALONG_THIGH, _ABOVE_THIGH = 0.62, 0.055
 _LOOP_EASE = 0.35  # s in which a loop begins and ends
 
 
-def move_hands(
+def _move_hands(
     plan: Plan, script: Script, trunk: Trunk, legs: Legs, sway: Sway, head: Head, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3"]]:
     """Return wanted wrists, and directions of the elbows in the chest's frame. Commands act in time order."""
@@ -101,7 +101,7 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     person = script.person
     times = np.arange(round(script.end * rate) + 1) / rate
     plan = Plan(preset, person, _NOWHERE, False, script.start, (), script.segments, ())
-    feet_base = sample_moves(script, times)
+    feet_base = _sample_moves(script, times)
     seated = _seated(script, times)
     base = _sat_back(feet_base, seated, person.body.stature)
     steps = plan_steps(person, script.segments)
@@ -115,12 +115,12 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     head = move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
     trunk = move_trunk(plan, base, bending, sway, feet, steps, times, head)
     legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
-    wrists, poles = move_hands(plan, script, trunk, legs, sway, head, times)
+    wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
     arms = pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
 
 
-def sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
+def _sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
     """Return where the feet carry the person, at every frame."""
     path = sample_base(script.start, (), times)
     x, z, heading = path.x.copy(), path.z.copy(), path.heading.copy()

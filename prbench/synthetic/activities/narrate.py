@@ -187,7 +187,7 @@ def narrate_events(performance: Performance, rng: np.random.Generator) -> tuple[
         start = max(start, last)
         if end - start < 1.5:
             continue
-        text = sentence([clause(goal_facts(performance, event, start), rng)], rng)
+        text = sentence([clause(_goal_facts(performance, event, start), rng)], rng)
         narrations.append(TrueNarration("atomic_action", start, end, (text,), (event.action,)))
     return tuple(narrations)
 
@@ -202,7 +202,7 @@ def _waiting(performance: Performance, rng: np.random.Generator) -> list[TrueNar
     return [TrueNarration("atomic_action", _FIRST_TEXT, end, (text,), ("stand",))]
 
 
-def goal_facts(performance: Performance, event: TrueEvent, since: float) -> Facts:
+def _goal_facts(performance: Performance, event: TrueEvent, since: float) -> Facts:
     """Return what the words for a pick or put depend on.
 
     Args:

@@ -16,7 +16,7 @@ SLOW, BRISK = 0.7, 1.25
 """Metres a second: below it somebody walks slowly, above it briskly."""
 SLIGHT, AROUND = 60.0, 135.0
 """Degrees: below it somebody turns slightly, above it around."""
-CURVED = 25.0
+_CURVED = 25.0
 """Degrees of heading that make a walk a walk to one side."""
 
 _HANDS = {0: "the left hand", 1: "the right hand", 2: "both hands"}
@@ -60,7 +60,7 @@ def facts_of(name: str, hand: int | None, span: Span) -> Facts:
         slots |= {"speed": speed_word(walking_speed(span)), "steps": _COUNTS[min(span.steps, len(_COUNTS) - 1)]}
         slots["steps"] = "several" if span.steps >= len(_COUNTS) or span.steps < 2 else slots["steps"]
     if name == "walk":
-        name = "walk straight" if abs(turned) < CURVED else "walk turning"
+        name = "walk straight" if abs(turned) < _CURVED else "walk turning"
     if name in ("walk turning", "curve", "turn"):
         slots |= _sides(turned > 0.0) | {"amount": amount_word(abs(turned))}
     elif name == "sidestep":

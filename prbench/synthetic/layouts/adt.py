@@ -19,6 +19,7 @@ from prbench.synthetic.layouts import Layout
 from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import adt as sensors
+from prbench.synthetic.sensors.aria_mps import gaze_bias
 from prbench.synthetic.sensors.errors import Switches
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
@@ -229,6 +230,6 @@ LAYOUT = Layout(
     events=lambda performance: performance.events,
     clock_start=lambda performance: sensors.clock_start_us(performance) / 1e6,
     object_id=lambda object_id: str(sensors.native_object_id(object_id)),
-    gaze_bias=sensors.gaze_bias,
+    gaze_bias=gaze_bias,
     write_estimates=_write_estimates,
 )

@@ -15,7 +15,7 @@ from prbench.storage import atomic_path, write_json
 from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.sensors.aria_mps import GRAVITY
 
-ROLES = (
+_ROLES = (
     mps.TRAJECTORY,
     mps.GAZE,
     mps.CALIBRATION,
@@ -42,12 +42,12 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     Args:
         readings: All that the files say; whole, not thinned.
         folder: The root of one recording's outputs.
-        only: Roles (:data:`ROLES`) to write; all if None.
+        only: Roles (:data:`_ROLES`) to write; all if None.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    wanted = set(ROLES if only is None else only)
+    wanted = set(_ROLES if only is None else only)
     slam, gaze, hands = (folder / name for name in (mps.SLAM_FOLDER, mps.GAZE_FOLDER, mps.HAND_FOLDER))
     if mps.TRAJECTORY in wanted:
         write_csv(slam / mps.TRAJECTORY_FILE, _trajectory_columns(readings.trajectory))

@@ -44,12 +44,12 @@ def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
             target / readings.segment.transformation,
             {"scale": transform.scale, "transformation": transform.scene_from_body.tolist()},
         )
-        write_poses(readings.body.poses, target / gimo.POSE_FOLDER)
-        write_gaze(readings.gaze, target / gimo.GAZE_FOLDER)
+        _write_poses(readings.body.poses, target / gimo.POSE_FOLDER)
+        _write_gaze(readings.gaze, target / gimo.GAZE_FOLDER)
         write_bvh(readings.body.motion, target / gimo.SKELETON_FILE)
 
 
-def write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
+def _write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
     """Write one pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them."""
     folder.mkdir(parents=True)
     zeros = {name: np.zeros(size, dtype=np.float32) for name, size in _UNUSED_KEYS.items()}
@@ -58,7 +58,7 @@ def write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
         (folder / f"{frame}.pkl").write_bytes(pickled_tensors(pose, requires_grad=("orient",)))
 
 
-def write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
+def _write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
     """Write two PLY files a frame: the point with copies of it beside it, and some points of the cone around it."""
     folder.mkdir(parents=True)
     around = np.linspace(-0.05, 0.05, _CONE_POINTS)[:, None] * np.ones(3)

@@ -21,14 +21,15 @@ from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json
-from prbench.synthetic.egoallo import invented_smplh, write_outputs, write_smplh_model
+from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.layouts.file_forms import write_csv
 from prbench.synthetic.sensors import hd_epic as sensors
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 
-SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
-GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
+_SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
+_GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
 _UNORDERED = 8  # one in so many objects lists its tracks backwards
 _COMPRESSION = 1
 _CREATED = (2000, 1, 1, 0, 0, 0)
@@ -52,7 +53,7 @@ def slam_number(video: str) -> str:
     return str(int(video.rpartition("_")[2]))
 
 
-def write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
+def _write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     """Write the files of one video below the folder ``HD-EPIC``.
 
     Raises:
@@ -63,9 +64,9 @@ def write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", _time_columns(readings.clock))
     write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", _log(readings.clock))
     base, number = data / hd_epic.MPS_FOLDER / readings.participant_id, slam_number(readings.video)
-    _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, SLAM_ROLES)
+    _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, _SLAM_ROLES)
     name = f"mps_{readings.video}_vrs"
-    _write_archive(base / hd_epic.GAZE_FOLDER / f"{name}.zip", name, readings.glasses, GAZE_ROLES)
+    _write_archive(base / hd_epic.GAZE_FOLDER / f"{name}.zip", name, readings.glasses, _GAZE_ROLES)
 
 
 def _write_archive(path: Path, folder: str, readings: mps.MpsReadings, roles: Collection[str]) -> None:
@@ -165,14 +166,14 @@ def _to_recording(readings: sensors.SensedVideo, manifest: Manifest, *, dataset:
     """Return the streams of one synthetic video, thinned as its reader thins them."""
     video = readings.readings
     assert isinstance(video.glasses, mps.MpsReadings)
-    bodies = body_from_outputs(readings.bodies, invented_smplh())
+    bodies = body_from_outputs(readings.bodies, synthetic_smplh())
     seen = dataclasses.replace(video, glasses=mps.thinned(video.glasses), body=bodies)
     return recording_from_hd_epic(seen, manifest, dataset=dataset)
 
 
 def _write_below(readings: sensors.SensedVideo, root: Path) -> None:
     """Write archives and time file of one video, its bodies, and its share of the annotations."""
-    write_video(readings.readings, root / hd_epic.DATA_FOLDER)
+    _write_video(readings.readings, root / hd_epic.DATA_FOLDER)
     video = readings.readings.video
     write_outputs(readings.bodies, root / ego.POSES_FOLDER / video / ego.OUTPUT_FOLDER)
     write_json(root / SHARED_PARTS / f"{video}.json", _share(readings.readings))

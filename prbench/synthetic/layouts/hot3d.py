@@ -22,7 +22,7 @@ from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import hot3d as sensors
 from prbench.synthetic.sensors.aria_mps import GAZE_RATE, gaze_bias
 
-HEADSET_UID = "100000000000001"
+_HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]
 _OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
 """Files that a recording has and curation does not read; all true."""
@@ -53,7 +53,7 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         )
         bodies = {entry.object_id: entry.rows for entry in readings.objects}
         write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
-        write_csv(target / hot3d.HEADSET_FILE, pose_columns({HEADSET_UID: readings.headset}))
+        write_csv(target / hot3d.HEADSET_FILE, pose_columns({_HEADSET_UID: readings.headset}))
         _write_hands(readings, target / hot3d.UMETRACK_FILE)
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
@@ -80,7 +80,7 @@ def _finish(root: Path) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    headset = {HEADSET_UID: _instance(HEADSET_UID, "Aria", "headset")}
+    headset = {_HEADSET_UID: _instance(_HEADSET_UID, "Aria", "headset")}
     instances: dict[str, object] = dict(headset)
     library = root / LIBRARY
     library.mkdir(exist_ok=True)
@@ -158,10 +158,10 @@ def _write_masks(readings: hot3d.Hot3dReadings, folder: Path) -> None:
     all_times = readings.headset.time_ns
     truth = hot3d.MaskRows(all_times[::2], np.ones(len(all_times[::2]), dtype=bool))
     for name, rows in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
-        write_csv(folder / f"mask_{name}.csv", mask_columns(rows))
+        write_csv(folder / f"mask_{name}.csv", _mask_columns(rows))
 
 
-def mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
+def _mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
     """Return one row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
     slam = rows.time_ns + round(sensors.SLAM_DELAY * 1e9)
     streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)

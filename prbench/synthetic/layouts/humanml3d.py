@@ -19,7 +19,7 @@ from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.activities import NarratedMotion
 
-LONGEST = 9.9
+_LONGEST = 9.9
 """Seconds of a motion in the dataset."""
 _SHORTEST = 2.05
 _PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
@@ -44,7 +44,7 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
     motions = []
     for number in range(0, len(rows) - 1, 2):
         first, second = rows[number], rows[number + 1]
-        if second.end - first.start > LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
+        if second.end - first.start > _LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
             continue
         begin, stop = (round(time * motion.rate) for time in (first.start, second.end))
         joints = motion.joints[begin : stop + 1 : stride]

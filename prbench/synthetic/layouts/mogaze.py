@@ -31,7 +31,7 @@ _FACES = (
 )  # fmt: skip
 
 
-class SceneEntry(msgspec.Struct, frozen=True):
+class _SceneEntry(msgspec.Struct, frozen=True):
     """One body of the scene as recordings hand it over."""
 
     body_id: int
@@ -42,7 +42,7 @@ class SceneEntry(msgspec.Struct, frozen=True):
     high: tuple[float, float, float]
 
 
-_ENTRIES = msgspec.json.Decoder(list[SceneEntry])
+_ENTRIES = msgspec.json.Decoder(list[_SceneEntry])
 
 
 def write(readings: mogaze.MogazeReadings, root: Path) -> None:
@@ -61,10 +61,10 @@ def write(readings: mogaze.MogazeReadings, root: Path) -> None:
             writer(file, readings)
 
 
-def write_scene(root: Path, entries: dict[int, SceneEntry]) -> None:
+def _write_scene(root: Path, entries: dict[int, _SceneEntry]) -> None:
     """Write ``scene.xml`` and one box mesh for each shape that it names."""
     lines = ['<?xml version="1.0"?>', "<scene>"]
-    meshes: dict[str, SceneEntry] = {}
+    meshes: dict[str, _SceneEntry] = {}
     for key, entry in sorted(entries.items()):
         lines.append(f'  <body id="{key}" name={quoteattr(entry.name)}>')
         if entry.mesh:
@@ -115,12 +115,12 @@ def _write_segments(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
     entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
 
 
-def _scene_entry(body: mogaze.MogazeBody) -> SceneEntry:
+def _scene_entry(body: mogaze.MogazeBody) -> _SceneEntry:
     kind = mogaze.kind_of_body(body.name)
     known = load_manifest("mogaze").object_extents.get(kind)
     shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
     mesh = "" if body.name == mogaze.GOGGLES else f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
-    return SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
+    return _SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
 
 
 def _write_below(readings: mogaze.MogazeReadings, root: Path) -> None:
@@ -134,7 +134,7 @@ def _finish(root: Path) -> None:
     """Write scene and meshes of all recordings."""
     parts = sorted((root / SHARED_PARTS).glob("*.json"))
     entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
-    write_scene(root, {entry.body_id: entry for entry in entries})
+    _write_scene(root, {entry.body_id: entry for entry in entries})
 
 
 LAYOUT = Layout(

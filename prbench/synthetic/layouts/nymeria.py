@@ -25,7 +25,7 @@ from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation_quaternion
 
-GLASSES_STRIDE = 1
+_GLASSES_STRIDE = 1
 """Suit frames for one pose of the glasses: 240 Hz instead of the real 1 kHz, which nothing here needs."""
 _DRIFT = (0.02, 0.005, 0.02)  # m r.m.s., Hz: the suit's world drifts slowly
 _SLIP = (np.deg2rad(0.3), 0.01, 0.05)  # rad r.m.s., Hz: the glasses against the head
@@ -82,7 +82,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
         time_us=device_start_us + offset_us + ticks,
         position=_positions(motion, generator("drift"), noise),
         rotation=_rotations(motion),
-        tpose=calibration_pose(motion),
+        tpose=_calibration_pose(motion),
     )
     device_start = device_start_us / 1e6
     texts = tuple(
@@ -90,7 +90,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
             row.kind,
             round(device_start + row.start, 6),
             round(device_start + row.end, 6),
-            tuple(zip(answers_of(row.kind), row.texts, strict=True)),
+            tuple(zip(_answers_of(row.kind), row.texts, strict=True)),
             "annotator_1",
         )
         for row in motion.narrations
@@ -101,7 +101,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     )
 
 
-def answers_of(kind: str) -> tuple[str, ...]:
+def _answers_of(kind: str) -> tuple[str, ...]:
     """Names of the answers of a kind, without "Describe my"."""
     return tuple(name[len(nymeria.ANSWER_PREFIX) :].strip() for name in nymeria.ANSWER_COLUMNS[kind])
 
@@ -126,12 +126,12 @@ def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generat
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
     on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
     turned = _Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head
-    every = slice(None, None, GLASSES_STRIDE)
+    every = slice(None, None, _GLASSES_STRIDE)
     position = np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED
     return GlassesPoses(time_us[every], position[every], np.round(quaternion(turned), 8)[every])
 
 
-def calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
+def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
     """Return the wearer in a T-pose: upright, arms out to the sides; Z up, metres."""
     lengths = dict(zip(range(1, len(PARENTS)), bone_lengths(motion.joints[0]), strict=True))
     tilt = np.deg2rad(motion.neck_tilt_deg)
@@ -175,11 +175,11 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     """
     recording = readings.recording
     folder = root / recording.name
-    write_suit(folder / "body" / nymeria.SUIT_FILE, readings)
+    _write_suit(folder / "body" / nymeria.SUIT_FILE, readings)
     for kind, name in nymeria.NARRATION_FILES.items():
         rows = [row for row in recording.narrations if row.kind == kind]
         if rows:
-            write_narrations(folder / "narration" / name, kind, rows)
+            _write_narrations(folder / "narration" / name, kind, rows)
     parts = recording.name.split("_")
     write_json(
         folder / nymeria.METADATA_FILE,
@@ -198,7 +198,7 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
         write_csv(slam / nymeria.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
 
 
-def write_suit(path: Path, readings: NymeriaReadings) -> None:
+def _write_suit(path: Path, readings: NymeriaReadings) -> None:
     """Write ``xdata.npz``; equal readings give equal bytes."""
     suit = readings.recording.suit
     n = len(suit.time_us)
@@ -216,7 +216,7 @@ def write_suit(path: Path, readings: NymeriaReadings) -> None:
         np.savez(temporary, **arrays)
 
 
-def write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:
+def _write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:
     """Write one narration file, with the byte order mark that the release has."""
     text = io.StringIO()
     writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\r\n")

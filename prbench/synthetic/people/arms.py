@@ -22,15 +22,15 @@ _CARRY_AFTER = 0.75
 _BACK_WITHIN = 0.8
 _HUMP_UP, _HUMP_FORWARD = 0.06, 0.09
 
-SLIDE_TIME = 0.15
+_SLIDE_TIME = 0.15
 """Seconds that a nudged object slides."""
-OPENING_TIME = 1.0
+_OPENING_TIME = 1.0
 """Seconds in which a door is opened."""
 MEETING_TIME = 0.5
 """Seconds in which the hands meet for a hand-over."""
 HANDING_TIME = 0.6
 """Seconds in which the object goes from hand to hand."""
-DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
+_DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
 
 
 @dataclass(frozen=True)
@@ -82,14 +82,14 @@ def moved_along(
 ) -> Float[np.ndarray, "n 3"]:
     """Return where a point fixed to a nudged or hinged object is after the event."""
     if reach.twist.slide is not None:
-        return point + minimum_jerk((times - reach.event) / SLIDE_TIME)[:, None] * reach.twist.slide
-    axis = reach.centre + turn(reach.yaw, 0.0, np.array([DOOR_WIDTH_HALF, 0.0, 0.0]))
+        return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.twist.slide
+    axis = reach.centre + turn(reach.yaw, 0.0, np.array([_DOOR_WIDTH_HALF, 0.0, 0.0]))
     return axis + turn(opened(reach, times), 0.0, point - axis)
 
 
 def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Return the angle of a door that is pulled towards the person, radians."""
-    return -reach.twist.opening * minimum_jerk((times - reach.event) / OPENING_TIME)
+    return -reach.twist.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
 
 
 def _second_hand(

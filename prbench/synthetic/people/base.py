@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.synthetic.people.channels import blend, eased_trapezoid, wrap
 from prbench.synthetic.people.person import Habits
 
-WALK_FROM = 0.7
+_WALK_FROM = 0.7
 _STAY_WITHIN = 0.04
 _STAY_TURN = np.deg2rad(12.0)
 
@@ -92,7 +92,7 @@ def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, b
     """
     distance = float(np.hypot(goal.x - start.x, goal.z - start.z))
     speed = habits.walk_speed * pace * (1.0 - np.exp(-(distance + 0.15) / 0.75))
-    if distance > WALK_FROM:
+    if distance > _WALK_FROM:
         return _plan_walk(habits, speed, distance, start, goal, begin)
     turn = float(wrap(goal.heading - start.heading))
     if distance < _STAY_WITHIN and abs(turn) < _STAY_TURN:

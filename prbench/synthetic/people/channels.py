@@ -17,7 +17,7 @@ def minimum_jerk(x: np.ndarray | float) -> np.ndarray:
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
-def minimum_jerk_integral(x: np.ndarray | float) -> np.ndarray:
+def _minimum_jerk_integral(x: np.ndarray | float) -> np.ndarray:
     """Return the integral of :func:`minimum_jerk` from 0 to x; 0.5 at x = 1 and a straight line after it."""
     inside = np.clip(x, 0.0, 1.0)
     return inside**4 * (2.5 + inside * (inside - 3.0)) + np.maximum(x - 1.0, 0.0)
@@ -32,8 +32,8 @@ def bump(x: np.ndarray | float) -> np.ndarray:
 def eased_trapezoid(x: np.ndarray, up: float, down: float) -> np.ndarray:
     """Return the progress of a speed that rises over ``up``, is constant, and falls over ``down`` (shares of time)."""
     x = np.clip(x, 0.0, 1.0)
-    rising = up * minimum_jerk_integral(x / up)
-    falling = down * minimum_jerk_integral((x - (1.0 - down)) / down) * (x > 1.0 - down)
+    rising = up * _minimum_jerk_integral(x / up)
+    falling = down * _minimum_jerk_integral((x - (1.0 - down)) / down) * (x > 1.0 - down)
     return (rising - falling) / (1.0 - 0.5 * up - 0.5 * down)
 
 

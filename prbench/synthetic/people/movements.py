@@ -14,20 +14,20 @@ import numpy as np
 from prbench.errors import UsageError
 from prbench.synthetic.people.person import Person
 from prbench.synthetic.people.places import Goal, Stand
-from prbench.synthetic.people.plan import Action, Reach, Twist
+from prbench.synthetic.people.plan import Action, Reach, ReachChange
 from prbench.synthetic.people.presets import ObjectKind, Preset
 from prbench.synthetic.people.world import world_half_extents
 
 EXTRA = ("pass_by", "touch", "nudge", "hinge")
 """Movements of their own, before a pick."""
-OF_PAIR = ("two_handed", "hand_over", "same_place", "contained")
+_OF_PAIR = ("two_handed", "hand_over", "same_place", "contained")
 """Ways to pick something and to put it."""
-OF_EVENT = ("too_near", "early", "swept", "lost")
+_OF_EVENT = ("too_near", "early", "swept", "lost")
 """Circumstances of a single event."""
-OF_OTHERS = ("bystander",)
-TAGS = (*EXTRA, *OF_PAIR, *OF_EVENT, *OF_OTHERS)
+_OF_OTHERS = ("bystander",)
+_TAGS = (*EXTRA, *_OF_PAIR, *_OF_EVENT, *_OF_OTHERS)
 
-DEFAULT_SHARE = 0.10
+_DEFAULT_SHARE = 0.10
 """Of the movements, for all tags together."""
 
 TRAY = ObjectKind("WoodenTray", "tray", (0.13, 0.015, 0.10))
@@ -52,9 +52,9 @@ def shares_for(preset: Preset, wanted: Mapping[str, float] | None) -> dict[str, 
     """
     possible = possible_tags(preset)
     if wanted is None:
-        return {tag: DEFAULT_SHARE / len(possible) for tag in possible}
+        return {tag: _DEFAULT_SHARE / len(possible) for tag in possible}
     for tag, share in wanted.items():
-        if tag not in TAGS:
+        if tag not in _TAGS:
             raise UsageError(f"provocation '{tag}' is unknown. Take some of: {', '.join(TAGS)}.")
         if not 0.0 <= share <= 1.0:
             raise UsageError(f"provocation '{tag}': expected a share from 0 to 1, found {share}.")
@@ -68,7 +68,7 @@ def possible_tags(preset: Preset) -> tuple[str, ...]:
     without = set() if preset.name == "adt" else {"bystander"}
     if preset.table_only:
         without.add("hinge")
-    return tuple(tag for tag in TAGS if tag not in without)
+    return tuple(tag for tag in _TAGS if tag not in without)
 
 
 def draw_tag(shares: Mapping[str, float], movements: int, is_first: bool, rng: np.random.Generator) -> str:
@@ -82,7 +82,7 @@ def draw_tag(shares: Mapping[str, float], movements: int, is_first: bool, rng: n
     """
     chance = rng.random()
     for tag, share in shares.items():
-        if tag in OF_OTHERS:
+        if tag in _OF_OTHERS:
             continue
         chance -= share * movements
         if chance < 0.0:
@@ -123,11 +123,11 @@ def tag_of(pair: Pair, action: Action) -> str:
         return "too_near"
     if action in EXTRA:
         return action
-    if pair.tag in OF_PAIR:
+    if pair.tag in _OF_PAIR:
         return pair.tag
     if pair.tag in ("too_near", "early"):
         return pair.tag if action == "pick" else "plain"
-    return pair.tag if pair.tag in OF_EVENT and action == pair.tagged_event else "plain"
+    return pair.tag if pair.tag in _OF_EVENT and action == pair.tagged_event else "plain"
 
 
 def make_reach(
@@ -181,21 +181,21 @@ def make_reach(
 
 def _draw_twist(
     action: Action, tag: str, goal: Goal, stand: Stand, event: float, provoker: np.random.Generator
-) -> Twist:
+) -> ReachChange:
     draw = provoker.uniform
     if action == "nudge":
         away = goal.centre - stand.grasp.wrist
         away[1] = 0.0
-        return Twist(slide=float(draw(0.008, 0.018)) * away / np.linalg.norm(away))
+        return ReachChange(slide=float(draw(0.008, 0.018)) * away / np.linalg.norm(away))
     if action == "hinge":
-        return Twist(opening=float(draw(0.55, 0.8)))
+        return ReachChange(opening=float(draw(0.55, 0.8)))
     if tag == "two_handed":
-        return Twist(second_hand=float(draw(0.10, 0.16)))
+        return ReachChange(second_hand=float(draw(0.10, 0.16)))
     if tag == "too_near" and action == "pick":
-        return Twist(gap=float(draw(0.42, 0.55)))
+        return ReachChange(gap=float(draw(0.42, 0.55)))
     if tag == "early":
-        return Twist(gap=min(event - float(draw(0.6, 1.7)), _LONGEST_GAP))
+        return ReachChange(gap=min(event - float(draw(0.6, 1.7)), _LONGEST_GAP))
     if tag == "lost":
         before, after = float(draw(0.1, 0.5)), float(draw(0.2, 0.5))
-        return Twist(lost=(event - before, event + after))
-    return Twist()
+        return ReachChange(lost=(event - before, event + after))
+    return ReachChange()

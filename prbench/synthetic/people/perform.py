@@ -24,7 +24,7 @@ from prbench.synthetic.people.plan import OPENING, Plan
 from prbench.synthetic.people.planner import plan_recording
 from prbench.synthetic.people.presets import PRESETS, Preset
 from prbench.synthetic.people.truth import Scene, events_of_others, true_events
-from prbench.synthetic.people.world import Item, Room, Source, SplitRule, World, cast, draw_room, seated
+from prbench.synthetic.people.world import Item, Room, Source, SplitRule, World, assign, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
 
 _EVENTS = 2
@@ -33,7 +33,7 @@ _POLITE_DISTANCE = 0.9  # metres between two people
 
 
 @dataclass(frozen=True)
-class Bystander:
+class _Bystander:
     """The other person, what they planned, and the objects that they moved."""
 
     person: OtherPerson
@@ -41,9 +41,9 @@ class Bystander:
     objects: list[ObjectMotion]
 
 
-def bystander_acts(
+def _bystander_acts(
     source: Source, index: int, wearer: Plan, motion: Motion, times: np.ndarray, object_ids: list[str]
-) -> Bystander | None:
+) -> _Bystander | None:
     """Let somebody else pick and put one object in the same room at the same time.
 
     Args:
@@ -82,7 +82,7 @@ def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
     return replace(wearer.items[item], position=centre, rides_on=None)
 
 
-def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> Bystander:
+def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> _Bystander:
     purposes = (source.generator("recording", index, f"bystander-{name}") for name in ("sway", "gaze", "head"))
     motion = synthesise(plan, times, Generators(*purposes))
     handled = 1 + max(reach.item for reach in plan.reaches)
@@ -90,7 +90,7 @@ def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, o
     objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, object_ids[:handled])
     held = [replace(item, held_by=np.where(item.held_by >= 0, 2, -1)) for item in objects]
     person = OtherPerson(plan.person.participant_id, motion.joints, motion.finger_bases)
-    return Bystander(person, plan, held)
+    return _Bystander(person, plan, held)
 
 
 _CLOSING = 2.0  # seconds after the last movement
@@ -126,7 +126,7 @@ def perform(
         provocations: Share of the movements for each tag of docs/specification/synthetic-recordings.md#provocations;
         None: 10 % together, {}: none.
         bystander_objects: Objects that never move; 3 to 12, drawn with the room, if None.
-        split_rule: See :func:`prbench.synthetic.people.world.cast`.
+        split_rule: See :func:`prbench.synthetic.people.world.assign`.
 
     Raises:
         UsageError: if there is no such preset.
@@ -134,10 +134,10 @@ def perform(
     if preset not in PRESETS:
         raise UsageError(f"synthetic preset '{preset}' is unknown. Take one of: {', '.join(PRESETS)}.")
     constants, source = PRESETS[preset], Source(seed, preset, world)
-    casting = cast(source, index, split_rule)
-    person = draw_person(constants, f"S{casting.person:03d}", source.generator("person", casting.person, "body"))
-    room_rng = source.generator("room", casting.room, "plan")
-    room = draw_room(constants, f"R{casting.room:03d}", room_rng, bystander_objects)
+    assigned = assign(source, index, split_rule)
+    person = draw_person(constants, f"S{assigned.person:03d}", source.generator("person", assigned.person, "body"))
+    room_rng = source.generator("room", assigned.room, "plan")
+    room = draw_room(constants, f"R{assigned.room:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
     plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
     gaze_plan, gaze = _looked(source, index, plan, motion, times)
@@ -149,7 +149,7 @@ def perform(
     chance = source.generator("recording", index, "bystander").random()
     others = ()
     if chance < shares.get("bystander", 0.0) * n_events:
-        other = bystander_acts(source, index, plan, motion, times, ids[-_OTHERS_OBJECTS:])
+        other = _bystander_acts(source, index, plan, motion, times, ids[-_OTHERS_OBJECTS:])
         if other is not None:
             others = (other.person,)
             events += events_of_others(other.plan, scene, other.objects, recording_id)
@@ -161,7 +161,7 @@ def perform(
         index=index,
         recording_id=recording_id,
         room_id=plan.room.room_id,
-        split=casting.split,
+        split=assigned.split,
         person=person.style(),
         rate=rate,
         times=times,
@@ -172,7 +172,7 @@ def perform(
         eye=motion.eye,
         gaze=gaze,
         planted=motion.planted,
-        objects=(*objects, *_furniture(plan, source, casting.room)),
+        objects=(*objects, *_furniture(plan, source, assigned.room)),
         events=events,
         fixations=tuple(_fixation(look, recording_id) for look in gaze_plan.looks),
         other_people=others,

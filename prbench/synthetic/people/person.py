@@ -162,8 +162,8 @@ def _scaled(offset: tuple[float, float, float], scale: float) -> tuple[float, fl
     return offset[0] * scale, offset[1] * scale, offset[2] * scale
 
 
-PELVIS_SHARE_OF_LEAN = 0.4
-STANDING_LEG = 0.990
+_PELVIS_SHARE_OF_LEAN = 0.4
+_STANDING_LEG = 0.990
 """Hip height above the ankle when standing, share of the leg: a knee of 164 degrees."""
 BALL_HEIGHT = 0.013
 """Ball of the resting foot above the floor, metres."""
@@ -204,9 +204,9 @@ def pose_trunk(
     """
     lean = np.asarray(lean, dtype=np.float64)
     twist = np.asarray(chest_yaw) - pelvis_yaw
-    bend = (1.0 - PELVIS_SHARE_OF_LEAN) * lean + stoop
+    bend = (1.0 - _PELVIS_SHARE_OF_LEAN) * lean + stoop
     yaws = tuple(np.asarray(pelvis_yaw + twist * third / 3.0) for third in range(4))
-    pitches = tuple(PELVIS_SHARE_OF_LEAN * lean + bend * third / 3.0 for third in range(4))
+    pitches = tuple(_PELVIS_SHARE_OF_LEAN * lean + bend * third / 3.0 for third in range(4))
     joints = [pelvis]
     for yaw, pitch, offset in zip(yaws, pitches, body.spine, strict=True):
         joints.append(joints[-1] + turn(yaw, pitch, np.array(offset)))
@@ -230,7 +230,7 @@ def pose_trunk(
 
 def standing_pelvis_height(body: Body) -> float:
     """Return the pelvis height of a person who stands upright."""
-    return BALL_HEIGHT + body.ankle_height + STANDING_LEG * body.leg - body.hip[1]
+    return BALL_HEIGHT + body.ankle_height + _STANDING_LEG * body.leg - body.hip[1]
 
 
 def seated_pelvis_height(body: Body) -> float:

@@ -27,7 +27,7 @@ Action = Literal["pick", "put", "hover", "pass_by", "touch", "nudge", "hinge"]
 
 
 @dataclass(frozen=True)
-class Twist:
+class ReachChange:
     """What a provocation changes about one reach; the default changes nothing.
 
     Source: docs/specification/synthetic-recordings.md#provocations.
@@ -75,7 +75,7 @@ class Reach:
     dwell: float
     """Seconds that the hand stays after the event, unless it carries the object away."""
     carries: bool
-    twist: Twist = Twist()
+    twist: ReachChange = ReachChange()
 
 
 @dataclass(frozen=True)

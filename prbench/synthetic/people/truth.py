@@ -63,7 +63,7 @@ def events_of_others(plan: Plan, scene: Scene, objects: list[ObjectMotion], reco
 def _true_event(
     reach: Reach, prime: float | None, tag: str, scene: Scene, motion: ObjectMotion, recording_id: str
 ) -> TrueEvent:
-    event_time = exact_event_time(reach, motion, scene.times)
+    event_time = _exact_event_time(reach, motion, scene.times)
     low, high = reach.centre - reach.half_world, reach.centre + reach.half_world
     sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event_time)
     expected, margin = _expected(reach, sight, scene)
@@ -92,7 +92,7 @@ def _true_event(
     )
 
 
-def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> float:
+def _exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> float:
     """Return the first (pick) or last (put) instant at which the object is 1 mm from its rest, interpolated."""
     if len(motion.position) == 1:
         return reach.event

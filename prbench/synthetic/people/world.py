@@ -233,7 +233,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Casting:
+class Assignment:
     """Room, person and split of one recording."""
 
     room: int
@@ -241,7 +241,7 @@ class Casting:
     split: Split
 
 
-def cast(source: Source, index: int, rule: SplitRule) -> Casting:
+def assign(source: Source, index: int, rule: SplitRule) -> Assignment:
     """Draw the side of the split, then room and person.
 
     Args:
@@ -256,7 +256,7 @@ def cast(source: Source, index: int, rule: SplitRule) -> Casting:
     if rule == "recording":
         person, room = people[int(rng.integers(len(people)))], rooms[int(rng.integers(len(rooms)))]
         split = "test" if chance < TEST_SHARE else "validation" if chance < TEST_SHARE + 0.07 else "train"
-        return Casting(room, person, split)
+        return Assignment(room, person, split)
     n_test_people, n_test_rooms = round(TEST_SHARE * len(people)), round(TEST_SHARE * len(rooms))
     is_test = chance < TEST_SHARE
     people_here = people[:n_test_people] if is_test else people[n_test_people:]
@@ -265,7 +265,7 @@ def cast(source: Source, index: int, rule: SplitRule) -> Casting:
     room = rooms_here[int(rng.integers(len(rooms_here)))]
     for_validation = people[n_test_people : n_test_people + round(VALIDATION_SHARE * len(people))]
     split = "test" if is_test else "validation" if person in for_validation else "train"
-    return Casting(room, person, split)
+    return Assignment(room, person, split)
 
 
 def _ranked(source: Source, kind: str) -> list[int]:

@@ -20,7 +20,6 @@ from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import (
     GAZE_MARGIN,
-    gaze_bias,
     gaze_clock_us,
     gaze_measurements,
     lost_gaze,
@@ -29,11 +28,9 @@ from prbench.synthetic.sensors.errors import Switches, sensor_generator, strengt
 from prbench.synthetic.sensors.suit import suit_joints, suit_markers, suit_segments
 from prbench.timelines import interpolate, slerp
 
-__all__ = ["clock_start_us", "gaze_bias", "glasses_serial", "native_object_id", "sense"]
-
 RATE = 30.0
 """Glasses, gaze and objects, Hz."""
-BODY_RATE = 120.0
+_BODY_RATE = 120.0
 GLASSES_SIZE = "DVT-L"
 
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
@@ -59,7 +56,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     pose_us = clock_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
     return adt.AdtReadings(
         recording_id=performance.recording_id,
-        serial=glasses_serial(performance),
+        serial=_glasses_serial(performance),
         concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
         glasses_size=None,
         device_from_rgb=None,
@@ -79,7 +76,7 @@ def clock_start_us(performance: Performance) -> int:
     return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
 
 
-def glasses_serial(performance: Performance, other: int = 0) -> str:
+def _glasses_serial(performance: Performance, other: int = 0) -> str:
     """Return an invented serial of the wearer's glasses, or of those of another person in the scene."""
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
@@ -244,7 +241,7 @@ def _sense_suit(
     noise: float,
     switches: Switches,
 ) -> adt.AdtSkeleton:
-    times = performance.times[0] + np.arange(int((performance.duration + 1e-9) * BODY_RATE) + 1) / BODY_RATE
+    times = performance.times[0] + np.arange(int((performance.duration + 1e-9) * _BODY_RATE) + 1) / _BODY_RATE
     native = interpolate(performance.times, suit_joints(joints, finger_bases), times)
     native += _suit_noise(performance, times, number, noise, switches)
     markers = suit_markers(native)
@@ -259,7 +256,7 @@ def _sense_suit(
     return adt.AdtSkeleton(
         name=f"Skeleton_{participant_id}",
         skeleton_id=native_object_id(f"skeleton {participant_id}"),
-        serial=glasses_serial(performance, number),
+        serial=_glasses_serial(performance, number),
         time_ns=clock_start_us(performance) * 1000 + since_start,
         joints=np.round(native, _METRES),
         markers=np.round(markers, _METRES),

@@ -165,7 +165,7 @@ def graph_uid(performance: Performance) -> str:
     return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
 
 
-def true_device_poses(
+def _true_device_poses(
     performance: Performance, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
     """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
@@ -184,7 +184,7 @@ def _sense_poses(
     since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(performance, n, switches, step_jitter_us)
     since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
     times = performance.times[0] + since_start / 1e6
-    position, rotation = true_device_poses(performance, times)
+    position, rotation = _true_device_poses(performance, times)
     shift, turn = _drift(performance, times, strength(switches.pose_drift, noise))
     rng, scale = sensor_generator(performance, "mps-pose-noise"), strength(switches.pose_noise, noise)
     shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
@@ -278,7 +278,7 @@ def _in_device(
     performance: Performance, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 2 3"]:
     """Return points of the performance's world in the true device frame."""
-    position, rotation = true_device_poses(performance, times)
+    position, rotation = _true_device_poses(performance, times)
     native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
     return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
 

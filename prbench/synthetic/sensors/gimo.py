@@ -21,10 +21,10 @@ from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.timelines import interpolate, slerp
 
-SKELETON_RATE = 60.0
+_SKELETON_RATE = 60.0
 """Frames of the suit a second."""
-TRANSFORMATION = "transform_info_0.json"
-ACTIVITY = "take object"
+_TRANSFORMATION = "transform_info_0.json"
+_ACTIVITY = "take object"
 
 _FIRST_FRAMES = 300  # of the video, before the segment
 _SKELETON_LEAD = (20, 90)  # frames of the suit before the segment: its clock is its own
@@ -62,7 +62,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         switches: Which errors are on; all if None.
     """
     switches = switches or Switches()
-    segment, transform = segment_of(performance), scene_transform(performance)
+    segment, transform = _segment_of(performance), _scene_transform(performance)
     body_from_room = invert_rigid(transform.room_from_body())
     return gimo.GimoReadings(
         recording_id=performance.recording_id,
@@ -77,7 +77,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     )
 
 
-def segment_of(performance: Performance) -> gimo.Segment:
+def _segment_of(performance: Performance) -> gimo.Segment:
     """Return the row of ``dataset.csv``: the whole performance is one segment."""
     start = first_frame(performance)
     known = [event_frame(performance, event) for event in picks(performance)]
@@ -87,9 +87,9 @@ def segment_of(performance: Performance) -> gimo.Segment:
         sequence=performance.recording_id,
         start_frame=start,
         end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
-        transformation=TRANSFORMATION,
+        transformation=_TRANSFORMATION,
         training=gimo.TEST if performance.split == "test" else train,
-        activity=ACTIVITY,
+        activity=_ACTIVITY,
         hint=known[0] if known and performance.index % 2 else None,
     )
 
@@ -118,7 +118,7 @@ def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> 
     return float(yaw), float(pitch)
 
 
-def scene_transform(performance: Performance) -> gimo.SceneTransform:
+def _scene_transform(performance: Performance) -> gimo.SceneTransform:
     """Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
     room = named_generator(
         "prbench-synth",
@@ -216,8 +216,8 @@ def _sense_skeleton(
 ) -> BvhMotion:
     """Return the suit's own file: centimetres, starting earlier than the segment with the first pose held."""
     lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
-    n = int((performance.duration + 1e-9) * SKELETON_RATE) + 1
-    times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / SKELETON_RATE
+    n = int((performance.duration + 1e-9) * _SKELETON_RATE) + 1
+    times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / _SKELETON_RATE
     turned = [
         Rotation.from_matrix(body_from_room[:3, :3])
         * Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
@@ -234,7 +234,7 @@ def _sense_skeleton(
     size = np.full(values.shape[1], _ANGLE_NOISE)
     size[:3] = _ROOT_NOISE * _CENTIMETRES
     values += rng.normal(0.0, 1.0, values.shape) * size * scale
-    return BvhMotion(_hierarchy(performance), 1.0 / SKELETON_RATE, np.round(values, _DECIMALS))
+    return BvhMotion(_hierarchy(performance), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
 
 
 def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:

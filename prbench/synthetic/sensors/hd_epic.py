@@ -22,12 +22,12 @@ from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.aria_mps import gaze_bias as aria_gaze_bias
 from prbench.synthetic.sensors.aria_mps import sense_mps
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.hd_epic_annotations import Sighting, invented_priming, masks_of
+from prbench.synthetic.sensors.hd_epic_annotations import Sighting, masks_of, synthetic_priming
 
-GAZE_PERIOD = 0.1
+_GAZE_PERIOD = 0.1
 """Seconds."""
-STEP_JITTER_US = 2
-GAZE_KIND = "general"
+_STEP_JITTER_US = 2
+_GAZE_KIND = "general"
 """HD-EPIC has no personalized gaze."""
 
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
@@ -63,8 +63,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         start_us=start_us,
         noise=noise,
         switches=switches,
-        gaze_kind=GAZE_KIND,
-        step_jitter_us=STEP_JITTER_US,
+        gaze_kind=_GAZE_KIND,
+        step_jitter_us=_STEP_JITTER_US,
     )
     glasses = _in_world_of(performance.person.participant_id, glasses)
     clock = sense_video_clock(performance, noise, switches)
@@ -74,7 +74,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         participant_id=performance.person.participant_id,
         clock=clock,
         tracks=tracks,
-        priming=invented_priming(performance, tracks),
+        priming=synthetic_priming(performance, tracks),
         glasses=glasses,
         body=None,
     )
@@ -95,7 +95,7 @@ def clock_start_us(performance: Performance) -> int:
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
     """Return the recording's constant gaze error, yaw and pitch, radians."""
-    return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=GAZE_KIND)
+    return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=_GAZE_KIND)
 
 
 def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
@@ -106,7 +106,7 @@ def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
     """
     ends = [event for movement in movements(performance) for event in movement]
     return tuple(
-        seen_again(event, performance, event.goal, event.goal, gaze_period=GAZE_PERIOD)
+        seen_again(event, performance, event.goal, event.goal, gaze_period=_GAZE_PERIOD)
         for event in sorted(ends, key=lambda event: event.event_time)
     )
 

@@ -118,7 +118,7 @@ _IN_VIEW = np.cos(np.deg2rad(50.0))  # half of the camera's field of view
 _FORGOTTEN = 0.02  # share of the events that the file does not mention
 
 
-def invented_priming(
+def synthetic_priming(
     performance: Performance, tracks: Sequence[hd_epic.ObjectTrack]
 ) -> tuple[hd_epic.PublishedSide, ...]:
     """Return one entry for every end of a movement that has a mask, but for a few."""

@@ -20,11 +20,12 @@ from prbench.axes import z_up
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
 from prbench.skeleton import Joint
-from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
+from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.hot3d_hand import finger_angles, invented_hand, wrist_rotation
+from prbench.synthetic.sensors.hot3d_hand import finger_angles, synthetic_hand, wrist_rotation
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 from prbench.timelines import interpolate, slerp
 
 RATE = 30.0
@@ -72,10 +73,10 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         headset=hot3d.PoseRows(time_ns, trajectory.position[row], trajectory.rotation[row]),
         objects=_sense_objects(performance, times, time_ns, noise, switches),
         hands=hands,
-        hand_model=invented_hand(hand_length),
+        hand_model=synthetic_hand(hand_length),
         masks=_masks(performance, time_ns, hands, noise, switches),
         mps=mps,
-        body=body_from_outputs(outputs, invented_smplh()),
+        body=body_from_outputs(outputs, synthetic_smplh()),
         egoallo_outputs=outputs,
     )
 
@@ -102,12 +103,12 @@ def native_object_id(object_id: str) -> str:
     return str(10**14 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (9 * 10**14))
 
 
-def has_quality_mask(performance: Performance) -> bool:
+def _has_quality_mask(performance: Performance) -> bool:
     """Return True for a recording of a newer release, which says in which frames the hands are right."""
     return performance.index % 2 == 0
 
 
-def has_wrong_start(performance: Performance, noise: float, switches: Switches) -> bool:
+def _has_wrong_start(performance: Performance, noise: float, switches: Switches) -> bool:
     """Return True where the hands of the first 0.7 s are wrong, as in several real recordings."""
     return strength(switches.hand_start, noise) > 0 and performance.index % _WRONG_EVERY == _WRONG_FIRST
 
@@ -190,7 +191,7 @@ def _sense_hand(
     segment = Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
     rng, scale = sensor_generator(performance, f"hand-noise-{side}"), strength(switches.hand_noise, noise)
     sensed = wrist + rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
-    if has_wrong_start(performance, noise, switches):
+    if _has_wrong_start(performance, noise, switches):
         sensed[times < times[0] + _WRONG_START] += (0.0, _WRONG_BY, 0.0)
     seen = np.ones(len(times), dtype=bool)
     if strength(switches.hand_losses, noise):
@@ -247,8 +248,8 @@ def _masks(
         "object_pose_available": hot3d.MaskRows(rgb, good),
         "hand_pose_available": hot3d.MaskRows(rgb, tracked),
     }
-    if has_quality_mask(performance):
-        wrong = has_wrong_start(performance, noise, switches)
+    if _has_quality_mask(performance):
+        wrong = _has_wrong_start(performance, noise, switches)
         passed = (rgb - rgb[0] >= round(_WRONG_START * 1e9)) | ~np.array(wrong)
         masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
     return masks

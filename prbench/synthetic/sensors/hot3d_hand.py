@@ -36,7 +36,7 @@ _SPREAD = 0.03
 _ROOT, _WRIST = 0, 1
 
 
-def invented_hand(length: float) -> HandModel:
+def synthetic_hand(length: float) -> HandModel:
     """Return the left hand of somebody whose middle finger begins ``length`` metres from the wrist."""
     joints = _joints()
     bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
