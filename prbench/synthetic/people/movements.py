@@ -55,7 +55,7 @@ def shares_for(preset: Preset, wanted: Mapping[str, float] | None) -> dict[str, 
         return {tag: _DEFAULT_SHARE / len(possible) for tag in possible}
     for tag, share in wanted.items():
         if tag not in _TAGS:
-            raise UsageError(f"provocation '{tag}' is unknown. Take some of: {', '.join(TAGS)}.")
+            raise UsageError(f"provocation '{tag}' is unknown. Take some of: {', '.join(_TAGS)}.")
         if not 0.0 <= share <= 1.0:
             raise UsageError(f"provocation '{tag}': expected a share from 0 to 1, found {share}.")
     return {tag: wanted[tag] for tag in possible if wanted.get(tag, 0.0) > 0.0}
