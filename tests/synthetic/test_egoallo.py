@@ -19,10 +19,10 @@ from prbench.readers.egoallo.to_recording import body_from_outputs, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
 from prbench.skeleton import Joint, bone_lengths, head_forward, invert_rigid
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
 from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 from prbench.timelines import interpolate, slerp
 from tests.comparing import differences
 
@@ -59,7 +59,7 @@ def trajectory(person):
 
 
 def _body(outputs) -> EgoAlloBody:
-    body = body_from_outputs(outputs, invented_smplh())
+    body = body_from_outputs(outputs, synthetic_smplh())
     assert body is not None
     return body
 
@@ -169,7 +169,7 @@ def test_the_written_model_has_the_keys_of_smplh_and_the_same_rest_joints(tmp_pa
         assert model["kintree_table"][0, 0] == 2**32 - 1
         assert model["J_regressor"].shape[0] == 52
         assert model["shapedirs"].shape[2] == 16
-    assert not list(differences(read_smplh_rest(tmp_path / "model.npz"), invented_smplh()))
+    assert not list(differences(read_smplh_rest(tmp_path / "model.npz"), synthetic_smplh()))
 
 
 def test_outputs_of_another_recording_are_refused(person, trajectory, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from prbench.errors import UsageError
 from prbench.skeleton import WRISTS
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.people.geometry import matrix_of
-from prbench.synthetic.people.provocations import possible_tags
+from prbench.synthetic.people.movements import possible_tags
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
 

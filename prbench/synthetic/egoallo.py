@@ -10,7 +10,9 @@ their lengths, as in any output of a body model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,14 +21,13 @@ from scipy.spatial.transform import Rotation
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS, Joint
+from prbench.storage import atomic_path, write_text
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.people.geometry import soft_limit, two_bone
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.smplh import invented_smplh, model_rotations, shape_of
+from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh
 from prbench.timelines import interpolate, slerp
-
-__all__ = ["NATIVE_FROM_WORLD", "invented_smplh", "sense_egoallo"]
 
 NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""
@@ -59,7 +60,7 @@ def sense_egoallo(
     size: GlassesSize = "DVT-S",
     native_from_world: Float[np.ndarray, "4 4"] = NATIVE_FROM_WORLD,
 ) -> tuple[ego.EgoAlloOutput, ...]:
-    """What EgoAllo would write for a performance: several overlapping windows of every 33rd pose.
+    """Return what EgoAllo would write for a performance: several overlapping windows of every 33rd pose.
 
     Args:
         performance: The truth.
@@ -97,7 +98,7 @@ def sense_egoallo(
 
 
 def _windows(n_frames: int) -> list[tuple[int, int]]:
-    """First and last frame of each window, in output frames; the last one ends with the recording."""
+    """Return the first and last frame of each window, in output frames; the last one ends with the recording."""
     stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
     starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
     windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
@@ -105,14 +106,14 @@ def _windows(n_frames: int) -> list[tuple[int, int]]:
 
 
 def _true_pose(performance: Performance, times: Float[np.ndarray, " n"]) -> _Pose:
-    """The truth at some times; rotations are interpolated, so that bones keep their lengths."""
+    """Return the truth at some times; rotations are interpolated, so that bones keep their lengths."""
     n = len(times)
     segments = np.stack(
         [slerp(performance.times, performance.rotations[:, joint], times) for joint in Joint], axis=1
     ).reshape(n, len(Joint), 4)
     rotations = model_rotations(segments)
     pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
-    rest = invented_smplh().rest_joints(shape_of(performance))
+    rest = synthetic_smplh().rest_joints(shape_of(performance))
     joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
     return _Pose(joints, rotations)
 
@@ -125,7 +126,7 @@ def _estimate(
     noise: float,
     switches: Switches,
 ) -> _Pose:
-    """The body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
+    """Return the body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
     height = strength(switches.root_height, noise) * _ROOT_HEIGHT
     limbs, slip = strength(switches.limb_wobble, noise), strength(switches.foot_slip, noise)
     if height == limbs == slip == 0.0:
@@ -173,14 +174,14 @@ def _bend(
 
 
 def _shortest_turn(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Rotation:
-    """The rotation about the common normal that takes each direction to another one."""
+    """Return the rotation about the common normal that takes each direction to another one."""
     cross, dot = np.cross(first, second), np.einsum("ni,ni->n", first, second)
     sine = np.linalg.norm(cross, axis=1)
     return Rotation.from_rotvec(cross * (np.arctan2(sine, dot) / np.maximum(sine, 1e-15))[:, None])
 
 
 def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"]:
-    """Rotations of the joints 1 to 21 in their parents."""
+    """Return the rotations of the joints 1 to 21 in their parents."""
     world = [Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint]
     local = [(world[PARENTS[child]].inv() * world[child]).as_quat(scalar_first=True) for child in range(1, len(Joint))]
     return np.stack(local, axis=1)
@@ -189,7 +190,7 @@ def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"
 def _model_parameters(
     pose: _Pose, native_from_world: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "n 21 4"]]:
-    """Root pose in the native world, and local rotations; float32, as the files hold them."""
+    """Return the root pose in the native world, and local rotations; float32, as the files hold them."""
     turn = Rotation.from_matrix(native_from_world[:3, :3])
     root = turn * Rotation.from_quat(pose.rotations[:, Joint.PELVIS], scalar_first=True)
     position = turn.apply(pose.joints[:, Joint.PELVIS]) + native_from_world[:3, 3]
@@ -202,3 +203,63 @@ def _head_poses(trajectory: AriaTrajectory, rows: Int[np.ndarray, " n"], size: G
     position = trajectory.position[rows] + device.apply(device_cpf[:3, 3])
     rotation = device * Rotation.from_matrix(device_cpf[:3, :3])
     return np.hstack([rotation.as_quat(scalar_first=True), position]).astype(np.float32)
+
+
+_NO_PARENT = 2**32 - 1
+
+
+def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
+    """Write output files, each with its ``_args.yaml``, into ``folder`` (a recording's ``egoallo_outputs``).
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    for output in outputs:
+        start, end = (int(part) for part in Path(output.name).stem.rpartition("_")[2].split("-"))
+        samples, frames = output.world_from_root.shape[:2]
+        straight = np.zeros((samples, frames, ego.N_HAND_QUATS, 4), dtype=np.float32)
+        straight[..., 0] = 1.0
+        with atomic_path(folder / output.name) as temporary:
+            np.savez(
+                temporary,
+                **{
+                    ego.WORLD_FROM_CPF: output.world_from_cpf,
+                    ego.WORLD_FROM_ROOT: output.world_from_root,
+                    ego.BODY_QUATS: output.body_quats,
+                    ego.LEFT_HAND_QUATS: straight,
+                    ego.RIGHT_HAND_QUATS: straight,
+                    ego.CONTACTS: np.zeros((samples, frames, ego.N_BODY_QUATS), dtype=np.float32),
+                    ego.BETAS: output.betas,
+                    ego.FRAME_NUMS: np.arange(start, start + frames),
+                    ego.TIMES: output.time_ns,
+                },
+            )
+        write_text(
+            folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}",
+            f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
+        )
+
+
+def write_smplh_model(path: Path) -> None:
+    """Write the invented body model with the keys of an SMPL-H file: 52 points, one a joint; fingers at the wrists.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    rest, n = synthetic_smplh(), ego.N_MODEL_JOINTS
+    hands = np.repeat([20, 21], ego.N_HAND_QUATS)
+    owner = np.concatenate([np.arange(22), hands])
+    parents = np.concatenate([[_NO_PARENT], np.array(PARENTS[1:]), hands])
+    with atomic_path(path) as temporary:
+        np.savez(
+            temporary,
+            **{
+                "f": np.array([[0, 1, 2]], dtype=np.int32),
+                ego.REGRESSOR: np.eye(n),
+                "kintree_table": np.stack([parents, np.arange(n)]).astype(np.uint32),
+                "weights": np.eye(n),
+                "posedirs": np.zeros((n, 3, 9 * (n - 1))),
+                ego.TEMPLATE: rest.template[owner],
+                ego.SHAPES: rest.directions[owner],
+            },
+        )

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from prbench.skeleton import WRISTS, Joint
-from prbench.synthetic.activities import NarratedMotion, cast_of, narrated_recording
+from prbench.synthetic.activities import NarratedMotion, identity_of, narrated_recording
 from prbench.synthetic.activities.acts import SITTING, STANDING
-from prbench.synthetic.activities.goals import spoken_name
+from prbench.synthetic.activities.narrate import spoken_name
 from prbench.synthetic.activities.patterns import PATTERNS
 from prbench.synthetic.activities.wording import amount_word, speed_word
 from prbench.synthetic.people import PRESETS
@@ -164,7 +164,7 @@ def test_a_quarter_of_the_recordings_picks_and_puts(recordings):
 
 
 def test_test_people_never_appear_in_training():
-    casts = [cast_of(SEED, index) for index in range(200)]
+    casts = [identity_of(SEED, index) for index in range(200)]
     people = {split: {cast.participant_id for cast in casts if cast.split == split} for split in ("train", "test")}
     assert people["train"]
     assert people["test"]

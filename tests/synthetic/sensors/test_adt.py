@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.adt import format as adt
 from prbench.skeleton import Joint, bone_lengths
+from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.layouts.adt import LAYOUT
-from prbench.synthetic.recordings import synthetic_recording
-from prbench.synthetic.sensors.adt import clock_start_us, gaze_bias, native_object_id, sense
+from prbench.synthetic.sensors.adt import clock_start_us, native_object_id, sense
+from prbench.synthetic.sensors.aria_mps import gaze_bias
 from prbench.synthetic.sensors.errors import Switches
 
 TOUCHED = {

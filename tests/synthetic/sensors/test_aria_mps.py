@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from prbench.readers.aria_mps import format as mps
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.aria_gaze import gaze_bias
-from prbench.synthetic.sensors.aria_mps import sense_mps
+from prbench.synthetic.sensors.aria_mps import gaze_bias, sense_mps
 from prbench.synthetic.sensors.errors import Switches
 
 START_US = 90_000_000_000

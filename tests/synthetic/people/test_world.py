@@ -6,14 +6,14 @@ from typing import Literal
 
 import pytest
 
-from prbench.synthetic.people.population import Casting, Source, cast
+from prbench.synthetic.people.world import Assignment, Source, assign
 
 
 def castings(
     count: int, rule: Literal["person_and_room", "recording"], world: Literal["default", "large"] = "default"
-) -> list[Casting]:
+) -> list[Assignment]:
     source = Source(3, "adt", world)
-    return [cast(source, index, rule) for index in range(count)]
+    return [assign(source, index, rule) for index in range(count)]
 
 
 @pytest.mark.parametrize("world", ["default", "large"])
