@@ -10,8 +10,8 @@ from typing import TypeVar
 from torch.utils.data import DataLoader
 
 from prbench.errors import UsageError
-from prbench.training.batch import MotionBatch, collate
 from prbench.training.dataset import SequenceDataset
+from prbench.training.items import MotionBatch, collate
 from prbench.training.sampling import LengthBatches
 
 Item = TypeVar("Item")

@@ -21,8 +21,8 @@ from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
     from prbench.contract import Adapter
-    from prbench.training.batch import MotionBatch
     from prbench.training.dataset import SequenceDataset
+    from prbench.training.items import MotionBatch
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,9 @@ from prbench.metrics import METRICS
 from prbench.runs.predictions import PredictionRows, write_part
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import smallest_by_hash
-from prbench.training.batch import collate
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.dataset import SequenceDataset
+from prbench.training.items import collate
 from prbench.training.rows import Table
 from prbench.training.state import Row
 from prbench.training.task import TrainingModule

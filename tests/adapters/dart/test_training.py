@@ -17,8 +17,8 @@ from prbench.errors import InputFileError, TrainingStopped, UsageError
 from prbench.methods.adapters import load_adapter
 from prbench.storage import read_json
 from prbench.training import SequenceDataset, collate
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
+from prbench.training.items import MotionBatch
 from prbench.training.loop import fit
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights

@@ -14,7 +14,7 @@ from prbench.errors import InputFileError, TableError, UsageError
 from prbench.representation.statistics import Statistics
 from prbench.representation.tensors import decode
 from prbench.training import SequenceDataset, collate
-from prbench.training.batch import MotionBatch
+from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
 from prbench_adapters import mdm, pr

@@ -13,9 +13,9 @@ from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.storage import file_digest, read_json
 from prbench.training import SequenceDataset, collate
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench.training.installed import load_task
+from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData, TrainingTask
 from prbench.training.weights import write_weights
 from prbench_adapters.gmd.features import with_absolute_root

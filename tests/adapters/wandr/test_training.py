@@ -16,9 +16,9 @@ from prbench.methods.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint
 from prbench.training import SequenceDataset, collate
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import load_configuration
 from prbench.training.installed import list_tasks, load_task
+from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
 from prbench_adapters.kinematics.worlds import WANDR as WORLD

@@ -1,15 +1,80 @@
-"""Items padded to one length and stacked, as tensors."""
+"""One motion as it is trained on, batches of such motions as tensors, and statistics of their condition vectors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from prbench.training.dataset import MotionItem
+from prbench.errors import TableError
+
+Goal = Literal["none", "pose", "location"]
+
+_STD_FLOOR = 0.01
+"""Metres, or metres a second: entries that hardly vary are not blown up."""
+
+
+@dataclass(frozen=True)
+class MotionItem:
+    """One motion as it is trained on. Canonical frame of its first frame, metres; arrays may be read-only views."""
+
+    features: Float[np.ndarray, "n 263"]
+    """Raw features, one row a frame, not standardised (docs/specification/humanml3d.md#forward-conversion)."""
+    joints: Float[np.ndarray, "n 22 3"]
+    n_frames: int
+    text: str
+    """One of the captions."""
+    initial_joints: Float[np.ndarray, "22 3"]
+    """The first frame."""
+    previous_joints: Float[np.ndarray, "22 3"]
+    """The frame before it, for the initial velocity."""
+    goal_joints: Float[np.ndarray, "22 3"]
+    """The last frame."""
+    goal_location: Float[np.ndarray, "3"]
+    """What is reached; NaN for motions of a corpus."""
+    fps: float
+    sequence_id: str
+
+
+@dataclass(frozen=True)
+class ConditionStatistics:
+    """Of ``[initial pose 66, initial velocity 66, goal 3 or 66]``, metres and metres per second; empty without goal."""
+
+    mean: Float[np.ndarray, " size"]
+    std: Float[np.ndarray, " size"]
+
+
+def condition_vector(item: MotionItem, goal: Goal) -> Float[np.ndarray, " size"]:
+    """The unscaled vector of one item."""
+    if goal == "none":
+        return np.empty(0, dtype=np.float32)
+    velocity = (item.initial_joints - item.previous_joints) * np.float32(item.fps)
+    target = item.goal_joints if goal == "pose" else item.goal_location
+    return np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)])
+
+
+def condition_statistics(items: Iterable[MotionItem], goal: Goal) -> ConditionStatistics:
+    """Statistics over items, one after the other; the standard deviation is floored at 0.01.
+
+    Raises:
+        TableError: if goal locations are asked for and an item has none.
+    """
+    vectors = []
+    for item in items:
+        vector = condition_vector(item, goal)
+        if np.isnan(vector).any():
+            raise TableError(
+                f"{item.sequence_id}: expected a goal location, found none, because it comes from a text-motion corpus."
+                " Train a goal-conditioned model on sequence tables."
+            )
+        vectors.append(vector)
+    stacked = np.stack(vectors).astype(np.float64)
+    std = np.maximum(stacked.std(axis=0), _STD_FLOOR)
+    return ConditionStatistics(stacked.mean(axis=0).astype(np.float32), std.astype(np.float32))
 
 
 @dataclass(frozen=True)
