@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench_adapters.diffusion.goals import require_goals_within_reach
+from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
@@ -24,7 +24,7 @@ _NO_PROMPT, _OWN_PROMPT = "none", "own"
 _MODES = ("fast", "paper")
 
 
-class DNO:
+class DNO(SingleModelMethod):
     """Meets the first frame and the goal by moving the noise; the initial velocity has no term unless asked for."""
 
     name = "dno"
@@ -33,13 +33,8 @@ class DNO:
     def __init__(
         self, model: MotionModel, weights: Path, settings: OptimisationSettings, *, prompt: str = _NO_PROMPT
     ) -> None:
-        self.model, self.weights, self.settings, self.prompt = model, weights, settings, prompt
-        self.max_frames = model.configuration.max_frames
-        self.native_fps = model.configuration.fps
-
-    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one prior for both goals
-        """The weights file in use."""
-        return self.weights
+        super().__init__(model, weights, settings)
+        self.prompt = prompt
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Optimise one motion for each row.

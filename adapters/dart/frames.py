@@ -1,6 +1,6 @@
 """Frames of motion as DART describes them: 276 numbers each, and the frame of reference of a primitive.
 
-World with Z up, metres, per frame. Rotations are those that :mod:`prbench_adapters.kinematics.skeleton` fits to joints,
+World with Z up, metres, per frame. Rotations are those that :mod:`prbench_adapters.kinematics` fits to joints,
 so no body model is needed; the body's translation is its pelvis
 (docs/specification/dart.md#skeleton-only-re-implementation).
 """
@@ -14,8 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prbench.skeleton import N_JOINTS, Joint
-from prbench_adapters.kinematics.rotations import matrices_of, rows_of, unit
-from prbench_adapters.kinematics.skeleton import fitted_rotations
+from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, unit
 
 N_FEATURES = 276
 _SIZES = (3, 6, 6 * (N_JOINTS - 1), 3, 6, 3 * N_JOINTS, 3 * N_JOINTS)

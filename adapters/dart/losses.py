@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import msgspec
 import torch
 from jaxtyping import Bool, Float
@@ -10,7 +12,7 @@ from torch.nn import functional
 
 from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.kinematics.skeleton import forward_kinematics
+from prbench_adapters.kinematics import forward_kinematics
 
 PerMotion = Float[Tensor, " batch"]
 Shares = tuple[float, float, float]
@@ -81,7 +83,7 @@ def body_losses(
     Args:
         predicted: Future frames.
         recorded: The same in the recording.
-        offsets: Bones of each motion (:func:`prbench_adapters.kinematics.skeleton.rest_offsets`).
+        offsets: Bones of each motion (:func:`prbench_adapters.kinematics.rest_offsets`).
     """
     moved = forward_kinematics(predicted.rotations(), predicted.translation, offsets[:, None])
     return huber(moved, recorded.joints), huber(predicted.joints, moved)
@@ -129,3 +131,39 @@ class Totals:
         parts = {name: total / count for name, total in self.sums.items()}
         loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
         return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where in its training a call is."""
+
+    vae: bool
+    """Whether the VAE is trained, or the denoiser."""
+    progress: float
+    """Share of the phase that is over, from 0 to 1."""
+    feedback: float
+    """Probability that a primitive starts from the end of what was predicted before it."""
+
+
+def moment_of(step: int, calls: int, objective: Objective) -> Moment:
+    """Where a call of the training is.
+
+    Args:
+        step: Counts the calls of the whole training from 0.
+        calls: How many there are.
+        objective: Shares of the phases, and of their stages.
+    """
+    of_vae = round(objective.vae_share * calls)
+    if step < of_vae:
+        progress = step / of_vae
+        return Moment(True, progress, feedback(progress, objective.vae_stages))
+    progress = min(1.0, (step - of_vae) / max(1, calls - of_vae))
+    return Moment(False, progress, feedback(progress, objective.denoiser_stages))
+
+
+def feedback(progress: float, stages: Shares) -> float:
+    """Probability of starting from one's own prediction: 0 in the first stage, 1 in the last, rising in between."""
+    recorded, rising, _ = stages
+    if progress < recorded:
+        return 0.0
+    return min(1.0, (progress - recorded) / rising) if rising else 1.0

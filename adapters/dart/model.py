@@ -14,9 +14,8 @@ from prbench.training.weights import Weights, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.diffusion.model import torch_device
-from prbench_adapters.diffusion.schedule import CosineSchedule
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import TextVectors, torch_device
+from prbench_adapters.diffusion.sampling import CosineSchedule
 
 KIND = "dart"
 REPRESENTATION = f"dart-{N_FEATURES}/fitted"

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from prbench.skeleton import Joint
-from prbench_adapters.dart.settings import DartSettings, GradientNorm
+from prbench_adapters.dart.configuration import DartSettings, GradientNorm
 from prbench_adapters.diffusion.noise_optimisation.objective import (
     Targets,
     chosen_wrist,

@@ -16,7 +16,7 @@ from prbench_adapters.dart.model import KIND, scaling_of
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
 from prbench_adapters.dart.training import DartTraining
 from prbench_adapters.dart.windows import feature_scaling
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import TextVectors
 
 FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
 """What fine-tuning may set otherwise than the weights that it starts from."""

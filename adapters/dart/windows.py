@@ -14,7 +14,7 @@ from prbench.training import MotionBatch, SequenceDataset, collate
 from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.model import FeatureScaling
-from prbench_adapters.kinematics.worlds import DART
+from prbench_adapters.kinematics import DART
 
 _STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
 """Of positions and rotations, their deltas, joints, theirs: bones that never turn must not be blown up (the original

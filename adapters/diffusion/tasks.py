@@ -15,13 +15,11 @@ from prbench.representation.features import N_FEATURES
 from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
 from prbench.training.weights import Weights, origin_of, read_weights
-from prbench_adapters.diffusion.condition_vector import ConditionScaling
+from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.losses import Objective
-from prbench_adapters.diffusion.model import KIND, MotionModel
-from prbench_adapters.diffusion.text_vectors import TextVectors
-from prbench_adapters.diffusion.training import DiffusionTraining
+from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors
+from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}

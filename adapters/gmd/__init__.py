@@ -20,6 +20,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
 
 def training_task() -> TrainingTask:
     """What ``prbench train --method gmd`` trains."""
-    from prbench_adapters.gmd.tasks import GMDTask
+    from prbench_adapters.gmd.training import GMDTask
 
     return GMDTask()

@@ -13,19 +13,22 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from prbench_adapters.diffusion.noise import SequenceNoise
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.generation import Guidance
+from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import N_ROOT, ROOT_XZ, FeatureSpace
-from prbench_adapters.gmd.goals import Ends, Keyframes, imputed_root
 from prbench_adapters.gmd.sampling import (
     MOST_DEVIATIONS,
+    Ends,
     GoalLoss,
+    Keyframes,
     RootGoal,
     RowLoss,
     clean_of_noise,
     guided_mean,
     imputed_by_noising,
     imputed_in_mean,
+    imputed_root,
     noised,
 )
 from prbench_adapters.gmd.unet import TemporalUNet
@@ -62,7 +65,7 @@ class GMDSettings:
     """Whether bones have the lengths that the network gives them, or those of the initial pose."""
 
 
-class GuidedNetwork:
+class GuidedNetwork(Guidance):
     """A network with its text: what a sampler calls, step by step.
 
     Args:
@@ -82,25 +85,21 @@ class GuidedNetwork:
         window: int,
         scale: float,
     ) -> None:
-        self.network, self.window, self.scale = network, window, scale
-        self.doubled = scale != 1.0
-        self.text = torch.cat([text, torch.zeros_like(text)]) if self.doubled else text
-        self.n_frames = torch.cat([n_frames, n_frames]) if self.doubled else n_frames
-        self.passes = 0
-        """Network passes so far, summed over sequences; backward passes are not counted."""
+        super().__init__(scale)
+        self.network, self.window = network, window
+        self.text = self.both(text, torch.zeros_like(text))
+        self.n_frames = self.both(n_frames, n_frames)
 
     def __call__(
         self, noisy: Float[Tensor, "batch frames columns"], step: int
     ) -> Float[Tensor, "batch frames columns"]:
         """The guided prediction at ``step`` of the training schedule."""
-        noisy = torch.cat([noisy, noisy]) if self.doubled else noisy
-        self.passes += len(noisy)
-        steps = torch.full((len(noisy),), step, device=noisy.device)
-        predicted = self.network(noisy, steps, self.text, self.n_frames, window=self.window)
-        if not self.doubled:
-            return predicted
-        conditional, unconditional = predicted.chunk(2)
-        return torch.lerp(unconditional, conditional, self.scale)
+
+        def predict(rows: Tensor) -> Tensor:
+            steps = torch.full((len(rows),), step, device=rows.device)
+            return self.network(rows, steps, self.text, self.n_frames, window=self.window)
+
+        return self.estimate(predict, noisy)
 
 
 def sample_trajectory(

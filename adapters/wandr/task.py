@@ -15,12 +15,9 @@ from prbench.training import MotionBatch, collate
 from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
 from prbench.training.weights import Weights, origin_of, read_weights
-from prbench_adapters.wandr.configuration import WandrConfiguration
-from prbench_adapters.wandr.losses import Objective
-from prbench_adapters.wandr.network import Standardisation, WandrNetwork
+from prbench_adapters.wandr.network import KIND, Standardisation, WandrConfiguration, WandrNetwork, network_of
 from prbench_adapters.wandr.recordings import Recordings, starts
-from prbench_adapters.wandr.training import WandrTraining
-from prbench_adapters.wandr.weights_file import KIND, network_of
+from prbench_adapters.wandr.training import Objective, WandrTraining
 
 FREE_TO_CHANGE = frozenset({"dropout", "original_deviation"})
 """What fine-tuning may set otherwise than the weights that it starts from."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_workers, command
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.submitted.verification import RunChecker

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from prbench.cli.arguments import command
 from prbench.cli.builds import add_recordings
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.workflows.poses import PoseState

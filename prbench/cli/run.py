@@ -20,8 +20,7 @@ from prbench.cli.arguments import (
     positive,
 )
 from prbench.cli.progress import progress
-from prbench.cli.sequence_scores import print_sequence_scores
-from prbench.cli.summaries import print_side_by_side, print_summary
+from prbench.cli.summaries import print_sequence_scores, print_side_by_side, print_summary
 from prbench.cli.table_two import run_and_print, wants_table
 
 if TYPE_CHECKING:

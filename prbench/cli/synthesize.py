@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from prbench.cli.arguments import add_workers, command, positive
 from prbench.cli.builds import add_replace
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.engine import Engine

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

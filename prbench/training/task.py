@@ -77,6 +77,8 @@ class TrainingModule(nn.Module):
     """Of the configuration."""
     rank: int = 0
     """Which of the processes that train together this is; each draws other noise."""
+    origin: tuple[str, ...] = ()
+    """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
     calls: int = 1
     """How often the whole training calls :meth:`forward`, validation apart: where modules that train one network after
     the other take the time of their phases from."""
@@ -108,8 +110,8 @@ class TrainingModule(nn.Module):
         return None
 
     def learned_from(self) -> tuple[str, ...]:
-        """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
-        return ()
+        """Lines for the card about what the weights build upon."""
+        return self.origin
 
     def learning_rate_factor(self, step: int) -> float:  # noqa: ARG002 - for those that have phases of their own
         """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""

@@ -203,6 +203,21 @@ def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
     return tensor.to(torch.float16).clone()
 
 
+def weights_header(kind: str, configuration: msgspec.Struct, representation: str) -> dict[str, str]:
+    """The entries of a header that say what the weights are; the writer adds format and version.
+
+    Args:
+        kind: What the weights are of, such as ``denoiser``.
+        configuration: Of the network; is stored as JSON.
+        representation: What the network sees, such as :func:`representation_entry` gives.
+    """
+    return {
+        "kind": kind,
+        "configuration": msgspec.json.encode(configuration).decode(),
+        "representation": representation,
+    }
+
+
 def representation_entry(mode: str) -> str:
     """The header entry ``representation`` of a network of motion features, such as ``humanml3d-263/continuous``."""
     return f"{_REPRESENTATION}/{mode}"

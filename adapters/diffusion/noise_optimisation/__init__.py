@@ -3,8 +3,7 @@
 Sources: docs/specification/dno.md#the-solver, docs/specification/pr-model.md#latent-noise-optimisation.
 """
 
-from prbench_adapters.diffusion.noise_optimisation.entry import optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised, optimise_batch
+from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised, optimise_batch, optimise_noise
 from prbench_adapters.diffusion.noise_optimisation.objective import (
     Keyframes,
     PrimeAndReach,
@@ -12,13 +11,16 @@ from prbench_adapters.diffusion.noise_optimisation.objective import (
     keyframes,
     prime_and_reach,
 )
-from prbench_adapters.diffusion.noise_optimisation.options import (
+from prbench_adapters.diffusion.noise_optimisation.optimise import History, OptimisedMotions
+from prbench_adapters.diffusion.noise_optimisation.settings import (
     KEYFRAME_OPTIONS,
     PRIME_AND_REACH_OPTIONS,
+    OptimisationSettings,
+    dno_paper,
+    fast,
     optimisation_settings,
+    paper,
 )
-from prbench_adapters.diffusion.noise_optimisation.result import History, OptimisedMotions
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings, dno_paper, fast, paper
 
 __all__ = [
     "KEYFRAME_OPTIONS",

@@ -41,9 +41,13 @@ from prbench_adapters.diffusion.noise_optimisation.comparison import (
 )
 from prbench_adapters.diffusion.noise_optimisation.generation import optimise_batch
 from prbench_adapters.diffusion.noise_optimisation.objective import keyframes, prime_and_reach
-from prbench_adapters.diffusion.noise_optimisation.options import optimisation_settings
-from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings, fast, paper
+from prbench_adapters.diffusion.noise_optimisation.optimise import OptimisedMotions
+from prbench_adapters.diffusion.noise_optimisation.settings import (
+    OptimisationSettings,
+    fast,
+    optimisation_settings,
+    paper,
+)
 
 MODES = {"fast": fast, "paper": paper}
 _SIDES = {"left": 0, "right": 1}

@@ -14,11 +14,19 @@ from jaxtyping import Float
 
 from prbench.evaluation.intervals import mean_interval
 from prbench.storage import atomic_path
-from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
+from prbench_adapters.diffusion.noise_optimisation.optimise import OptimisedMotions
 
 TERMS = ("initial", "goal", "jerk")
 MARGIN = 0.10
 """Largest difference in Prime Success that counts as none, as a fraction."""
+SEQUENCE_COLUMNS = (
+    "sequence_id",
+    *TERMS,
+    "prime_success",
+    "reach_success",
+    "network_passes",
+)
+CURVE_COLUMNS = ("network_passes", *TERMS)
 
 
 @dataclass(frozen=True)
@@ -45,16 +53,6 @@ class ModeResult:
             rows = list(csv.DictReader(file))
         numbers = {name: np.array([float(row[name]) for row in rows]) for name in SEQUENCE_COLUMNS[1:]}
         return cls(tuple(row["sequence_id"] for row in rows), **numbers)
-
-
-SEQUENCE_COLUMNS = (
-    "sequence_id",
-    *TERMS,
-    "prime_success",
-    "reach_success",
-    "network_passes",
-)
-CURVE_COLUMNS = ("network_passes", *TERMS)
 
 
 def curve(found: OptimisedMotions) -> list[list[float]]:

@@ -24,12 +24,11 @@ from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.losses import body_losses, delta_loss, divergence
-from prbench_adapters.dart.phases import feedback
+from prbench_adapters.dart.losses import body_losses, delta_loss, divergence, feedback
 from prbench_adapters.dart.task import DartTask
 from prbench_adapters.dart.training import DartTraining
 from prbench_adapters.dart.windows import drawn_starts, primitives_of, window
-from prbench_adapters.kinematics.skeleton import rest_offsets
+from prbench_adapters.kinematics import rest_offsets
 from tests.adapters.dart.tiny import SIZES
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import fake_dataset

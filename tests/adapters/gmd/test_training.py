@@ -20,8 +20,7 @@ from prbench.training.task import TrainingData, TrainingTask
 from prbench.training.weights import write_weights
 from prbench_adapters.gmd.features import with_absolute_root
 from prbench_adapters.gmd.model import GMDModel, GMDNetworks
-from prbench_adapters.gmd.tasks import GMDTask, read_model_table
-from prbench_adapters.gmd.training import GMDTraining
+from prbench_adapters.gmd.training import GMDTask, GMDTraining, read_model_table
 from tests.fakes import fake_dataset
 
 PACKAGE = "prbench_adapters.gmd"

@@ -14,7 +14,7 @@ from prbench.errors import AdapterError, InputFileError
 from prbench.methods.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint, bone_lengths
-from prbench_adapters.wandr import weights_file
+from prbench_adapters.wandr import network as weights_file
 from prbench_adapters.wandr.adapter import WANDR, Generation
 from prbench_adapters.wandr.state import TRANSLATION
 from tests.adapters.wandr import tiny

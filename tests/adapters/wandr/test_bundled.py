@@ -20,7 +20,7 @@ from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint
 from prbench.storage import file_digest
 from prbench.workflows.synthetic_table import Staging, synthetic_source
-from prbench_adapters.wandr import weights_file
+from prbench_adapters.wandr import network as weights_file
 
 FOLDER = Path(weights_file.__file__).with_name("weights")
 NAMES = ("wandr-small", "wandr-small-pretrained")
