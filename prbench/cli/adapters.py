@@ -15,6 +15,127 @@ from prbench.cli.terminal import print_columns
 
 if TYPE_CHECKING:
     from prbench.methods.describe import Description
+    from prbench.methods.installed import InstalledAdapter
+
+_EXAMPLE = "prbench adapters list"
+_DEFAULT = Path("prbench_converters.py")
+
+
+def add_parser(commands: argparse._SubParsersAction) -> None:
+    """Register the command group."""
+    summary = "list the installed methods, start a new one, check one"
+    parser = command(commands, "adapters", summary=summary, example=_EXAMPLE, execute=_list)
+    parser.set_defaults(details=False, as_json=False, names=[])
+    group = parser.add_subparsers(metavar="COMMAND")
+    _add_list(group)
+    _add_new(group)
+    adapters_check.add_parser(group)
+    _add_converters(group)
+
+
+def _add_list(group: argparse._SubParsersAction) -> None:
+    parser = command(
+        group,
+        "list",
+        summary="list the installed methods with their packages, without importing any of them",
+        example="prbench adapters list --details",
+        execute=_list,
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="only these methods (default: all)")
+    parser.add_argument(
+        "--details",
+        action="store_true",
+        help="import each in a process of its own and show its conditions, whether it trains, its limits and weights,"
+        " or its error",
+    )
+    parser.add_argument(
+        "--time-limit", type=positive, default=30, metavar="SECONDS", help="for each import (default 30)"
+    )
+    parser.add_argument("--json", dest="as_json", action="store_true", help="print JSON")
+
+
+def _add_new(group: argparse._SubParsersAction) -> None:
+    """Register the command under ``prbench adapters``."""
+    parser = command(
+        group,
+        "new",
+        summary="write a complete package with a new method that works at once, for you to change",
+        example="prbench adapters new glide --condition goal-loc",
+        execute=_new,
+    )
+    parser.add_argument("name", metavar="NAME", help="of the method, such as glide: what --method will be given")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="new folder (default: ./prbench-NAME, or ./NAME)")
+    parser.add_argument(
+        "--condition",
+        choices=CONDITIONS,
+        action="append",
+        default=[],
+        help="what the method is given (default goal-loc); repeatable",
+    )
+    parser.add_argument("--trainable", action="store_true", help="with fit(): a method that learns from a table")
+    parser.add_argument(
+        "--program",
+        action="store_true",
+        help="a program of its own instead of a package: one plain Python file and a TOML file",
+    )
+
+
+def _add_converters(group: argparse._SubParsersAction) -> None:
+    """Register the command under ``prbench adapters``."""
+    parser = command(
+        group,
+        "converters",
+        summary="write the converters as one file for a program: NumPy only, Python 3.8 or later",
+        example="prbench adapters converters --out glide/prbench_converters.py",
+        execute=_converters,
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=_DEFAULT,
+        metavar="FILE",
+        help=f"the file, beside the program (default ./{_DEFAULT})",
+    )
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from prbench.methods.installed import list_adapters, no_such_method
+
+    found = list_adapters()
+    known = {adapter.name for adapter in found}
+    unknown = [name for name in arguments.names if name not in known]
+    if unknown:
+        raise no_such_method(unknown[0], known)
+    if arguments.details:
+        print_details(arguments.names, time_limit=float(arguments.time_limit), as_json=arguments.as_json)
+        return 0
+    shown = [adapter for adapter in found if not arguments.names or adapter.name in arguments.names]
+    if arguments.as_json:
+        print(json.dumps([_plain(adapter, found) for adapter in shown], indent=2))
+        return 0
+    rows = [("name", "package", "version", "target", "")]
+    rows += [(a.name, a.package, a.version, a.target, _remark(a, found)) for a in shown]
+    print_columns(rows)
+    return 0
+
+
+def _remark(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
+    """What keeps a method from being used, as far as metadata tell."""
+    from prbench.methods.installed import offered_twice
+
+    if adapter.problem:
+        return f"! {adapter.problem}"
+    return "! offered more than once: uninstall all but one" if adapter.name in offered_twice(found) else ""
+
+
+def _plain(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> dict[str, str]:
+    return {
+        "name": adapter.name,
+        "package": adapter.package,
+        "version": adapter.version,
+        "target": adapter.target,
+        "problem": _remark(adapter, found).removeprefix("! "),
+    }
 
 
 def print_details(names: Sequence[str], *, time_limit: float, as_json: bool) -> None:
@@ -83,111 +204,6 @@ def _plain_details(one: Description, tasks: Sequence[str]) -> dict[str, object]:
     }
 
 
-if TYPE_CHECKING:
-    from prbench.methods.installed import InstalledAdapter
-
-_EXAMPLE = "prbench adapters list"
-
-
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command group."""
-    summary = "list the installed methods, start a new one, check one"
-    parser = command(commands, "adapters", summary=summary, example=_EXAMPLE, execute=_list)
-    parser.set_defaults(details=False, as_json=False, names=[])
-    group = parser.add_subparsers(metavar="COMMAND")
-    _add_list(group)
-    _add_new(group)
-    adapters_check.add_parser(group)
-    _add_converters(group)
-
-
-def _add_list(group: argparse._SubParsersAction) -> None:
-    parser = command(
-        group,
-        "list",
-        summary="list the installed methods with their packages, without importing any of them",
-        example="prbench adapters list --details",
-        execute=_list,
-    )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="only these methods (default: all)")
-    parser.add_argument(
-        "--details",
-        action="store_true",
-        help="import each in a process of its own and show its conditions, whether it trains, its limits and weights,"
-        " or its error",
-    )
-    parser.add_argument(
-        "--time-limit", type=positive, default=30, metavar="SECONDS", help="for each import (default 30)"
-    )
-    parser.add_argument("--json", dest="as_json", action="store_true", help="print JSON")
-
-
-def _list(arguments: argparse.Namespace) -> int:
-    from prbench.methods.installed import list_adapters, no_such_method
-
-    found = list_adapters()
-    known = {adapter.name for adapter in found}
-    unknown = [name for name in arguments.names if name not in known]
-    if unknown:
-        raise no_such_method(unknown[0], known)
-    if arguments.details:
-        print_details(arguments.names, time_limit=float(arguments.time_limit), as_json=arguments.as_json)
-        return 0
-    shown = [adapter for adapter in found if not arguments.names or adapter.name in arguments.names]
-    if arguments.as_json:
-        print(json.dumps([_plain(adapter, found) for adapter in shown], indent=2))
-        return 0
-    rows = [("name", "package", "version", "target", "")]
-    rows += [(a.name, a.package, a.version, a.target, _remark(a, found)) for a in shown]
-    print_columns(rows)
-    return 0
-
-
-def _remark(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
-    """What keeps a method from being used, as far as metadata tell."""
-    from prbench.methods.installed import offered_twice
-
-    if adapter.problem:
-        return f"! {adapter.problem}"
-    return "! offered more than once: uninstall all but one" if adapter.name in offered_twice(found) else ""
-
-
-def _plain(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> dict[str, str]:
-    return {
-        "name": adapter.name,
-        "package": adapter.package,
-        "version": adapter.version,
-        "target": adapter.target,
-        "problem": _remark(adapter, found).removeprefix("! "),
-    }
-
-
-def _add_new(group: argparse._SubParsersAction) -> None:
-    """Register the command under ``prbench adapters``."""
-    parser = command(
-        group,
-        "new",
-        summary="write a complete package with a new method that works at once, for you to change",
-        example="prbench adapters new glide --condition goal-loc",
-        execute=_new,
-    )
-    parser.add_argument("name", metavar="NAME", help="of the method, such as glide: what --method will be given")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="new folder (default: ./prbench-NAME, or ./NAME)")
-    parser.add_argument(
-        "--condition",
-        choices=CONDITIONS,
-        action="append",
-        default=[],
-        help="what the method is given (default goal-loc); repeatable",
-    )
-    parser.add_argument("--trainable", action="store_true", help="with fit(): a method that learns from a table")
-    parser.add_argument(
-        "--program",
-        action="store_true",
-        help="a program of its own instead of a package: one plain Python file and a TOML file",
-    )
-
-
 def _new(arguments: argparse.Namespace) -> int:
     from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
 
@@ -205,27 +221,6 @@ def _new(arguments: argparse.Namespace) -> int:
     for step in report.next_steps:
         print(f"  {step}")
     return 0
-
-
-_DEFAULT = Path("prbench_converters.py")
-
-
-def _add_converters(group: argparse._SubParsersAction) -> None:
-    """Register the command under ``prbench adapters``."""
-    parser = command(
-        group,
-        "converters",
-        summary="write the converters as one file for a program: NumPy only, Python 3.8 or later",
-        example="prbench adapters converters --out glide/prbench_converters.py",
-        execute=_converters,
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=_DEFAULT,
-        metavar="FILE",
-        help=f"the file, beside the program (default ./{_DEFAULT})",
-    )
 
 
 def _converters(arguments: argparse.Namespace) -> int:

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 
 from prbench.shown import clean
 
+if TYPE_CHECKING:
+    from prbench.training.loop import Progress
+
 ProgressCallback = Callable[[int, int, str], None]
 """Called with finished items, all items, and what was finished last."""
-
 _SECONDS_BETWEEN_LINES = 5.0
 
 
@@ -55,10 +57,6 @@ def _lines(description: str) -> ProgressCallback:
             print(f"{description}: {done}/{total} {clean(last)}".rstrip(), file=sys.stderr, flush=True)
 
     return callback
-
-
-if TYPE_CHECKING:
-    from prbench.training.loop import Progress
 
 
 @contextlib.contextmanager

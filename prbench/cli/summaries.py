@@ -9,6 +9,7 @@ from prbench.cli.terminal import print_table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from prbench.runs import RunFolder
     from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
@@ -91,10 +92,6 @@ def _cells(metric: MetricSummary) -> tuple[str, str]:
 def _remarks(metric: MetricSummary) -> str:
     flags = [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
     return "; ".join([_MARKS.get(mark, mark) for mark in metric.marks] + flags)
-
-
-if TYPE_CHECKING:
-    from prbench.runs import RunFolder
 
 
 def print_sequence_scores(run: RunFolder) -> None:

@@ -77,8 +77,6 @@ def print_table(
     from rich import box
     from rich.table import Table
 
-    from prbench.cli.terminal import console
-
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
     for index, name in enumerate(header):
         table.add_column(name, justify="right" if index in numbers else "left", overflow="fold")

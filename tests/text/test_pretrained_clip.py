@@ -8,7 +8,7 @@ import pytest
 
 from prbench.errors import InputFileError, MissingExtraError
 from prbench.text import TextEncoder, text_encoder
-from prbench.text.clip import VARIABLE
+from prbench.text.pretrained import CLIP_VARIABLE as VARIABLE
 from tests.text import tiny_clip
 from tests.text.tiny_clip import END, START, VOCABULARY
 
