@@ -38,7 +38,7 @@ _REST = {
     ),
     (0.0, -1.0, 0.0): (Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
 }  # fmt: skip
-"""Where bones point at rest, by the joint in which they end: body frame, x left, y up, z to the front."""
+"""Directions of the bones at rest, by the joint in which they end: body frame, x left, y up, z to the front."""
 
 
 def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 6"]:

@@ -114,7 +114,7 @@ def parts_of_similar_cost(primitives: Int[np.ndarray, " batch"], largest: int) -
 
 
 def _primitives(model: DartModel, batch: ConditionBatch) -> Int[np.ndarray, " batch"]:
-    """How many each sequence takes; the frame before its first counts."""
+    """Count the primitives that each sequence takes; the frame before its first counts."""
     return np.array([model.configuration.primitives_for(int(n) + 1) for n in batch.n_frames])
 
 
@@ -140,7 +140,7 @@ class _Part:
 
     @property
     def passes(self) -> int:
-        """Of denoiser and decoder, summed over sequences; those for gradients alone are not counted."""
+        """Passes of denoiser and decoder, summed over sequences; those for gradients alone are not counted."""
         return self.denoiser.passes + self.decoded
 
     def motions(self) -> Float[np.ndarray, "rows frames 22 3"]:

@@ -1,4 +1,4 @@
-"""What a DART model is, how its motions are made, and the options that say so (``--option key=value``)."""
+"""Sizes of a DART model, settings of its motions, and the options that change them (``--option key=value``)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     vae_width: int = 256
     vae_heads: int = 4
     vae_layers: int = 7
-    """Of encoder and decoder each; odd: as many in front of the middle one as behind it."""
+    """Layers of encoder and decoder each; odd: as many in front of the middle one as behind it."""
     vae_feed_forward: int = 1024
     width: int = 512
     heads: int = 4
@@ -54,7 +54,7 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     diffusion_steps: int = 10
     fps: float = 20.0
     uniform_skeleton: bool = False
-    """Whether the model has learnt bodies that were rescaled to HumanML3D's skeleton
+    """True for a model that has learnt bodies that were rescaled to HumanML3D's skeleton
     (docs/specification/pr-model.md#data-and-features); conditions are then put onto it, and motions scaled back."""
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         return HISTORY_FRAMES + self.future_frames
 
     def primitives_for(self, n_frames: int) -> int:
-        """How many primitives a motion of ``n_frames`` takes, history included; the last may be longer than needed."""
+        """Count the primitives of a motion of ``n_frames``, history included; the last may be longer than needed."""
         return max(1, -(-(n_frames - HISTORY_FRAMES) // self.future_frames))
 
 
@@ -91,29 +91,29 @@ class DartSettings:
     """
 
     optimised: bool = True
-    """Whether the noise is optimised towards the goal; otherwise the goal is not looked at."""
+    """Optimise the noise towards the goal; otherwise the goal is not looked at."""
     iterations: int = 100
     """*Prime and Reach*, section 5.3."""
     learning_rate: float = 0.05
-    """Of Adam in the first iteration; falls linearly, to a hundredth of it in the last of 100."""
+    """Learning rate of Adam in the first iteration; falls linearly, to a hundredth of it in the last of 100."""
     noise_scale: float = 0.1
     """Standard deviation of the noise that optimisation starts from (the original's setting for in-betweening)."""
     ddim_steps: int | None = None
-    """Of the chain from noise to latent; None for all of the training's, as in the original."""
+    """Steps of the chain from noise to latent; None for all of the training's, as in the original."""
     guidance: float = 5.0
     gradient_norm: GradientNorm = "sequence"
-    """Whose gradient is brought to length 1 in each primitive: each sequence's, or that of the whole batch, with which
+    """Gradient that is brought to length 1 in each primitive: each sequence's, or that of the whole batch, with which
     the original lets the sequences of a batch slow each other down."""
     seeding: Seeding = "velocity"
-    """Whether the history is the frame before the first and the first, or twice the first: a body at rest."""
+    """Take as history the frame before the first and the first, or twice the first: a body at rest."""
     hand: Hand = "right"
     """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
     jerk_weight: float = 0.0
-    """Of the largest third difference, metres per frame³; 0 in the original's in-betweening."""
+    """Weight of the largest third difference, metres per frame³; 0 in the original's in-betweening."""
     floor_weight: float = 0.0
-    """Of the mean depth of the feet below where they are in the frame before the first, metres; likewise 0."""
+    """Weight of the mean depth of the feet below their height in the frame before the first, metres; likewise 0."""
     checkpointing: bool = False
-    """Whether a primitive is computed again in the backward pass instead of kept in memory."""
+    """Compute a primitive again in the backward pass instead of keeping it in memory."""
 
     def __post_init__(self) -> None:
         if self.iterations < 1:

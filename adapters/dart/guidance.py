@@ -22,7 +22,7 @@ _LATENT = 2 + HISTORY_FRAMES
 
 
 class PreparedDenoiser:
-    """The same as :class:`LatentDenoiser` up to rounding, with gradients, in about three quarters of the time.
+    """Computes :class:`LatentDenoiser` up to rounding, with gradients, in about three quarters of the time.
 
     Only the last token changes within a primitive, besides the one for the step: the others are embedded, and projected
     for the first layer's attention, once. Only the last token is read, so the last layer has no other queries.

@@ -34,11 +34,11 @@ class FeatureScaling:
         self.mean, self.std = mean, std
 
     def standardised(self, frames: Frames) -> Float[Tensor, "batch frames 276"]:
-        """What the networks see."""
+        """Standardise frames, as the networks see them."""
         return (frames.pack() - self.mean) / self.std
 
     def frames(self, standardised: Float[Tensor, "batch frames 276"]) -> Frames:
-        """What the networks mean."""
+        """Restore frames from what the networks put out."""
         return Frames.unpack(standardised * self.std + self.mean)
 
 

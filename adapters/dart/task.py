@@ -19,7 +19,7 @@ from prbench_adapters.dart.windows import feature_scaling
 from prbench_adapters.diffusion.model import TextVectors
 
 FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 class DartTask:

@@ -110,7 +110,7 @@ class DartTraining(TrainingModule):
             return self._train_denoiser(cut, texts, moment, generator)
 
     def moment(self, step: int) -> Moment:
-        """Where a call is; a validation is in the phase of the training around it, without feedback."""
+        """Return the phase of a call; a validation is in that of the training around it, without feedback."""
         if step < 0:
             return Moment(not self._measured(), 0.0, 0.0)
         return moment_of(step, self.calls, self.objective)
@@ -120,7 +120,7 @@ class DartTraining(TrainingModule):
         return max(0.0, 1.0 - self.moment(step).progress)
 
     def _rows(self, motions: int, moment: Moment) -> Int[Tensor, " windows"]:
-        """Which motion of a batch each window is cut out of."""
+        """Number the motion of the batch that each window is cut out of."""
         most = self.objective.vae_batch_size if moment.vae else None
         return torch.arange(min(motions, most or motions)).repeat_interleave(self.objective.windows)
 

@@ -1,4 +1,4 @@
-"""What happens to a batch of conditions around a network.
+"""Steps that a batch of conditions takes around a network.
 
 Bodies are put onto the skeleton that a model has learnt and motions back onto the person's; sequences of similar length
 share a pass, so that little is computed for padding; each sequence draws its noise from its own seed, with NumPy, so
@@ -117,7 +117,7 @@ class ModelBodies:
         return cls(replace(batch, **changed), skeleton)
 
     def own(self, joints: Float[np.ndarray, "batch frames 22 3"]) -> Float[np.ndarray, "batch frames 22 3"]:
-        """What the model has generated, at the scale of the bodies, metres."""
+        """Bring what the model has generated to the scale of the bodies, metres."""
         if self.skeleton is None:
             return joints
         return self.skeleton.own_scale(joints.reshape(len(joints), -1, 3)).reshape(joints.shape)
@@ -131,7 +131,7 @@ def bone_lengths(pose: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor
 def with_bone_lengths(
     joints: Float[torch.Tensor, "batch frames 22 3"], lengths: Float[torch.Tensor, "batch 21"]
 ) -> Float[torch.Tensor, "batch frames 22 3"]:
-    """The same pelvis and bone directions with other bone lengths; differentiable.
+    """Keep pelvis and bone directions, with other bone lengths; differentiable.
 
     Args:
         joints: Metres, any frame.

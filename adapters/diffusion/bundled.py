@@ -96,5 +96,5 @@ def _files(folder: Path | None) -> dict[str, Path]:
 
 
 def _folders() -> list[Path]:
-    """Where the methods that come with prbench keep theirs: in the folder ``weights`` beside their code."""
+    """List the folders ``weights`` beside the code of the methods that come with prbench."""
     return sorted(Path(str(files("prbench_adapters"))).glob("*/weights"))

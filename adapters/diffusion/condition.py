@@ -20,7 +20,7 @@ from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
 @dataclass(frozen=True)
 class EncodedCondition:
-    """What B motions are conditioned on."""
+    """Conditions of B motions."""
 
     text: Float[torch.Tensor, "batch tokens dimension"]
     """Vectors of the frozen text encoder, one per word piece."""
@@ -53,7 +53,7 @@ class EncodedCondition:
         return EncodedCondition(torch.cat([self.text, other.text]), torch.cat([self.padding, other.padding]), vector)
 
     def to(self, device: torch.device | str) -> EncodedCondition:
-        """The same on another device."""
+        """Move the conditions to another device."""
         vector = None if self.vector is None else self.vector.to(device)
         return EncodedCondition(self.text.to(device), self.padding.to(device), vector)
 
@@ -97,7 +97,7 @@ def raw_condition_of(
 
 @dataclass(frozen=True)
 class ConditionScaling:
-    """How a raw vector becomes what the network sees: ``(raw - mean) / std``, dropped conditions zero."""
+    """Scales a raw vector for the network: ``(raw - mean) / std``, dropped conditions zero."""
 
     mean: Float[torch.Tensor, " size"]
     std: Float[torch.Tensor, " size"]
@@ -111,7 +111,7 @@ class ConditionScaling:
         mean: Float[torch.Tensor, " size"],
         std: Float[torch.Tensor, " size"],
     ) -> ConditionScaling:
-        """With the statistics of a training split, or none if the configuration says so.
+        """Scale by the statistics of a training split, or by none if the configuration says so.
 
         ``condition_scaling = "none"`` is the literal reading of the study: metres, and metres per frame for the
         velocity (docs/specification/pr-model.md#gaps-in-the-study, gap 8).

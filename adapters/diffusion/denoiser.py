@@ -75,7 +75,7 @@ class PreparedCondition:
     layers: tuple[KeysValues | Tensor | None, ...]
     """Per layer: keys and values of the memory; the constant of a single memory token; None in an encoder."""
     visible: Bool[Tensor, "batch 1 1 tokens"] | None
-    """Which memory tokens may be attended to; None for all of them."""
+    """True for memory tokens that may be attended to; None for all of them."""
 
 
 class Denoiser(nn.Module):

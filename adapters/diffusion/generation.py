@@ -1,4 +1,4 @@
-"""From a batch of conditions to motions by plain sampling: the way of MDM, and of P&R without noise optimisation.
+"""Plain sampling of motions for a batch of conditions: the way of MDM, and of P&R without noise optimisation.
 
 Classifier-free guidance takes the conditional and the unconditional estimate from one pass of twice the batch.
 """
@@ -130,13 +130,13 @@ class Guided(Guidance):
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """How motions are sampled."""
+    """Settings of plain sampling."""
 
     guidance: float
     """Weight s of the text; 1 takes one network pass a step, anything else two."""
     sampler: Literal["ddpm", "ddim"] = "ddpm"
     steps: int | None = None
-    """Of the training schedule; None for all of them."""
+    """Steps of the training schedule that are taken; None for all of them."""
     precision: Precision = "float32"
     """``bfloat16`` takes two thirds of the time on processors that have it. Its rounding turns and shifts the path of a
     motion by some centimetres (poses by some millimetres), otherwise in another batch, so float32 is the default."""

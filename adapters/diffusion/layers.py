@@ -46,7 +46,7 @@ class CrossAttention(nn.Module):
         _reset(self.query, self.key_value, self.output)
 
     def keys_values(self, memory: Float[Tensor, "batch tokens width"]) -> KeysValues:
-        """What the memory tokens contribute, whatever the stream."""
+        """Compute the contribution of the memory tokens, whatever the stream."""
         key, value = _split_heads(self.key_value(memory), 2, self.heads)
         return key, value
 
@@ -145,7 +145,7 @@ def _attend(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, d
 
 
 def _attend_written_out(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, dropout: float) -> Tensor:
-    """The same, step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long."""
+    """Attend step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long."""
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
     if visible is not None:
         scores = scores.masked_fill(~visible, -math.inf)

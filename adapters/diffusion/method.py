@@ -1,4 +1,4 @@
-"""What the methods share before torch is imported: weights of one model, goals within reach, samples from text."""
+"""The shared part of the methods that needs no torch: one model's weights, goals within reach, samples from text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FARTHEST_GOAL, HIGHEST_GOAL = 10.0, 3.0
 TEXT_GUIDANCE = 2.5
 """docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation."""
 IN_TRAINING = Path("the network in training")
-"""In place of a weights file, for messages of a validation."""
+"""Stands in place of a weights file in the messages of a validation."""
 
 
 def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:

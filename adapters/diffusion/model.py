@@ -34,7 +34,7 @@ class TextVectors:
 
     @classmethod
     def of_model(cls, name: str, dimension: int) -> TextVectors:
-        """Those of the encoder that the table ``[model]`` names.
+        """Vectors of the encoder that the table ``[model]`` names.
 
         Args:
             name: Its ``text_encoder``.
@@ -142,7 +142,7 @@ class MotionModel:
         )
 
     def encode(self, batch: ConditionBatch, *, texts: tuple[str, ...] | None = None) -> EncodedCondition:
-        """What the network is told about a batch.
+        """Encode what the network is told about a batch.
 
         Args:
             batch: On the skeleton of the model (:mod:`prbench_adapters.diffusion.batches`).

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 Spacing = Literal["leading", "trailing"]
-"""Whether the kept steps are counted from the cleanest or from the noisiest."""
+"""End of the schedule from which the kept steps are counted: the cleanest or the noisiest."""
 
 _OFFSET = 0.008
 _LARGEST_BETA = 0.999
@@ -86,7 +86,7 @@ class CosineSchedule(Chain):
 
     @cached_property
     def betas(self) -> Float[np.ndarray, " steps"]:
-        """As defined above, not re-derived from ᾱ."""
+        """The betas as defined above, not re-derived from ᾱ."""
         return self._betas
 
     def kept_steps(self, n: int, spacing: Spacing = "leading") -> Int[np.ndarray, " n"]:

@@ -24,7 +24,7 @@ from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
 )
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,11 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """The losses, which diffusion steps are trained, and how often the text is hidden."""
 
     joint_loss_weight: float = 1.0
-    """Of L_joint in square metres; 0 trains on features alone (table S5)."""
+    """Weight of L_joint in square metres; 0 trains on features alone (table S5)."""
     velocity_loss_weight: float = 0.0
-    """Of the squared error of joint displacements between neighbouring frames, square metres; not in the study."""
+    """Weight of the squared error of joint displacements between neighbouring frames, m²; not in the study."""
     bone_loss_weight: float = 0.0
-    """Of the squared error of the 21 bone vectors, square metres; not in the study. It teaches small models to keep
+    """Weight of the squared error of the 21 bone vectors, m²; not in the study. It teaches small models to keep
     lengths, and where the head points."""
     noisiest_share: float = 0.0
     """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
@@ -48,7 +48,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
     loss_average: Literal["frames", "sequences"] = "frames"
-    """Whether a batch is averaged over its frames (P&R) or over its sequences.
+    """Average a batch over its frames (P&R) or over its sequences.
 
     Source: docs/specification/mdm.md#training.
     """
@@ -108,12 +108,12 @@ def _average(
 
 @dataclass(frozen=True)
 class Draw:
-    """What is random in one training step."""
+    """Random numbers of one training step."""
 
     step: Int[torch.Tensor, " batch"]
     """Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise."""
     without_text: Bool[torch.Tensor, " batch"]
-    """Whose text is hidden, so that guidance has an unconditional model; the condition vector never is."""
+    """True where the text is hidden, so that guidance has an unconditional model; the condition vector never is."""
     noise: Float[torch.Tensor, "batch frames 263"]
 
 
@@ -176,7 +176,7 @@ class DiffusionTraining(TrainingModule):
             return losses(self.objective, predicted, clean, joints, batch.joints, padding)
 
     def draw(self, batch: MotionBatch, step: int) -> Draw:
-        """What step ``step`` draws for a batch of this shape: a function of seed, step and rank."""
+        """Draw the random numbers of a step for a batch of this shape: a function of seed, step and rank."""
         generator, device = self.generator(step), batch.features.device
         n = len(batch.features)
         t = torch.randint(len(self.signal), (n,), generator=generator)
@@ -188,7 +188,7 @@ class DiffusionTraining(TrainingModule):
         return Draw(*(values.to(device, non_blocking=True) for values in (t, without_text, noise)))
 
     def condition(self, batch: MotionBatch, without_text: Bool[torch.Tensor, " batch"]) -> EncodedCondition:
-        """What the network is told about a batch: the text unless hidden, the scaled condition vector always."""
+        """Encode what the network is told about a batch: the text unless hidden, the scaled condition vector always."""
         device = batch.features.device
         text, padding = (values.to(device, non_blocking=True) for values in self.texts(batch.text))
         text = text.masked_fill(without_text[:, None, None], 0.0)

@@ -69,7 +69,7 @@ def emphasis_of(space: FeatureSpace) -> float:
 
 
 def is_released(role: str, path: Path) -> bool:
-    """Whether a file is, byte for byte, that of the public repository."""
+    """Return True for a file that is, byte for byte, that of the public repository."""
     return file_digest(path) == RELEASED[role]
 
 
@@ -116,9 +116,9 @@ class Checkpoint:
 
     path: Path
     copy: str
-    """Which of the copies in the file this is: ``model_avg``, ``model``, or ``only`` where there are no two."""
+    """Name of this copy in the file: ``model_avg``, ``model``, or ``only`` where there are no two."""
     tensors: dict[str, Tensor]
-    """By the original's names, on the CPU."""
+    """Maps the original's names to tensors, on the CPU."""
 
     def require(self, name: str, shape: tuple[int | None, ...]) -> Tensor:
         """The tensor of this name.

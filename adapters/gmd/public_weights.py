@@ -1,4 +1,4 @@
-"""From the files that GMD was released with to one weights file of prbench.
+"""Import of the files that GMD was released with, as one weights file of prbench.
 
 Sizes of the networks come from the shapes of the arrays; names of the parameters are translated.
 """
@@ -74,7 +74,7 @@ def original_name(name: str) -> str:
 
 
 def configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
-    """What the released networks are: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
+    """Describe the released networks: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
 
     Raises:
         InputFileError: if the files hold no such networks.
@@ -154,7 +154,7 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
 
 @dataclass(frozen=True)
 class PublicFiles:
-    """What a user has downloaded."""
+    """Files that a user has downloaded."""
 
     motion: Path
     trajectory: Path
@@ -169,11 +169,11 @@ class PublicFiles:
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written."""
+    """Report of what was written."""
 
     configuration: GMDConfiguration
     copies: dict[str, str]
-    """Which copy of each network was taken."""
+    """Name of the copy that was taken, by network."""
     parameters: int
     not_released: tuple[Path, ...]
     """Statistics and projection that are not those of the public repository."""
@@ -210,7 +210,7 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
 def _card(
     files: PublicFiles, configuration: GMDConfiguration, copies: Mapping[str, str], networks: Mapping[str, Tensor]
 ) -> dict[str, Any]:
-    """Where the weights come from; nothing of this was trained by prbench, so there are no curves and no scores."""
+    """Say where the weights come from; prbench trained nothing of this, so there are no curves and no scores."""
     return {
         "card_version": _CARD_VERSION,
         "prbench": prbench.__version__,

@@ -21,16 +21,16 @@ from prbench_adapters.gmd.features import N_POSE, ROOT_XZ, FeatureSpace, half_tu
 
 GoalLoss = Literal["absolute", "squared"]
 RowLoss = Callable[[Tensor], Tensor]
-"""From the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
+"""Maps the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
 MOST_DEVIATIONS = 6.0
-"""At which the original cuts the clean estimate of the trajectory, in standard deviations."""
+"""Limit at which the original cuts the clean estimate of the trajectory, in standard deviations."""
 Keyframes = Literal["root", "pose"]
-"""What is imputed of the first and the last frame: the pelvis on the ground, or in the second stage the whole pose."""
+"""Part of the first and last frame that is imputed: the pelvis on the ground, or in stage 2 the whole pose."""
 
 
 @dataclass(frozen=True)
 class RootGoal:
-    """Where the pelvis is wanted: canonical frame, metres."""
+    """Places wanted of the pelvis: canonical frame, metres."""
 
     xz: Float[Tensor, "batch frames 2"]
     wanted: Bool[Tensor, "batch frames"]
@@ -164,7 +164,7 @@ class Ends:
     n_frames: Int[Tensor, " batch"]
 
     def valid(self) -> Bool[Tensor, "batch frames"]:
-        """Which frames there are."""
+        """True for the frames that there are."""
         return torch.arange(int(self.n_frames.max()), device=self.first.device) < self.n_frames[:, None]
 
     def root_keyframes(self) -> RootGoal:
@@ -175,7 +175,7 @@ class Ends:
         return RootGoal(xz, is_last | (frame == 0))
 
     def impute_poses(self, imputed: Imputed, space: FeatureSpace) -> Imputed:
-        """The same with root and joint positions of both frames; the goal's heading is that of its own joints."""
+        """Add root and joint positions of both frames; the goal's heading is that of its own joints."""
         unturned = torch.zeros(len(self.first), device=self.first.device)
         values, where = imputed.values.clone(), imputed.where.clone()
         row = torch.arange(len(self.first), device=self.first.device)

@@ -34,19 +34,19 @@ from prbench_adapters.gmd.sampling import (
 from prbench_adapters.gmd.unet import TemporalUNet
 
 Imputation = Literal["end", "demo", "evaluation"]
-"""How long is imputed: ``end`` in all steps of both stages, so that the root meets its keyframes exactly. The original
+"""Steps that impute: ``end`` are all steps of both stages, so that the root meets its keyframes exactly. The original
 imputes the trajectory while t ≥ 20 of 1000, the motion while t ≥ 1 (``demo``) or t ≥ 20 (``evaluation``)."""
 
 _THOUSAND = 1000
 _GUIDED_FROM = 20
 _LINE_FROM = 100
 _IMPUTED_FROM: dict[Imputation, tuple[int, int]] = {"end": (0, 0), "demo": (20, 1), "evaluation": (20, 20)}
-"""In stage 1 and in stage 2."""
+"""First steps of the imputation in stage 1 and in stage 2."""
 
 
 @dataclass(frozen=True)
 class GMDSettings:
-    """How motions are sampled; the defaults are those of the evaluation, but for the end of the imputation."""
+    """Settings of sampling; the defaults are those of the evaluation, but for the end of the imputation."""
 
     guidance: float = 2.5
     """Weight s of the text; 1 takes one network pass a step, anything else two."""
@@ -57,12 +57,12 @@ class GMDSettings:
     imputation: Imputation = "end"
     keyframes: Keyframes = "root"
     steps: int | None = None
-    """Of the training schedule, in each stage; None for all of them."""
+    """Steps of the training schedule that each stage takes; None for all of them."""
     clamp: float = MOST_DEVIATIONS
-    """Where the clean estimate of the trajectory is cut, in standard deviations of the data: farther goals are met by
+    """Limit of the clean estimate of the trajectory, in standard deviations of the data: farther goals are met by
     the imputed frame alone."""
     bones: Literal["predicted", "initial"] = "predicted"
-    """Whether bones have the lengths that the network gives them, or those of the initial pose."""
+    """Lengths of the bones: those that the network gives them, or those of the initial pose."""
 
 
 class GuidedNetwork(Guidance):

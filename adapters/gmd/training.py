@@ -29,11 +29,11 @@ from prbench_adapters.gmd.stages import GMDSettings
 from prbench_adapters.gmd.unet import TemporalUNet
 
 FREE_TO_CHANGE = frozenset({"max_frames", "uniform_skeleton"})
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is trained beside the configuration of the networks."""
+    """Settings of the training beside the configuration of the networks."""
 
     text_drop: float = 0.1
     """Share of sequences whose text is hidden, so that guidance has an unconditional model."""
@@ -41,7 +41,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 @dataclass(frozen=True)
 class Draw:
-    """What is random in one training step of one network."""
+    """Random numbers of one training step of one network."""
 
     step: Int[torch.Tensor, " batch"]
     without_text: Bool[torch.Tensor, " batch"]

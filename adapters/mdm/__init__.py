@@ -54,7 +54,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
 
 
 def training_task() -> DiffusionTask:
-    """What ``prbench train --method mdm`` trains: text to motion, in pre-training and fine-tuning alike."""
+    """Make the task of ``prbench train --method mdm``: text to motion, in pre-training and fine-tuning alike."""
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
     return DiffusionTask("mdm", goals=(), configurations="prbench_adapters.mdm", validating=_in_training)

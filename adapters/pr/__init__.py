@@ -39,14 +39,14 @@ class TrainedFor:
 
 @dataclass(frozen=True)
 class Generation:
-    """How motions are made from conditions."""
+    """Settings by which motions are made from conditions."""
 
     sampling: SamplingSettings
     """Without optimisation."""
     optimisation: OptimisationSettings | None
     """None for plain sampling."""
     own_bones: bool = False
-    """Whether sampled motions keep the bone lengths of the initial pose; an optimisation has its own setting."""
+    """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
 
 
 class PR:
@@ -139,7 +139,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
 
 def training_task() -> DiffusionTask:
-    """What ``prbench train --method pr`` trains: text, initial state and goal; its pre-training may be ``mdm``'s."""
+    """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
     goals = ("pose", "location")
@@ -171,7 +171,7 @@ def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Conditi
 
 
 def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
-    """What the options ask for, checked before anything is generated."""
+    """Turn the options into settings, checked before anything is generated."""
     from prbench_adapters.diffusion.noise_optimisation import (
         PRIME_AND_REACH_OPTIONS,
         fast,

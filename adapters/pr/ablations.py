@@ -33,12 +33,12 @@ class Ablation:
     model: Mapping[str, Any]
     """Keys of ``[model]`` for fine-tuning."""
     options: Mapping[str, str]
-    """Of ``prbench run --method pr``."""
+    """Options of ``prbench run --method pr``."""
     pretraining: Pretraining
 
     @property
     def name(self) -> str:
-        """For folders: letters, digits and hyphens."""
+        """Name for folders: letters, digits and hyphens."""
         return _slug(f"table {self.table} {self.condition} {self.variant}")
 
     @property
@@ -120,7 +120,7 @@ def _slug(words: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """As ``--set`` takes it; plain words need no quotes."""
+    """Write a value as ``--set`` takes it; plain words need no quotes."""
     return value if isinstance(value, str) else json.dumps(value)
 
 

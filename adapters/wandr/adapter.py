@@ -35,15 +35,15 @@ _MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 
 @dataclass(frozen=True)
 class Generation:
-    """How motions are made."""
+    """Settings by which motions are made."""
 
     hand: Hand = "right"
-    """That reaches. The network knows right hands only: for left ones body and goal are mirrored, and the motion back.
-    ``nearest`` takes the one that is nearer to the goal in the first frame."""
+    """Hand that reaches. The network knows right ones only: for left ones body and goal are mirrored, and the motion
+    back. ``nearest`` takes the one that is nearer to the goal in the first frame."""
     first_change: _FirstChange = "recorded"
-    """What led to the first frame: the recorded change, or noise as in the original."""
+    """Change that led to the first frame: the recorded one, or noise as in the original."""
     deviation: float = 1.0
-    """Of the latent of every step."""
+    """Standard deviation of the latent of every step."""
 
 
 class WANDR:
@@ -98,7 +98,7 @@ class WANDR:
         return distance[:, 0] < distance[:, 1]
 
     def _start(self, batch: ConditionBatch) -> tuple[Start, Float[torch.Tensor, "batch steps latent"]]:
-        """Where the rows begin, and the noise of all their steps."""
+        """Return the start of each row, and the noise of all its steps."""
         initial, previous, goal = (
             WORLD.from_y_up(self._tensor(points))
             for points in (batch.initial_joints, batch.previous_joints, batch.goal_location)
@@ -112,7 +112,7 @@ class WANDR:
         return Start(state, delta, rest_offsets(initial), goal, n_frames), noise.latents
 
     def _noise(self, batch: ConditionBatch) -> _Noise:
-        """What each row draws from its own seed; its length and its batch mates leave no trace in it."""
+        """Draw the noise of each row from its own seed; its length and the other rows leave no trace in it."""
         size, steps = self.network.configuration.latent, int(batch.n_frames.max()) - 1
         first = np.zeros((len(batch), len(self.network.delta.mean)))
         latents = np.zeros((len(batch), steps, size))
@@ -170,7 +170,7 @@ def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> 
 
 @dataclass(frozen=True)
 class Start:
-    """What is known before the first step of B sequences. World with Z up, metres; one precision throughout."""
+    """Start of B sequences, before the first step. World with Z up, metres; one precision throughout."""
 
     state: BodyState
     """The first frame."""
@@ -179,7 +179,7 @@ class Start:
     offsets: Float[torch.Tensor, "batch 22 3"]
     """The skeletons at rest."""
     goal: Float[torch.Tensor, "batch 3"]
-    """Where the right wrist is to be in the last frame."""
+    """Place of the right wrist in the last frame."""
     n_frames: Int[torch.Tensor, " batch"]
     """Frames of each sequence, the first among them."""
 

@@ -40,7 +40,7 @@ _ABOVE = 1e-6  # metres on the floor between pelvis and goal below which the goa
 
 @dataclass(frozen=True)
 class BodyState:
-    """Where a body is and how it is bent."""
+    """Place and pose of a body."""
 
     pelvis: Float[torch.Tensor, "*batch 3"]
     rotations: Float[torch.Tensor, "*batch 22 3 3"]
@@ -61,7 +61,7 @@ class BodyState:
 
     @cached_property
     def yaw(self) -> Float[torch.Tensor, "*batch 3 3"]:
-        """That of the root (:func:`yaw_rotation`)."""
+        """Yaw of the root (:func:`yaw_rotation`)."""
         return yaw_rotation(self.rotations[..., 0, :, :])
 
     def seen(self) -> Float[torch.Tensor, "*batch 133"]:

@@ -20,10 +20,10 @@ from prbench_adapters.wandr.recordings import Recordings, starts
 from prbench_adapters.wandr.training import Objective, WandrTraining
 
 FREE_TO_CHANGE = frozenset({"dropout", "original_deviation"})
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 _MOST_MOTIONS = 4096
-"""That statistics are made from, spread evenly over the training split."""
+"""Number of motions that statistics are made from, spread evenly over the training split."""
 _TOGETHER = 64
 _LEAST_SEEN, _LEAST_DELTA = 0.02, 1e-3
 """Smallest deviations of a state's numbers and of a change's (metres, numbers of a matrix). Some hardly vary, such as a

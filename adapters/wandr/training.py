@@ -29,17 +29,17 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     free_bits: float = 0.05
     """Below this, the divergence of a dimension is not pushed down any further."""
     joint_loss_weight: float = 1.0
-    """Of the squared error of the joints, square centimetres."""
+    """Weight of the squared error of the joints, square centimetres."""
     longest_chunk: int = 10
     """Frames that the network runs on its own output at most."""
     steps_per_chunk_frame: int = 1000
     """Training steps after which chunks may be one frame longer (the original: five epochs)."""
     own_latents: Literal["encoded", "drawn"] = "encoded"
-    """Where the latents of chunks come from: the encoder, which sees the change that is wanted, as in the original, or
+    """Source of the latents of chunks: the encoder, which sees the change that is wanted, as in the original, or
     the standard normal distribution, as in generation. What corrects a body that has strayed may come from the encoder
     in the first case; generation has none. In the second it must come from state and goal."""
     frames_per_step: int = 0
-    """Of all frames in a batch so many are drawn for a step, and as many for the network's own output; 0 takes all."""
+    """Number of frames of a batch that are drawn for a step, and as many for the network's own output; 0 takes all."""
 
     def __post_init__(self) -> None:
         for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
@@ -165,7 +165,7 @@ class WandrTraining(TrainingModule):
         delta: Float[torch.Tensor, "places 135"],
         joints: Float[torch.Tensor, "places 22 3"],
     ) -> Float[torch.Tensor, "places 277"]:
-        """What the network is told: where the goal is, it is where the right wrist will be in the goal's frame.
+        """Encode what the network is told; the goal is where the right wrist will be in the goal's frame.
 
         Args:
             recordings: The recordings.
@@ -193,7 +193,7 @@ class WandrTraining(TrainingModule):
         condition: Float[torch.Tensor, "places 277"],
         generator: torch.Generator,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What the decoder makes of a draw from the encoder; mean and log-variance of that."""
+        """Decode a draw from the encoder; return also the mean and log-variance of that."""
         mean, log_variance = self.network.encode(wanted, condition)
         noise = torch.randn(mean.shape, generator=generator).to(mean)
         return self.network.decode(self.network.draw(mean, log_variance, noise), condition), mean, log_variance

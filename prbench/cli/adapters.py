@@ -120,7 +120,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _remark(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
-    """What keeps a method from being used, as far as metadata tell."""
+    """Say what keeps a method from being used, as far as metadata tell."""
     from prbench.methods.installed import offered_twice
 
     if adapter.problem:

@@ -166,7 +166,7 @@ def supervised(command: Command, arguments: Sequence[str], *, method: str) -> in
 
 
 def _report(command: Command, arguments: list[str], sender: Connection) -> None:
-    """In the child: run the command and say how it ended."""
+    """Run the command in the child, and say how it ended."""
     end_with_parent()
     code = 1  # of a traceback
     try:

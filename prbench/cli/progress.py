@@ -77,7 +77,7 @@ def _training_lines(progress: Progress) -> None:
 
 
 def in_words(row: Mapping[str, float | int]) -> str:
-    """``loss 0.123, joints 0.01, …``; the step apart."""
+    """Write ``loss 0.123, joints 0.01, …``, without the step."""
     return ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in row.items() if name != "step")
 
 

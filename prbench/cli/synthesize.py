@@ -128,7 +128,7 @@ def _write_tree(arguments: argparse.Namespace) -> None:
 
 
 def _write_table(arguments: argparse.Namespace) -> None:
-    """Recordings that are acted out, sensed and curated in memory: training data without native files."""
+    """Act out, sense and curate recordings in memory: training data without native files."""
     from prbench.curation import BuildOptions
     from prbench.engine import engine_for
     from prbench.errors import UsageError
@@ -158,7 +158,7 @@ def _write_table(arguments: argparse.Namespace) -> None:
 
 
 def _write_corpus_tree(arguments: argparse.Namespace) -> None:
-    """Invented people in the layout of a text-motion dataset."""
+    """Write synthetic people in the layout of a text-motion dataset."""
     from prbench.synthetic.corpus_tree import DEFAULT_RECORDINGS, synthesize_corpus_tree
 
     done, planned = itertools.count(1), arguments.recordings or DEFAULT_RECORDINGS
@@ -182,7 +182,7 @@ def _write_corpus_tree(arguments: argparse.Namespace) -> None:
 
 
 def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> None:
-    """What curation finds in the files just written, and at each noise level in recordings of the same seed."""
+    """Compare curation with the truth, for the files just written and at each noise level for the same seed."""
     from prbench.workflows.verify_synthetic import LEVELS, verify_level, verify_tree
 
     rows = []
@@ -235,7 +235,7 @@ def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
 
 
 def _draw_gallery(arguments: argparse.Namespace) -> None:
-    """Twelve sequences of all presets, or of the one that was named."""
+    """Draw twelve sequences of all presets, or of the one that was named."""
     from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
     from prbench.synthetic.people import perform
     from prbench.viewing.clip_strips import invented_strips, render_strips
@@ -252,7 +252,7 @@ def _draw_gallery(arguments: argparse.Namespace) -> None:
 
 
 def _draw_histograms(arguments: argparse.Namespace) -> None:
-    """Statistics of some recordings of the preset that was named, or of all presets."""
+    """Draw statistics of some recordings of the preset that was named, or of all presets."""
     from prbench.synthetic.people import PRESETS, perform
     from prbench.viewing.histograms import render_histograms
 

@@ -1,4 +1,4 @@
-"""What commands print: tables and columns, and text from files in them that cannot steer the terminal."""
+"""Printed tables and columns; text from files in them cannot steer the terminal."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class _Pretrained:
     variable: str
     hub_id: str
     expected: str
-    """What a message says that the files should hold."""
+    """Content of the files, as a message says it."""
     remedy: str
 
     def __init__(self, path: Path | str | None = None) -> None:
@@ -78,7 +78,7 @@ class _Pretrained:
         raise NotImplementedError
 
     def _fault(self, tokenizer: Any, model: Any) -> str | None:
-        """What makes loaded files those of another model, in words; None if they fit."""
+        """Say what makes loaded files those of another model; None if they fit."""
         raise NotImplementedError
 
     def _tokenizer_and_model(self) -> tuple[Any, Any]:
@@ -206,5 +206,5 @@ class Clip(_Pretrained):
 
 
 def _first_line(error: BaseException) -> str:
-    """What went wrong, short enough for a message."""
+    """Say what went wrong, short enough for a message."""
     return str(error).strip().partition("\n")[0].rstrip(".")[:300] or type(error).__name__

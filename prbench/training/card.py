@@ -53,7 +53,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
 
 
 def training_times(state: TrainingState) -> dict[str, Any]:
-    """How long a training took, which no two trainings have in common."""
+    """Return how long a training took, which no two trainings have in common."""
     return {
         "steps": state.step,
         "seconds": round(state.seconds, 1),
@@ -63,7 +63,7 @@ def training_times(state: TrainingState) -> dict[str, Any]:
 
 
 def thinned(rows: list[Row], points: int) -> list[Row]:
-    """At most ``points`` rows, spread evenly, the last among them."""
+    """Select at most ``points`` rows, spread evenly, the last among them."""
     if len(rows) <= points:
         return rows
     places = sorted({round((place + 1) * len(rows) / points) - 1 for place in range(points)})

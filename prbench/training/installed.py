@@ -79,7 +79,7 @@ def _beside(method: EntryPoint) -> EntryPoint:
 
 
 def _defines_a_task(method: EntryPoint) -> bool:
-    """Whether the source of a method's module has the callable; read, not run, because a module may be broken."""
+    """Return True where a method's module defines the callable; its source is read, because a module may be broken."""
     try:
         spec = find_spec(_module(method))
         source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin else ""

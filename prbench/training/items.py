@@ -27,7 +27,7 @@ class MotionItem:
     joints: Float[np.ndarray, "n 22 3"]
     n_frames: int
     text: str
-    """One of the captions."""
+    """Caption, one of those of the row."""
     initial_joints: Float[np.ndarray, "22 3"]
     """The first frame."""
     previous_joints: Float[np.ndarray, "22 3"]
@@ -35,14 +35,14 @@ class MotionItem:
     goal_joints: Float[np.ndarray, "22 3"]
     """The last frame."""
     goal_location: Float[np.ndarray, "3"]
-    """What is reached; NaN for motions of a corpus."""
+    """Place that is reached; NaN for motions of a corpus."""
     fps: float
     sequence_id: str
 
 
 @dataclass(frozen=True)
 class ConditionStatistics:
-    """Of ``[initial pose 66, initial velocity 66, goal 3 or 66]``, metres and metres per second; empty without goal."""
+    """Statistics of ``[initial pose 66, initial velocity 66, goal 3 or 66]``, m and m/s; empty without goal."""
 
     mean: Float[np.ndarray, " size"]
     std: Float[np.ndarray, " size"]

@@ -50,7 +50,7 @@ def load_batches(
 
 @dataclass
 class WaitingClock:
-    """How much of a loop's time goes into waiting for data.
+    """Measures how much of a loop's time goes into waiting for data.
 
     >>> clock = WaitingClock()
     >>> sum(clock.timed([1, 2, 3]))

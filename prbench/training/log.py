@@ -1,4 +1,4 @@
-"""What a training leaves to look at: a TensorBoard log and a picture of the curves."""
+"""The TensorBoard log of a training, and a picture of its curves."""
 
 from __future__ import annotations
 

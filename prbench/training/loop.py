@@ -34,21 +34,21 @@ CHECKPOINTS = "checkpoints"
 _STEPS_BETWEEN_QUESTIONS = 10  # processes that train together agree to stop; asking costs a message each
 
 Batches = Callable[[int], Iterable[Any]]
-"""From the number of batches taken before to the batches that follow, without end."""
+"""Maps the number of batches taken before to the batches that follow, without end."""
 Validate = Callable[[TrainingModule], Row]
-"""From a module with the averaged weights, in evaluation mode, to what was measured."""
+"""Maps a module with the averaged weights, in evaluation mode, to what was measured."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training is."""
+    """Progress of a training."""
 
     step: int
     steps: int
     row: Row | None = None
     """A new line of the log, if there is one."""
     validation: Row | None = None
-    """What a validation measured, if there was one."""
+    """Measurements of a validation, if there was one."""
 
 
 def silent(progress: Progress) -> None:

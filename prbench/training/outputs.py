@@ -1,4 +1,4 @@
-"""What a training writes: checkpoints, the averaged weights with their card, logs and curves."""
+"""The files that a training writes: checkpoints, the averaged weights with their card, logs and curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CARD = "weights.json"
 TIMES = "timing.json"
 
 Describe = Callable[[TrainingState], dict[str, Any]]
-"""From a state to its card."""
+"""Maps a state to its card."""
 
 
 class Outputs:

@@ -28,7 +28,7 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
     identity_digest: str
     content_digest: str
     sequences: int
-    """Of the split that is trained on."""
+    """Number of sequences in the split that is trained on."""
 
 
 class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,7 +44,7 @@ class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) -> tuple[TableRecord, ...]:
-    """What the card says of each table, in the order given (the order decides what a seed draws)."""
+    """Describe each table for the card, in the order given (the order decides what a seed draws)."""
     return tuple(
         TableRecord(
             dataset=table.info.dataset,

@@ -70,7 +70,7 @@ def frame_rate(table: Table, split: str) -> float:
 
 
 def holds_mirrored(table: Table) -> bool:
-    """Whether a corpus brings mirrored copies of its own."""
+    """Return True for a corpus that brings mirrored copies of its own."""
     return isinstance(table, CorpusTable) and bool(np.any(table.scalars()["mirrored"].to_numpy()))
 
 

@@ -1,4 +1,4 @@
-"""From a user's request to trained weights: task, configuration, data, loop."""
+"""A whole training, from a user's request to trained weights: task, configuration, data, loop."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TrainRequest:
     out: Path
     """The training folder; goes on with the same training, refuses another."""
     stage: str | None = None
-    """By default the task's first."""
+    """Stage of the training; by default the task's first."""
     configuration: str = DEFAULT_CONFIGURATION
     """Name of one that comes with the task, or the path of a TOML file."""
     overrides: tuple[tuple[str, str], ...] = ()
@@ -62,7 +62,7 @@ class TrainRequest:
 
 @dataclass(frozen=True)
 class TrainReport:
-    """What a training has left behind."""
+    """Summary of a finished training."""
 
     weights: Path
     steps: int

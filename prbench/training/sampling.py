@@ -20,7 +20,7 @@ _POOL = 32
 
 
 class LengthBatches:
-    """Which items each batch holds: a batch sampler for a DataLoader, without end.
+    """Chooses the items of each batch: a batch sampler for a DataLoader, without end.
 
     Every epoch shows the items in a new order. Within a window of that order the items of similar length come together,
     then the batches change places. What step s shows depends on ``(seed, s, rank, world_size)`` and nothing else, so a

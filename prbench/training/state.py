@@ -46,7 +46,7 @@ class TrainingState:
     seconds: float = 0.0
     """Spent in training, all sessions together; validation and saving apart."""
     waited: float = 0.0
-    """Of these, seconds without a batch to work on."""
+    """Seconds of these without a batch to work on."""
     tally: Tally = field(default_factory=Tally)
     rows: list[Row] = field(default_factory=list)
     """The log so far; holds no times, so that two undisturbed trainings have the same."""

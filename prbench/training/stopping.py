@@ -10,13 +10,13 @@ from types import FrameType
 
 
 class StopRequest:
-    """Whether, and by which signal, the training was asked to stop."""
+    """Records whether, and by which signal, the training was asked to stop."""
 
     signal: int | None = None
 
     @property
     def name(self) -> str:
-        """Of the signal, such as ``SIGTERM``."""
+        """Name of the signal, such as ``SIGTERM``."""
         return signal.Signals(self.signal).name if self.signal is not None else ""
 
     def __bool__(self) -> bool:

@@ -41,7 +41,7 @@ class LeftOut(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Encoding:
-    """How rows become items; stores of different encodings stand beside each other."""
+    """Settings by which rows become items; stores of different encodings stand beside each other."""
 
     split: str
     mode: Mode
@@ -93,7 +93,7 @@ def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, Fe
 
 
 class _Notes(msgspec.Struct, frozen=True):
-    """What is known of a store beside its rows."""
+    """Notes on a store, kept beside its rows."""
 
     files: list[tuple[int, int]]
     """Size and time of change of the table's files when the store was made."""

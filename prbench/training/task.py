@@ -1,4 +1,4 @@
-"""What a training task is: the seam between the loop, which knows no network, and a network, which knows no loop.
+"""Training tasks: the interface between the loop, which knows no network, and a network, which knows no loop.
 
 An installed package offers a task by an entry point in the group ``prbench.training_tasks`` that names a callable
 without arguments which returns a :class:`TrainingTask`; so does a method, by a callable ``training_task`` in the module
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What a task may look at before the first step: the training split, as it will be fed.
+    """The training split as it will be fed, at which a task may look before the first step.
 
     A task takes normalisation statistics from ``train.statistics()`` and ``train.condition_statistics(goal)``, both
     made once and kept; a fine-tuned model keeps those of its initial weights instead
@@ -74,13 +74,13 @@ class TrainingModule(nn.Module):
     """
 
     seed: int = 0
-    """Of the configuration."""
+    """Seed of the configuration."""
     rank: int = 0
-    """Which of the processes that train together this is; each draws other noise."""
+    """Number of this process among those that train together; each draws other noise."""
     origin: tuple[str, ...] = ()
     """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
     calls: int = 1
-    """How often the whole training calls :meth:`forward`, validation apart: where modules that train one network after
+    """Number of calls of :meth:`forward` in the whole training, validation apart: modules that train one network after
     the other take the time of their phases from."""
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
@@ -97,7 +97,7 @@ class TrainingModule(nn.Module):
         raise NotImplementedError
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-        """What is saved: tensors by name, and the entries of the file's header.
+        """Return what is saved: tensors by name, and the entries of the file's header.
 
         The header needs ``kind`` (such as ``denoiser``), ``configuration`` (JSON) and, for networks of motion,
         ``representation`` (such as ``humanml3d-263/continuous``); the writer adds format and version

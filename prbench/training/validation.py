@@ -45,13 +45,13 @@ _SCORES = tuple(info.id for info in METRICS if info.main)
 
 @dataclass(frozen=True)
 class Validation:
-    """What is measured, and on which sequences; the same at every step of a training."""
+    """Chosen sequences and settings of a validation, the same at every step of a training."""
 
     data: SequenceDataset
     places: tuple[int, ...]
-    """Of the chosen items in ``data``, by length."""
+    """Places of the chosen items in ``data``, by length."""
     selections: tuple[Selection, ...]
-    """Of the tables that motions are generated for."""
+    """Sequences of the tables that motions are generated for."""
     condition: Condition | None
     batch_size: int
     seed: int

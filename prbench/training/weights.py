@@ -40,14 +40,14 @@ class Weights:
 
     path: Path
     tensors: dict[str, torch.Tensor]
-    """By name; floating-point tensors as float32 whatever the file holds, on the CPU."""
+    """Maps names to tensors, on the CPU; floating-point ones are float32 whatever the file holds."""
     metadata: dict[str, str]
     digest: str
     """SHA-256 of the file."""
 
     @property
     def kind(self) -> str:
-        """What the weights are of, such as ``denoiser``."""
+        """Kind of network that the weights are of, such as ``denoiser``."""
         return self.metadata.get("kind", "")
 
     def configuration(self, kind: type[Configuration]) -> Configuration:
@@ -181,7 +181,7 @@ def write_weights(
 
 
 def _sorted_header(content: bytes) -> bytes:
-    """The same file with its entries in alphabetical order; the library writes them in another order every time."""
+    """Sort the entries of the header; the library writes them in another order every time."""
     (length,) = struct.unpack("<Q", content[:8])
     header = json.loads(content[8 : 8 + length])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))

@@ -56,7 +56,7 @@ _DEFAULT_WEIGHTS = {"goal-loc": "pr-small-goal-loc", "goal-pose": "pr-small-goal
 
 @dataclass(frozen=True)
 class Trial:
-    """What both modes are run on."""
+    """Sequences and model that both modes are run on."""
 
     model: MotionModel
     selection: Selection

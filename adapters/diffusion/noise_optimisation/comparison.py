@@ -48,7 +48,7 @@ class ModeResult:
 
     @classmethod
     def read(cls, path: Path) -> ModeResult:
-        """What :func:`write_csv` has written of :meth:`rows`."""
+        """Read what :func:`write_csv` has written of :meth:`rows`."""
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         numbers = {name: np.array([float(row[name]) for row in rows]) for name in SEQUENCE_COLUMNS[1:]}
@@ -93,7 +93,7 @@ def read_curve(path: Path) -> Float[np.ndarray, "iterations 4"]:
 
 
 def verdict(fast: ModeResult, paper: ModeResult, recording_ids: Sequence[str]) -> dict[str, object]:
-    """Whether the fast mode is as good: medians of final losses, and the paired interval of Prime Success.
+    """Compare the fast mode with the paper's: medians of final losses, and the paired interval of Prime Success.
 
     Args:
         fast: The mode in question.
@@ -127,7 +127,7 @@ def prime_difference_interval(
 ) -> tuple[float | None, float | None]:
     """95 % interval of the mean paired difference of a rate; None for a bound that the data cannot give.
 
-    The wider of the house's interval over recordings and Agresti and Min's adjusted Wald interval (half a sequence
+    The wider of the benchmark's interval over recordings and Agresti and Min's adjusted Wald interval (half a sequence
     added to each cell of the paired table): the first alone would be a point where no sequence differs.
     """
     own = mean_interval(differences, list(recording_ids))

@@ -25,7 +25,7 @@ _COMPILED: weakref.WeakKeyDictionary[Denoiser, Denoiser] = weakref.WeakKeyDictio
 
 @runtime_checkable
 class FrozenModel(Protocol):
-    """What of a ``MotionModel`` the optimisation needs."""
+    """The part of a ``MotionModel`` that the optimisation needs."""
 
     @property
     def denoiser(self) -> Denoiser:
@@ -118,7 +118,7 @@ class OnOwnBones:
 
     @property
     def network_passes(self) -> int:
-        """Those of the decoder."""
+        """Passes of the decoder."""
         return self._decoder.network_passes
 
     def __call__(self, noise: Noise) -> Joints:
@@ -131,7 +131,7 @@ class OnOwnBones:
 
 
 def compiled(denoiser: Denoiser) -> Denoiser:
-    """The same network whose passes go through ``torch.compile``, for any batch and length; compiled at most once.
+    """Send the passes of a network through ``torch.compile``, for any batch and length; compiled at most once.
 
     Weights are shared. The first pass takes a minute or more, and on a processor needs a C++ compiler.
     """

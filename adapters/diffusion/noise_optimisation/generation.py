@@ -1,4 +1,4 @@
-"""From a batch of conditions to motions by noise optimisation: the way of DNO, and of P&R."""
+"""Motions for a batch of conditions by noise optimisation: the way of DNO, and of P&R."""
 
 from __future__ import annotations
 

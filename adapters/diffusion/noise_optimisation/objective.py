@@ -1,4 +1,4 @@
-"""What optimised motions are measured by: initial state, goal and jerk, and DNO's keyframes.
+"""Objectives of optimised motions: initial state, goal and jerk, and DNO's keyframes.
 
 Every objective reports the same three losses in the same units, so that methods can be compared, beside the sum that
 it minimises. Frames behind a sequence's end are never looked at.
@@ -38,7 +38,7 @@ class Losses:
 
 @dataclass(frozen=True, kw_only=True)
 class Targets:
-    """What B motions are asked for, canonical frame, metres; exactly one of the two goals is given."""
+    """Initial states and goals of B motions, canonical frame, metres; exactly one of the two goals is given."""
 
     initial_joints: Float[torch.Tensor, "batch 22 3"]
     previous_joints: Float[torch.Tensor, "batch 22 3"]

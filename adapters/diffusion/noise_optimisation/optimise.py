@@ -115,7 +115,7 @@ class _Active:
     padding: DecorrelationPadding
 
     def part(self, kept: Index) -> _Active:
-        """Those at the places ``kept`` among the active ones; the others are finished."""
+        """Keep the sequences at the places ``kept`` among the active ones; the others are finished."""
         return _Active(
             self.rows[kept],
             self.decoder.rows(kept),
@@ -231,7 +231,7 @@ class _Search:
             self._take(active.rows, everything, active.noise, joints, losses)
 
     def result(self) -> OptimisedMotions:
-        """What was kept of every sequence, in the order given."""
+        """Return what was kept of every sequence, in the order given."""
         return OptimisedMotions(
             joints=self._joints,
             noise=self._noise,

@@ -34,9 +34,9 @@ _SHARED = (
     "compile",
 )
 PRIME_AND_REACH_OPTIONS = (*_SHARED, "alpha", "initial-velocity-weight")
-"""With the objective of :func:`~prbench_adapters.diffusion.noise_optimisation.prime_and_reach`."""
+"""Options that go with the objective ``prime_and_reach``."""
 KEYFRAME_OPTIONS = (*_SHARED, "initial-frames")
-"""With the objective of :func:`~prbench_adapters.diffusion.noise_optimisation.keyframes`."""
+"""Options that go with the objective ``keyframes``."""
 _MOST_ITERATIONS = 100_000
 
 
@@ -51,13 +51,13 @@ class OptimisationSettings:
     ddim_steps: int = 50
     """Steps of the deterministic chain from noise to motion, of equal stride, in every iteration and at the end."""
     spacing: Spacing = "leading"
-    """Whether they are counted from the cleanest step, as DNO does, or back from the noisiest."""
+    """End from which they are counted: the cleanest step, as DNO does, or the noisiest."""
     iterations: int = 400
     learning_rate: float = 0.05
     warmup: int = 50
     """Iterations over which the learning rate grows from 0."""
     unit_gradient: bool = True
-    """Whether each sequence's gradient is brought to length 1 before Adam."""
+    """Bring each sequence's gradient to length 1 before Adam."""
     jerk_weight: float = 0.5
     """The paper's alpha."""
     jerk_power: float | None = None
@@ -74,15 +74,15 @@ class OptimisationSettings:
     guidance: float = 1.0
     """Scale of classifier-free guidance; anything but 1 doubles the network passes."""
     keep: Keep = "last"
-    """Whether the last iterate is the result, or the one with the lowest initial plus goal loss."""
+    """Iterate that is the result: the last, or the one with the lowest initial plus goal loss."""
     stop_below: float | None = None
     """Initial and goal loss, m², below which a sequence is finished; None runs all iterations."""
     checkpointing: int = 0
     """Steps a block whose activations are computed again instead of kept; 0 keeps all."""
     precision: Precision = "float32"
-    """Of the network; schedule, integration and losses are float32 always."""
+    """Precision of the network; schedule, integration and losses are float32 always."""
     compiled: bool = False
-    """Whether the network goes through ``torch.compile``."""
+    """Send the network through ``torch.compile``."""
     batch_size: int = 16
     """Most sequences that are optimised side by side; no result depends on it beyond rounding."""
 
@@ -115,7 +115,7 @@ def dno_paper(diffusion_steps: int) -> OptimisationSettings:
 
 
 def fast(diffusion_steps: int) -> OptimisationSettings:
-    """At most 400 network passes a sequence, the last decoding included.
+    """Spend at most 400 network passes a sequence, the last decoding included.
 
     Found on small models of synthetic data: with a fixed number of passes, fewer steps and more iterations lower all
     losses; so do twice the learning rate, a decorrelation term that does not outweigh the others, and a power norm of

@@ -1,4 +1,4 @@
-"""What the solver of noise optimisation is made of: Adam, its learning rate, and the decorrelation loss.
+"""Parts of the solver of noise optimisation: Adam, its learning rate, and the decorrelation loss.
 
 Sources: docs/specification/dno.md#the-optimiser, docs/specification/dno.md#decorrelation-loss.
 """
@@ -101,7 +101,7 @@ class DecorrelationPadding:
         self._generators = [named_generator("prbench-decorrelation", seed) for seed in seeds]
 
     def rows(self, kept: Sequence[int]) -> DecorrelationPadding:
-        """The same streams, where they stand now, for some of the sequences."""
+        """Hand on the streams of some of the sequences, where they stand now."""
         part = DecorrelationPadding((), torch.zeros(0, dtype=torch.int64))
         part._lengths = [self._lengths[row] for row in kept]
         part._generators = [self._generators[row] for row in kept]

@@ -111,11 +111,11 @@ def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True
     pointing = np.stack(pointers)[..., ::2]  # (pointers, frames, 2)
     length = np.linalg.norm(pointing, axis=-1)
     size = length * np.linalg.norm(front, axis=-1)
-    told = length > _BEND
-    if not told.any():
+    decisive = length > _BEND
+    if not decisive.any():
         return None
     cosine = (pointing * front).sum(axis=-1) / np.where(size > 0, size, 1.0)
-    return float((cosine * length)[told].sum() / length[told].sum())
+    return float((cosine * length)[decisive].sum() / length[decisive].sum())
 
 
 def check_sides(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True, source: Path | str = IN_MEMORY) -> None:
