@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import UsageError
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.losses import Objective

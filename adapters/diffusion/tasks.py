@@ -12,8 +12,7 @@ import torch
 from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench.representation.features import N_FEATURES
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration

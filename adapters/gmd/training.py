@@ -16,8 +16,7 @@ from torch import nn
 from prbench.contract import Adapter
 from prbench.representation.statistics import StatisticsAccumulator
 from prbench.training import MotionBatch
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData, TrainingModule
+from prbench.training.task import TrainingData, TrainingModule, split_model_table
 from prbench.training.weights import origin_of, read_weights, representation_entry, weights_header
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from prbench.errors import UsageError
 from prbench.training import MotionBatch, collate
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.wandr.network import KIND, Standardisation, WandrConfiguration, WandrNetwork, network_of
 from prbench_adapters.wandr.recordings import Recordings, starts

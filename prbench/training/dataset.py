@@ -18,8 +18,7 @@ from prbench.sequences.table import SPLITS
 from prbench.storage import cache_folder
 from prbench.training.feature_store import FeatureStore
 from prbench.training.items import ConditionStatistics, Goal, MotionItem, condition_statistics
-from prbench.training.motion import Motion, cut, encoded
-from prbench.training.rows import Table, frame_rate, holds_mirrored, open_table
+from prbench.training.motions import Motion, Table, cut, encoded, frame_rate, holds_mirrored, open_table
 from prbench.training.store_building import Crop, Encoding, LeftOut, table_store
 
 

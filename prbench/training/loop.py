@@ -20,11 +20,9 @@ from prbench.errors import TrainingError, TrainingStopped
 from prbench.randomness import named_generator
 from prbench.training.checkpoints import Checkpoints
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench.training.devices import make_fabric
-from prbench.training.learning_rate import learning_rate
 from prbench.training.outputs import Describe, Outputs
-from prbench.training.state import Row, Tally, TrainingState
-from prbench.training.stopping import StopRequest, stop_on_signals
+from prbench.training.processes import StopRequest, make_fabric, stop_on_signals
+from prbench.training.state import Row, Tally, TrainingState, learning_rate
 from prbench.training.task import TrainingModule
 
 if TYPE_CHECKING:

@@ -12,16 +12,14 @@ import torch
 
 from prbench.errors import TrainingStopped, UsageError
 from prbench.locks import sole_writer
-from prbench.training.card import training_card
+from prbench.training.batches import LengthBatches, load_batches
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
 from prbench.training.dataset import SequenceDataset
-from prbench.training.devices import make_fabric
 from prbench.training.installed import load_task
-from prbench.training.loading import load_batches
 from prbench.training.loop import Progress, fit, silent
 from prbench.training.outputs import WEIGHTS
-from prbench.training.record import TrainingRecord, require_same_training, table_records, write_record
-from prbench.training.sampling import LengthBatches
+from prbench.training.processes import make_fabric
+from prbench.training.record import TrainingRecord, require_same_training, table_records, training_card, write_record
 from prbench.training.state import Row, TrainingState
 from prbench.training.task import TrainingData, TrainingModule, TrainingTask
 from prbench.training.validation import Validation

@@ -22,8 +22,7 @@ from prbench.sequences.arrow import column
 from prbench.sequences.rows import table_parts
 from prbench.storage import atomic_path, read_json, text_digest, write_json
 from prbench.training.feature_store import STORE, FeatureStore
-from prbench.training.motion import check_headings, cut, encoded, mirrored, mirrored_text
-from prbench.training.rows import Row, Table, read_rows
+from prbench.training.motions import Row, Table, check_headings, cut, encoded, mirrored, mirrored_text, read_rows
 
 Crop = Literal["end", "random"]
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
+import msgspec
 import torch
 from torch import nn
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from prbench.contract import Adapter
     from prbench.training.dataset import SequenceDataset
     from prbench.training.items import MotionBatch
+
+Networks = TypeVar("Networks", bound=msgspec.Struct)
+Objective = TypeVar("Objective", bound=msgspec.Struct)
 
 
 @dataclass(frozen=True)
@@ -157,3 +161,24 @@ class TrainingTask(Protocol):
             PrbenchError: if the table does not describe a model, or the initial weights do not fit it.
         """
         ...
+
+
+def split_model_table(
+    model: Mapping[str, Any], networks: type[Networks], objective: type[Objective]
+) -> tuple[Networks, Objective]:
+    """Split the table between two kinds of settings.
+
+    Args:
+        model: The table as it is in the TOML file.
+        networks: Made from the keys that ``objective`` does not have; should forbid unknown ones.
+        objective: Made from the keys of its own.
+
+    Raises:
+        UsageError: for an unknown key or an impossible value.
+    """
+    trained_for = {key: value for key, value in model.items() if key in objective.__struct_fields__}
+    described = {key: value for key, value in model.items() if key not in trained_for}
+    try:
+        return msgspec.convert(described, networks), msgspec.convert(trained_for, objective)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"[model]: {error}.") from error

@@ -35,7 +35,7 @@ from prbench.sequences.table import smallest_by_hash
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.dataset import SequenceDataset
 from prbench.training.items import collate
-from prbench.training.rows import Table
+from prbench.training.motions import Table
 from prbench.training.state import Row
 from prbench.training.task import TrainingModule
 

@@ -241,7 +241,7 @@ def test_what_does_not_fit_is_refused(model, message, data):
 
 @pytest.mark.parametrize("stopped_after", [2, 4])
 def test_a_stopped_training_goes_on_to_the_same_bits_in_either_phase(data, tmp_path, monkeypatch, stopped_after):
-    monkeypatch.setattr("prbench.training.log.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench.training.outputs.draw_curves", lambda *arguments: None)
     settings = OptimisationConfiguration(steps=6, learning_rate=1e-3, ema=0.9, save_every=9, log_every=1)
     configuration = TrainingConfiguration(model={}, training=settings)
 

@@ -165,7 +165,7 @@ def _train(table: Path, out: Path, *more: str) -> int:
 
 def test_smoke_training_makes_weights_that_generate_and_resumes_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("prbench.training.log.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench.training.outputs.draw_curves", lambda *arguments: None)
     table = fake_dataset(tmp_path / "table", 24).folder
     validated = ("--set", "validation.every=4", "--set", "validation.sequences=1")
     validated += ("--set", "validation.condition=goal-pose")

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from prbench.errors import UsageError
-from prbench.training.model_table import split_model_table
+from prbench.training.task import split_model_table
 
 
 class Networks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from prbench.training import log
+from prbench.training import outputs as log
 from prbench.training.configuration import OptimisationConfiguration
-from prbench.training.log import TrainingLog, draw_curves
+from prbench.training.outputs import TrainingLog, draw_curves
 from prbench.training.state import TrainingState
 from tests.training.toy import toy
 

@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from prbench.training.average import WeightAverage
 from prbench.training.configuration import OptimisationConfiguration
-from prbench.training.learning_rate import learning_rate
+from prbench.training.state import WeightAverage, learning_rate
 
 
 def test_the_rate_rises_linearly_then_falls_as_half_a_cosine():

@@ -12,10 +12,9 @@ from prbench.contract import ENTRY_POINT_GROUP as METHODS
 from prbench.errors import AdapterError, StorageError, TrainingError
 from prbench.storage import write_json
 from prbench.training import installed
-from prbench.training.card import thinned
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench.training.installed import load_task
-from prbench.training.record import TableRecord, TrainingRecord, require_same_training, write_record
+from prbench.training.record import TableRecord, TrainingRecord, require_same_training, thinned, write_record
 
 TABLE = TableRecord(
     dataset="a", title="A", synthetic=True, licence="MIT", identity_digest="i", content_digest="c", sequences=3
