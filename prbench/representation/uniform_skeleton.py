@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.representation.checks import IN_MEMORY, check_joints
+from prbench.representation.clips import IN_MEMORY, check_joints
 from prbench.representation.features import REST_DIRECTIONS, REST_OFFSETS
 from prbench.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.decoding import decode
+from prbench.representation.encoding import decode
 from prbench.representation.features import FOOT_CONTACTS, JOINT_VELOCITIES, ROOT_LINEAR_VELOCITY
 
 FEATURES = "features"

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.checks import IN_MEMORY, check_finite
+from prbench.representation.clips import IN_MEMORY, check_finite
 from prbench.representation.converters.axes import UNITS
 from prbench.skeleton import PARENTS, Joint
 

@@ -1,7 +1,8 @@
-"""The user's own SMPL, SMPL-H or SMPL-X file: the few arrays of it that joints need, and never a pickle.
+"""The 22 joints of SMPL parameters without the package ``smplx``, from the user's own SMPL, SMPL-H or SMPL-X file.
 
-Body models are licensed and never shipped. The 22 joints need three arrays of one: the rest joints are a linear
-function of the shape, ``J_regressor @ (v_template + shapedirs @ betas)``.
+Body models are licensed and never shipped. The 22 joints need three arrays of one, which are read from plain arrays and
+never from a pickle: the rest joints are a linear function of the shape,
+``J_regressor @ (v_template + shapedirs @ betas)``. Forward kinematics in NumPy moves them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from jaxtyping import Float
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.numpy_files import Archive
-from prbench.skeleton import N_JOINTS
+from prbench.representation.converters.smpl_parameters import SmplParameters
+from prbench.representation.converters.smpl_rotations import to_matrices
+from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
 REGRESSOR, TEMPLATE, SHAPES = "J_regressor", "v_template", "shapedirs"
 SMPL_JOINTS, SMPLH_JOINTS, SMPLX_JOINTS = 24, 52, 55
@@ -132,3 +135,30 @@ def read_plain_arrays(path: Path, needed: Iterable[str], optional: Iterable[str]
     archive = Archive(path, remedy=HOW_TO_CONVERT)
     archive.require(needed)
     return archive.load((*needed, *optional))
+
+
+def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarray, "frames 22 3"]:
+    """Joints as the body model has them; blend shapes of the surface move none of them, so this is exact.
+
+    SMPL, SMPL-H and SMPL-X share the order of these 22 joints, not their rest joints: take the model that the
+    parameters were made for.
+
+    Args:
+        parameters: The motion.
+        rest: Rest joints of the model.
+
+    Returns:
+        World of the parameters (AMASS: Z up), metres, at their rate.
+
+    Raises:
+        InputFileError: if there are more shape numbers than the model knows.
+    """
+    body = rest.of(parameters.betas)
+    local = to_matrices(parameters.rotations)
+    world = [local[:, Joint.PELVIS]]
+    joints = [parameters.transl + body[Joint.PELVIS]]
+    for joint in range(1, N_JOINTS):
+        parent = PARENTS[joint]
+        joints.append(joints[parent] + world[parent] @ (body[joint] - body[parent]))
+        world.append(world[parent] @ local[:, joint])
+    return np.stack(joints, axis=1)

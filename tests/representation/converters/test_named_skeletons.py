@@ -12,7 +12,7 @@ from prbench.joint_names import XSENS_SEGMENTS
 from prbench.manifests import load_manifest
 from prbench.representation import mirror
 from prbench.representation.converters import JOINT_MAPS, check_limbs, check_sides
-from prbench.representation.converters.skeletons.anatomy import LIMBS
+from prbench.representation.converters.anatomy import LIMBS
 from prbench.skeleton import Joint, bone_lengths, head_forward
 from tests.representation.converters.bodies import joint_errors
 from tests.representation.converters.foreign import known_motion, seen_as

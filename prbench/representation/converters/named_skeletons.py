@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 from prbench.errors import UsageError, did_you_mean
 from prbench.joint_names import XSENS_SEGMENTS, match_names
-from prbench.representation.converters.skeletons.anatomy import NAMES
-from prbench.representation.converters.skeletons.joint_map import JointMap
+from prbench.representation.converters.anatomy import NAMES
+from prbench.representation.converters.joint_map import JointMap
 from prbench.skeleton import CHAINS, Joint
 
 

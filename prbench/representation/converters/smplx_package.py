@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, MissingExtraError
-from prbench.representation.converters.smpl.body_model import (
+from prbench.representation.converters.smpl_joints import (
     REGRESSOR,
     SHAPES,
     SMPL_JOINTS,
@@ -30,7 +30,7 @@ from prbench.representation.converters.smpl.body_model import (
     TEMPLATE,
     read_plain_arrays,
 )
-from prbench.representation.converters.smpl.parameters import SmplParameters
+from prbench.representation.converters.smpl_parameters import SmplParameters
 from prbench.skeleton import N_JOINTS
 
 _BODY = (REGRESSOR, TEMPLATE, SHAPES, "posedirs", "weights", "f", "kintree_table")

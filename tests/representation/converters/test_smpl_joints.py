@@ -25,8 +25,8 @@ from prbench.representation.converters import (
     smpl_joints,
     to_canonical,
 )
-from prbench.representation.converters.smpl.body_model import HOW_TO_CONVERT
-from prbench.representation.converters.smpl.rotations import numbers_of
+from prbench.representation.converters.smpl_joints import HOW_TO_CONVERT
+from prbench.representation.converters.smpl_rotations import numbers_of
 from prbench.synthetic.sensors.smplh import invented_smplh
 from tests.representation.converters.bodies import person_rotations, write_body_model
 

@@ -13,8 +13,16 @@ from prbench.boundary import foreign_input
 from prbench.bounded import read_text
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.limits import HARMLESS_SIZE
-from prbench.representation.converters.skeletons.anatomy import COMPLETIONS, LIMBS, NAMES, complete, placed, trunk_axes
-from prbench.representation.converters.skeletons.expressions import Expression, parse_expression
+from prbench.representation.converters.anatomy import (
+    COMPLETIONS,
+    LIMBS,
+    NAMES,
+    Expression,
+    complete,
+    parse_expression,
+    placed,
+    trunk_axes,
+)
 from prbench.skeleton import N_JOINTS, Joint
 
 _KEYS = ("name", "joints", "map")

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.numpy_files import Archive
-from prbench.representation.converters.smpl.rotations import RotationForm, numbers_of, quaternions_of
+from prbench.representation.converters.smpl_rotations import RotationForm, numbers_of, quaternions_of
 from prbench.skeleton import N_JOINTS
 
 PARAMETERS = "parameters"

@@ -1,4 +1,7 @@
-"""Rotations in every form in which models put them out, as quaternions."""
+"""Rotations in every form in which models put them out, as unit quaternions (w x y z).
+
+In NumPy alone, so that a program of another Python needs no SciPy.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.representation.converters.smpl.quaternions import from_axis_angle, from_matrices
 
 RotationForm = Literal[
     "axis-angle", "matrix", "quaternion-wxyz", "quaternion-xyzw", "6d-columns", "6d-rows", "6d-interleaved"
@@ -19,7 +21,6 @@ RotationForm = Literal[
 """``6d-columns``: first column, then second column of the matrix (HumanML3D). ``6d-rows``: first row, then second row
 (PyTorch3D, and with it MDM's SMPL representation). ``6d-interleaved``: the two columns side by side, row by row
 (HMR, SPIN, VPoser: ``reshape(3, 2)``)."""
-
 _NUMBERS: Mapping[str, int] = MappingProxyType(
     {form: 3 if form == "axis-angle" else 9 if form == "matrix" else 4 if form[0] == "q" else 6
      for form in get_args(RotationForm)}
@@ -27,6 +28,43 @@ _NUMBERS: Mapping[str, int] = MappingProxyType(
 _UNIT_TOLERANCE = 0.05
 """How far a quaternion's length or a matrix's determinant may be from 1; networks do not end on exact rotations."""
 _NO_DIRECTION = 1e-6
+
+
+def from_axis_angle(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 4"]:
+    """Quaternions of rotations about these axes by their lengths, radians."""
+    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    sine_over_angle = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle, 1/2 where there is no angle
+    return np.concatenate([np.cos(angle / 2), sine_over_angle * vectors], axis=-1)
+
+
+def from_matrices(matrices: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
+    """Quaternions of rotation matrices; their largest component is positive.
+
+    With q the quaternion, 4 q q' is linear in the matrix. Any of its rows, divided by its length, is q; the one with
+    the largest diagonal loses no digits (Shepperd, 1978).
+    """
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrices, (-2, -1), (0, 1))
+    rows = [
+        [1 + a + e + i, h - f, c - g, d - b],
+        [h - f, 1 + a - e - i, b + d, c + g],
+        [c - g, b + d, 1 - a + e - i, f + h],
+        [d - b, c + g, f + h, 1 - a - e + i],
+    ]
+    outer = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)  # (*batch, 4, 4)
+    largest = np.diagonal(outer, axis1=-2, axis2=-1).argmax(axis=-1)
+    chosen = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+
+
+def to_matrices(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrices of unit quaternions."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def numbers_of(form: str) -> int:
