@@ -1,7 +1,7 @@
 """The x0-predicting transformer shared by MDM, DNO and P&R, and the two ways in which conditions enter it.
 
 Sources: docs/specification/mdm.md#network, docs/specification/pr-model.md#network; *Prime and Reach*, sections 4.1
-and F, equation 8. Both ways start at zero, so that fine-tuning starts at the output of the pre-trained model.
+and D.3, equation 8. Both ways start at zero, so that fine-tuning starts at the output of the pre-trained model.
 """
 
 from __future__ import annotations
