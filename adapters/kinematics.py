@@ -59,7 +59,7 @@ def orthonormalised(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.
     return matrices_of(rows_of(matrices))
 
 
-def shortest_rotations(
+def _shortest_rotations(
     axes: Float[torch.Tensor, "bones 3"],
     half_turn_midways: Float[torch.Tensor, "bones 3"],
     directions: Float[torch.Tensor, "*batch bones 3"],
@@ -104,7 +104,7 @@ def fitted_rotations(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
     for level in tree.levels:
         before = world[-1].index_select(-3, level.parents)
         seen = (before.mT @ bones.index_select(-2, level.joints - 1)[..., None])[..., 0]
-        local.append(shortest_rotations(tree.rest[level.joints], tree.half_turns[level.joints], seen))
+        local.append(_shortest_rotations(tree.rest[level.joints], tree.half_turns[level.joints], seen))
         world.append(before @ local[-1])
     return torch.cat(local, -3).index_select(-3, tree.order)
 

@@ -93,11 +93,11 @@ def goal_loss(
     if settings.jerk_weight or settings.floor_weight:
         whole = torch.cat((targets.previous_joints[:, None], joints), dim=1)
         loss = loss + settings.jerk_weight * largest_jerk(whole, n_frames + 1)
-        loss = loss + settings.floor_weight * depth_below_floor(whole, n_frames + 1)
+        loss = loss + settings.floor_weight * _depth_below_floor(whole, n_frames + 1)
     return loss
 
 
-def depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
+def _depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
     """Measure how far the lowest of ankles and toes is below that of frame 0, metres; mean over the frames."""
     lowest = joints[:, :, _FEET, 1].amin(dim=2)
     below = (lowest[:, :1] - lowest).clamp_min(0.0)

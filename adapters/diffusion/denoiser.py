@@ -20,7 +20,7 @@ from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.layers import CrossAttention, KeysValues, TransformerLayer, sinusoid_table
 
 
-class Addition(nn.Module):
+class _Addition(nn.Module):
     """z̃ = z + Linear(p), the same for every memory token."""
 
     def __init__(self, configuration: DenoiserConfiguration) -> None:
@@ -36,7 +36,7 @@ class Addition(nn.Module):
         return tokens + self.projection(vector)[:, None]
 
 
-class CrossAttentionInjection(nn.Module):
+class _CrossAttentionInjection(nn.Module):
     """z̃ = z + softmax(z W_Q (P W_K)ᵀ / √d) P W_V with three condition tokens P: pose, velocity and goal.
 
     With one token the softmax would be over one element and this would be an addition
@@ -92,7 +92,7 @@ class Denoiser(nn.Module):
         self.frame_embedding = nn.Linear(N_FEATURES * configuration.frames_per_token, width)
         self.time_embedding = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.text_embedding = nn.Linear(configuration.text_dimension, width)
-        injections = {"addition": Addition, "cross-attention": CrossAttentionInjection}
+        injections = {"addition": _Addition, "cross-attention": _CrossAttentionInjection}
         self.condition = injections[configuration.injection](configuration) if configuration.condition_size else None
         self.dropout = nn.Dropout(configuration.dropout)
         self.layers = nn.ModuleList(
@@ -172,7 +172,7 @@ class Denoiser(nn.Module):
         attentions = [cast(CrossAttention, layer.cross_attention) for layer in self.layers]
         if memory.shape[1] == 1 and not self.training:
             return PreparedCondition(front, tuple(attention.of_one_token(memory) for attention in attentions), None)
-        visible = None if memory.shape[1] == 1 else token_mask(condition.padding)
+        visible = None if memory.shape[1] == 1 else _token_mask(condition.padding)
         return PreparedCondition(front, tuple(attention.keys_values(memory) for attention in attentions), visible)
 
     def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch tokens width"]:
@@ -206,7 +206,7 @@ def frame_mask(
     return torch.arange(frames, device=device) < n_frames.to(device, non_blocking=True)[:, None]
 
 
-def token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
+def _token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
     """True for word pieces that may be attended to, among them the first of each row; None as in :func:`frame_mask`."""
     if padding.device.type == "cpu" and not bool(padding[:, 1:].any()):
         return None

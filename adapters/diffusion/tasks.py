@@ -69,7 +69,7 @@ class DiffusionTask:
         start = read_weights(initial, kind=KIND) if initial is not None else None
         denoiser = Denoiser(configuration)
         if start is not None:
-            continue_from(denoiser, start)
+            _continue_from(denoiser, start)
         return DiffusionTraining(
             denoiser,
             statistics=_statistics(start, data),
@@ -98,7 +98,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, O
     return split_model_table(model, DenoiserConfiguration, Objective)
 
 
-def continue_from(denoiser: Denoiser, start: Weights) -> None:
+def _continue_from(denoiser: Denoiser, start: Weights) -> None:
     """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start.
 
     Raises:

@@ -73,7 +73,7 @@ def original_name(name: str) -> str:
     return name
 
 
-def configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
+def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
     """Describe the released networks: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
 
     Raises:
@@ -117,7 +117,7 @@ def _of_level(level: int) -> str:
     return f"unet.downs.{level}.1.blocks.0.block1.0.bias"
 
 
-def networks_of(motion: Checkpoint, trajectory: Checkpoint, configuration: GMDConfiguration) -> dict[str, Tensor]:
+def _networks_of(motion: Checkpoint, trajectory: Checkpoint, configuration: GMDConfiguration) -> dict[str, Tensor]:
     """The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
 
     Raises:
@@ -142,7 +142,7 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
         unet: Of the sizes that it should have.
 
     Raises:
-        InputFileError: as :func:`networks_of`.
+        InputFileError: as :func:`_networks_of`.
     """
     wanted = {original_name(name): (name, tuple(tensor.shape)) for name, tensor in unet.state_dict().items()}
     found = {name: checkpoint.require(original, shape) for original, (name, shape) in wanted.items()}
@@ -195,8 +195,8 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
         raise UsageError(f"--out {out}: expected a name that ends with {_SUFFIX}.")
     space = read_space(files.mean, files.std, files.projection)
     motion, trajectory = read_checkpoint(files.motion), read_checkpoint(files.trajectory)
-    configuration = configuration_of(motion, trajectory, emphasis_of(space))
-    networks = networks_of(motion, trajectory, configuration)
+    configuration = _configuration_of(motion, trajectory, emphasis_of(space))
+    networks = _networks_of(motion, trajectory, configuration)
     tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))

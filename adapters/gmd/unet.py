@@ -15,7 +15,7 @@ from prbench_adapters.gmd.configuration import GROUPS, GMDConfiguration
 _KERNEL = 5
 
 
-class ConvBlock(nn.Module):
+class _ConvBlock(nn.Module):
     """Convolution, group normalisation, Mish; with a scale and shift before the last if they are given."""
 
     def __init__(self, channels: int, width: int, *, starts_at_zero: bool = False) -> None:
@@ -39,7 +39,7 @@ class ConvBlock(nn.Module):
         return nn.functional.mish(stream)
 
 
-class ResidualBlock(nn.Module):
+class _ResidualBlock(nn.Module):
     """Two convolution blocks beside a skip; the condition scales and shifts the first.
 
     The condition's layer and the second convolution start at zero.
@@ -47,11 +47,11 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, channels: int, width: int, condition_width: int) -> None:
         super().__init__()
-        self.first = ConvBlock(channels, width)
+        self.first = _ConvBlock(channels, width)
         self.condition = nn.Linear(condition_width, 2 * width)
         nn.init.zeros_(self.condition.weight)
         nn.init.zeros_(self.condition.bias)
-        self.second = ConvBlock(width, width, starts_at_zero=True)
+        self.second = _ConvBlock(width, width, starts_at_zero=True)
         self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
 
     def forward(
@@ -62,13 +62,13 @@ class ResidualBlock(nn.Module):
         return self.second(self.first(stream, (scale, shift))) + self.skip(stream)
 
 
-class Level(nn.Module):
+class _Level(nn.Module):
     """Two residual blocks, and a change of resolution after them."""
 
     def __init__(self, channels: int, width: int, condition_width: int, resample: nn.Module) -> None:
         super().__init__()
         self.blocks = nn.ModuleList(
-            (ResidualBlock(channels, width, condition_width), ResidualBlock(width, width, condition_width))
+            (_ResidualBlock(channels, width, condition_width), _ResidualBlock(width, width, condition_width))
         )
         self.resample = resample
 
@@ -113,14 +113,14 @@ class TemporalUNet(nn.Module):
         self.condition = nn.Sequential(nn.Linear(size, 4 * size), nn.Mish(), nn.Linear(4 * size, size))
         levels = list(pairwise((channels, *widths)))
         self.down = nn.ModuleList(
-            Level(before, width, size, halved(width) if place < len(levels) - 1 else nn.Identity())
+            _Level(before, width, size, halved(width) if place < len(levels) - 1 else nn.Identity())
             for place, (before, width) in enumerate(levels)
         )
-        self.middle = nn.ModuleList(ResidualBlock(widths[-1], widths[-1], size) for _ in range(2))
+        self.middle = nn.ModuleList(_ResidualBlock(widths[-1], widths[-1], size) for _ in range(2))
         self.up = nn.ModuleList(
-            Level(2 * width, before, size, doubled(before)) for before, width in reversed(levels[1:])
+            _Level(2 * width, before, size, doubled(before)) for before, width in reversed(levels[1:])
         )
-        self.head = nn.Sequential(ConvBlock(widths[0], widths[0]), nn.Conv1d(widths[0], channels, 1))
+        self.head = nn.Sequential(_ConvBlock(widths[0], widths[0]), nn.Conv1d(widths[0], channels, 1))
         self.register_buffer("sinusoid", sinusoid_table(configuration.diffusion_steps, size), persistent=False)
         self.sinusoid: Tensor
 

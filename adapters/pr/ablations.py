@@ -17,7 +17,7 @@ from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
-Pretraining = Literal["none", "nymeria", "humanml3d"]
+_Pretraining = Literal["none", "nymeria", "humanml3d"]
 
 _ONLY_IN_FINE_TUNING = frozenset({"goal", "dropped", "injection", "joint_loss_weight"})
 _RATES = ("prime_success", "reach_success", "location_error")
@@ -34,7 +34,7 @@ class Ablation:
     """Keys of ``[model]`` for fine-tuning."""
     options: Mapping[str, str]
     """Options of ``prbench run --method pr``."""
-    pretraining: Pretraining
+    pretraining: _Pretraining
 
     @property
     def name(self) -> str:
@@ -111,7 +111,7 @@ def _train(
     return _line([*words, *settings, *start, "--out", out])
 
 
-def _folder_name(method: str, pretraining: Pretraining, model: Mapping[str, Any]) -> str:
+def _folder_name(method: str, pretraining: _Pretraining, model: Mapping[str, Any]) -> str:
     return _slug(" ".join([method, pretraining, *(f"{key} {_toml(value)}" for key, value in sorted(model.items()))]))
 
 

@@ -199,7 +199,7 @@ def roll_out(
     joints = [state.joints(start.offsets)]
     for step in range(noise.shape[1]):
         left = (start.n_frames - 1 - step).clamp_min(1)  # padding goes on as in its last frame
-        delta = next_delta(
+        delta = _next_delta(
             network, state, delta, joints[-1], goal=start.goal, frames_left=left[:, None], latent=noise[:, step]
         )
         state = state.changed(delta)
@@ -207,7 +207,7 @@ def roll_out(
     return torch.stack(joints, 1)
 
 
-def next_delta(
+def _next_delta(
     network: WandrNetwork,
     state: BodyState,
     delta: Float[torch.Tensor, "batch 135"],

@@ -61,7 +61,7 @@ class WandrTask:
             start = read_weights(initial, kind=KIND)
             return WandrTraining(_continued(configuration, start), objective, origin_of(start))
         network = WandrNetwork(configuration)
-        take_statistics(network, data)
+        _take_statistics(network, data)
         return WandrTraining(network, objective)
 
 
@@ -74,7 +74,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Obje
     return split_model_table(model, WandrConfiguration, Objective)
 
 
-def take_statistics(network: WandrNetwork, data: TrainingData) -> None:
+def _take_statistics(network: WandrNetwork, data: TrainingData) -> None:
     """Standardise by the training split.
 
     Raises:

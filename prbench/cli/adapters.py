@@ -107,7 +107,7 @@ def _list(arguments: argparse.Namespace) -> int:
     if unknown:
         raise no_such_method(unknown[0], known)
     if arguments.details:
-        print_details(arguments.names, time_limit=float(arguments.time_limit), as_json=arguments.as_json)
+        _print_details(arguments.names, time_limit=float(arguments.time_limit), as_json=arguments.as_json)
         return 0
     shown = [adapter for adapter in found if not arguments.names or adapter.name in arguments.names]
     if arguments.as_json:
@@ -138,7 +138,7 @@ def _plain(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> dict
     }
 
 
-def print_details(names: Sequence[str], *, time_limit: float, as_json: bool) -> None:
+def _print_details(names: Sequence[str], *, time_limit: float, as_json: bool) -> None:
     """Import the methods, each in a process of its own, and print what they declare or why they cannot be used.
 
     Args:

@@ -42,7 +42,7 @@ from prbench.errors import AdapterError, PrbenchError
 from prbench.methods.remote.faults import exit_story
 from prbench.workers import end_with_parent
 
-Command = Callable[[Sequence[str]], int]
+_Command = Callable[[Sequence[str]], int]
 _COMMANDS = (
     run,
     view,
@@ -134,7 +134,7 @@ def calls_foreign_code(chosen: argparse.Namespace) -> bool:
     return any(not adapter.built_in and not adapter.problem for adapter in claims)
 
 
-def supervised(command: Command, arguments: Sequence[str], *, method: str) -> int:
+def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> int:
     """Run a command in a child process and return its exit code.
 
     Args:
@@ -165,7 +165,7 @@ def supervised(command: Command, arguments: Sequence[str], *, method: str) -> in
     )
 
 
-def _report(command: Command, arguments: list[str], sender: Connection) -> None:
+def _report(command: _Command, arguments: list[str], sender: Connection) -> None:
     """Run the command in the child, and say how it ended."""
     end_with_parent()
     code = 1  # of a traceback

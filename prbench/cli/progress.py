@@ -71,12 +71,12 @@ def show_training(description: str) -> Iterator[Callable[[Progress], None]]:
 
 def _training_lines(progress: Progress) -> None:
     if progress.row is not None:
-        print(f"step {progress.step}/{progress.steps}: {in_words(progress.row)}", file=sys.stderr, flush=True)
+        print(f"step {progress.step}/{progress.steps}: {_in_words(progress.row)}", file=sys.stderr, flush=True)
     if progress.validation is not None:
-        print(f"validation at {progress.step}: {in_words(progress.validation)}", file=sys.stderr, flush=True)
+        print(f"validation at {progress.step}: {_in_words(progress.validation)}", file=sys.stderr, flush=True)
 
 
-def in_words(row: Mapping[str, float | int]) -> str:
+def _in_words(row: Mapping[str, float | int]) -> str:
     """Write ``loss 0.123, joints 0.01, …``, without the step."""
     return ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in row.items() if name != "step")
 
@@ -104,6 +104,6 @@ def _training_bar(description: str) -> Iterator[Callable[[Progress], None]]:
                 shown = f"loss {progress.row['loss']:.4g}, waiting {progress.row['waiting']:.1%}"
                 bar.update(task, last=shown)
             if progress.validation is not None:
-                bar.console.print(f"validation at {progress.step}: {in_words(progress.validation)}")
+                bar.console.print(f"validation at {progress.step}: {_in_words(progress.validation)}")
 
         yield update

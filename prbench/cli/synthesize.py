@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.workflows.matching import Verification
 
-FEWEST_VERIFIED = 4
+_FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
-SCENES_OF_ONE_PRESET = 12
-RECORDINGS_OF_A_HISTOGRAM = 10
+_SCENES_OF_ONE_PRESET = 12
+_RECORDINGS_OF_A_HISTOGRAM = 10
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -194,7 +194,7 @@ def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> N
             result = verify_level(
                 level,
                 preset=arguments.layout,
-                recordings=max(recordings, FEWEST_VERIFIED),
+                recordings=max(recordings, _FEWEST_VERIFIED),
                 seed=arguments.seed,
                 engine=engine,
             )
@@ -247,7 +247,7 @@ def _draw_gallery(arguments: argparse.Namespace) -> None:
         render_contact_sheet(arguments.gallery, seed=arguments.seed)
     else:
         performances = [perform(arguments.layout, seed=arguments.seed, index=index, n_events=6) for index in range(4)]
-        render_gallery(sequences_of(performances)[:SCENES_OF_ONE_PRESET], arguments.gallery)
+        render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], arguments.gallery)
     print(f"gallery: {arguments.gallery}")
 
 
@@ -257,7 +257,7 @@ def _draw_histograms(arguments: argparse.Namespace) -> None:
     from prbench.viewing.histograms import render_histograms
 
     presets = tuple(PRESETS) if arguments.layout is None else (arguments.layout,)
-    count = arguments.recordings or RECORDINGS_OF_A_HISTOGRAM
+    count = arguments.recordings or _RECORDINGS_OF_A_HISTOGRAM
     acted = {
         preset: [perform(preset, seed=arguments.seed, index=index, provocations={}) for index in range(count)]
         for preset in presets

@@ -45,15 +45,15 @@ def run_and_print(arguments: argparse.Namespace, data: tuple[Path, ...], engine:
         generating=lambda: progress("generating, row"),
         row=_row_progress,
     )
-    report = run_table(table_request(arguments, data), engine=engine, say=say)
-    print_layout(report.layout)
+    report = run_table(_table_request(arguments, data), engine=engine, say=say)
+    _print_layout(report.layout)
     print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
     for outcome in report.failed:
         print(f"failed: {outcome.planned.name}; the same command tries it again", file=sys.stderr)
     return 1 if report.failed else 0
 
 
-def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> TableRequest:
+def _table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> TableRequest:
     """Turn the arguments into a request.
 
     Raises:
@@ -86,7 +86,7 @@ def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> Tabl
     )
 
 
-def print_layout(layout: TableLayout) -> None:
+def _print_layout(layout: TableLayout) -> None:
     """Print each dataset's part, and what a reader has to know of them."""
     from prbench.workflows.table_two.as_markdown import heading, notes, orders
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-class CleanStream:
+class _CleanStream:
     """A text stream that spells out escape sequences and the like; line breaks and tabs stay.
 
     Everything but writing is that of the stream behind it. (A subclass of ``io.TextIOBase`` would close that one when
@@ -49,7 +49,7 @@ def clean_output() -> Iterator[None]:
 
 
 def _cleaned(stream: Any) -> Any:
-    return stream if isinstance(stream, CleanStream) else CleanStream(stream)
+    return stream if isinstance(stream, _CleanStream) else _CleanStream(stream)
 
 
 def console(*, stderr: bool = False, **settings: Any) -> Console:
@@ -61,7 +61,7 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
 
     stream = sys.stderr if stderr else sys.stdout
     return Console(
-        file=stream.raw if isinstance(stream, CleanStream) else stream, highlight=False, markup=False, **settings
+        file=stream.raw if isinstance(stream, _CleanStream) else stream, highlight=False, markup=False, **settings
     )
 
 

@@ -48,7 +48,7 @@ class ConditionStatistics:
     std: Float[np.ndarray, " size"]
 
 
-def condition_vector(item: MotionItem, goal: Goal) -> Float[np.ndarray, " size"]:
+def _condition_vector(item: MotionItem, goal: Goal) -> Float[np.ndarray, " size"]:
     """The unscaled vector of one item."""
     if goal == "none":
         return np.empty(0, dtype=np.float32)
@@ -65,7 +65,7 @@ def condition_statistics(items: Iterable[MotionItem], goal: Goal) -> ConditionSt
     """
     vectors = []
     for item in items:
-        vector = condition_vector(item, goal)
+        vector = _condition_vector(item, goal)
         if np.isnan(vector).any():
             raise TableError(
                 f"{item.sequence_id}: expected a goal location, found none, because it comes from a text-motion corpus."

@@ -28,7 +28,7 @@ from prbench.training.task import TrainingModule
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-CHECKPOINTS = "checkpoints"
+_CHECKPOINTS = "checkpoints"
 _STEPS_BETWEEN_QUESTIONS = 10  # processes that train together agree to stop; asking costs a message each
 
 Batches = Callable[[int], Iterable[Any]]
@@ -89,7 +89,7 @@ def fit(
     module.calls = configuration.training.steps * configuration.training.micro_batches
     module.train().to(fabric.device)
     state = TrainingState.start(module, configuration.training)
-    checkpoints = Checkpoints(out / CHECKPOINTS)
+    checkpoints = Checkpoints(out / _CHECKPOINTS)
     resumed = checkpoints.restore(state)
     fabric.barrier()  # nobody writes a new checkpoint before everybody has read the old one
     outputs = None

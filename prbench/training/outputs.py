@@ -15,13 +15,13 @@ from prbench.training.record import training_times
 from prbench.training.state import Row, TrainingState
 from prbench.training.weights import write_weights
 
-CURVES = "curves.png"
+_CURVES = "curves.png"
 _SECONDS_BETWEEN_PICTURES = 120.0  # drawing takes a second
 _NOT_DRAWN = ("step", "seconds", "waiting")  # times differ between equal trainings; TensorBoard shows them
 _LINEAR = ("learning_rate",)
 _Curve = tuple[list[float | int], list[float | int]]
 WEIGHTS = "weights.safetensors"
-CARD = "weights.json"
+_CARD = "weights.json"
 TIMES = "timing.json"
 Describe = Callable[[TrainingState], dict[str, Any]]
 """Maps a state to its card."""
@@ -54,7 +54,7 @@ class TrainingLog:
         """Write the curves so far as ``curves.png``."""
         self._drawn_at = time.monotonic()
         if state.rows:
-            draw_curves(self.out / CURVES, state.rows, state.validations)
+            draw_curves(self.out / _CURVES, state.rows, state.validations)
 
     def draw_now_and_then(self, state: TrainingState) -> None:
         """Flush the log; draw the curves if that was long ago."""
@@ -147,7 +147,7 @@ class Outputs:
         dtype: Literal["float32", "float16"],
         resumed_at: int,
     ) -> None:
-        for name in (WEIGHTS, CARD, TIMES, CURVES):
+        for name in (WEIGHTS, _CARD, TIMES, _CURVES):
             remove_leftovers(out / name)
         self.out, self.checkpoints, self.describe = out, checkpoints, describe
         self.dtype: Literal["float32", "float16"] = dtype

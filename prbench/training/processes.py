@@ -46,14 +46,14 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
         def convert_input(self, data: Any) -> Any:
             return data
 
-    kind, index = require_device(device, devices)
+    kind, index = _require_device(device, devices)
     chosen: Any = [index] if index is not None else devices
     plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
     strategy = "auto" if devices == 1 else "ddp_spawn" if spawn else "ddp"
     return Fabric(accelerator=kind, devices=chosen, strategy=strategy, plugins=[plugin])
 
 
-def require_device(device: str, devices: int = 1) -> tuple[str, int | None]:
+def _require_device(device: str, devices: int = 1) -> tuple[str, int | None]:
     """Kind and number of a device.
 
     Raises:

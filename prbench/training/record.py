@@ -26,7 +26,7 @@ from prbench.training.state import Row, TrainingState
 RECORD = "training.json"
 SCHEMA_VERSION = 1
 _MAY_CHANGE = frozenset({"configuration.training.save_every", "configuration.training.log_every"})
-CARD_VERSION = 2
+_CARD_VERSION = 2
 """2: times stand in ``timing.json``, so that the same training has the same card."""
 _CURVE_POINTS = 100
 _PACKAGES = ("numpy", "pyarrow", "torch", "lightning-fabric", "safetensors", "transformers")
@@ -92,7 +92,7 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
     found = read_json(path)
     if not isinstance(found, Mapping):
         raise TrainingError(f"{path}: expected the record of a training. Choose another folder for --out.")
-    difference = first_difference(_flat(msgspec.to_builtins(record)), _flat(found))
+    difference = _first_difference(_flat(msgspec.to_builtins(record)), _flat(found))
     if difference is not None:
         key, now, then = difference
         raise TrainingError(
@@ -110,7 +110,7 @@ def write_record(out: Path, record: TrainingRecord) -> None:
     write_json(out / RECORD, msgspec.to_builtins(record))
 
 
-def first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
+def _first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
     """The first key, as asked and as found, whose value differs; None if all agree."""
     for key in dict.fromkeys((*asked, *found)):
         now, then = asked.get(key, "nothing"), found.get(key, "nothing")
@@ -141,7 +141,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
     """
     steps = record.configuration.training.steps
     return {
-        "card_version": CARD_VERSION,
+        "card_version": _CARD_VERSION,
         "prbench": prbench.__version__,
         "method": record.method,
         "stage": record.stage,
@@ -149,7 +149,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "steps": state.step,
         "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
         "averaged": record.configuration.training.ema > 0,
-        "device": device_in_words(device),
+        "device": _device_in_words(device),
         "devices": record.devices,
         "threads": threads,
         "packages": _packages(),
@@ -180,7 +180,7 @@ def thinned(rows: list[Row], points: int) -> list[Row]:
     return [rows[place] for place in places]
 
 
-def device_in_words(device: torch.device) -> str:
+def _device_in_words(device: torch.device) -> str:
     """``cpu (x86_64)``, or the name of the GPU."""
     if device.type == "cuda":
         return f"cuda ({torch.cuda.get_device_name(device)})"

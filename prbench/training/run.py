@@ -28,7 +28,7 @@ from prbench.training.weights import read_weights
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-DEFAULT_CONFIGURATION = "small"
+_DEFAULT_CONFIGURATION = "small"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class TrainRequest:
     """The training folder; goes on with the same training, refuses another."""
     stage: str | None = None
     """Stage of the training; by default the task's first."""
-    configuration: str = DEFAULT_CONFIGURATION
+    configuration: str = _DEFAULT_CONFIGURATION
     """Name of one that comes with the task, or the path of a TOML file."""
     overrides: tuple[tuple[str, str], ...] = ()
     """``("training.steps", "100")`` …"""
@@ -136,7 +136,7 @@ def _run(
     report: Callable[[Progress], None],
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = training_dataset(request.data, configuration)
+        data = _training_dataset(request.data, configuration)
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
@@ -172,7 +172,7 @@ def _run(
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
-def training_dataset(
+def _training_dataset(
     folders: Iterable[Path], configuration: TrainingConfiguration, *, split: str = "train"
 ) -> SequenceDataset:
     """The sequences of a split, as a configuration wants them."""

@@ -33,7 +33,7 @@ class WeightAverage:
 
     def __init__(self, module: nn.Module, decay: float, *, warmup: bool = True) -> None:
         self.decay, self.warmup = decay, warmup
-        self.parameters = trained_parameters(module)
+        self.parameters = _trained_parameters(module)
         self.averages = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
 
     @torch.no_grad()
@@ -61,7 +61,7 @@ class WeightAverage:
             self.averages[name].copy_(held)
 
 
-def trained_parameters(module: nn.Module) -> dict[str, nn.Parameter]:
+def _trained_parameters(module: nn.Module) -> dict[str, nn.Parameter]:
     """The parameters that require gradients, by name."""
     return {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
 

@@ -50,7 +50,7 @@ class Encoding:
 
 
 @dataclass(frozen=True)
-class TableStore:
+class _TableStore:
     """The opened store of one table, and the rows that are not in it."""
 
     table: Table
@@ -58,7 +58,7 @@ class TableStore:
     left_out: tuple[LeftOut, ...]
 
 
-def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
+def table_store(table: Table, encoding: Encoding, cache: Path) -> _TableStore:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
     Args:
@@ -77,7 +77,7 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
-    return TableStore(table, store, notes.left_out)
+    return _TableStore(table, store, notes.left_out)
 
 
 def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, FeatureStore]:

@@ -39,7 +39,7 @@ from prbench.training.motions import Table
 from prbench.training.state import Row
 from prbench.training.task import TrainingModule
 
-SPLIT = "validation"
+_SPLIT = "validation"
 _SCORES = tuple(info.id for info in METRICS if info.main)
 
 
@@ -68,7 +68,7 @@ class Validation:
         wanted, data = configuration.validation, configuration.data
         if not wanted.every:
             return None
-        usable = [table for table in tables if table.scalars(split=SPLIT).num_rows]
+        usable = [table for table in tables if table.scalars(split=_SPLIT).num_rows]
         if not usable:
             raise UsageError(
                 "no table has sequences in split 'validation'. Build more recordings, or train without:"
@@ -76,7 +76,7 @@ class Validation:
             )
         dataset = SequenceDataset(
             usable,
-            split=SPLIT,
+            split=_SPLIT,
             max_frames=data.max_frames,
             crop=data.crop,
             mode=data.mode,
@@ -168,11 +168,11 @@ def _chosen(dataset: SequenceDataset, tables: Iterable[Table], limit: int) -> tu
     """Places of the rows of each table with the smallest hash of their id, in order of length."""
     chosen: set[str] = set()
     for table in tables:
-        chosen.update(smallest_by_hash(table.scalars(split=SPLIT)["sequence_id"].to_pylist(), limit))
+        chosen.update(smallest_by_hash(table.scalars(split=_SPLIT)["sequence_id"].to_pylist(), limit))
     places = [place for place, name in enumerate(dataset.sequence_ids) if name in chosen]
     return tuple(sorted(places, key=lambda place: (int(dataset.lengths[place]), place)))
 
 
 def _selections(tables: Iterable[Table], limit: int) -> tuple[Selection, ...]:
     scorable = (table for table in tables if isinstance(table, SequenceTable) and table.info.why_not_scored is None)
-    return tuple(select(table, split=SPLIT, limit=limit) for table in scorable)
+    return tuple(select(table, split=_SPLIT, limit=limit) for table in scorable)

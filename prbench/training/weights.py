@@ -26,12 +26,12 @@ from prbench.errors import InputFileError
 from prbench.limits import LARGEST_HEADER
 from prbench.storage import atomic_path, bytes_digest, write_json
 
-FORMAT = "prbench-weights"
+_FORMAT = "prbench-weights"
 FORMAT_VERSION = "1"
 _REPRESENTATION = "humanml3d-263"
 _HALF_LIMIT = torch.finfo(torch.float16).max
 
-Configuration = TypeVar("Configuration")
+_Configuration = TypeVar("_Configuration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Weights:
         """Kind of network that the weights are of, such as ``denoiser``."""
         return self.metadata.get("kind", "")
 
-    def configuration(self, kind: type[Configuration]) -> Configuration:
+    def configuration(self, kind: type[_Configuration]) -> _Configuration:
         """The network's configuration from the header.
 
         Raises:
@@ -173,7 +173,7 @@ def write_weights(
         ValueError: if a value is not finite, or too large for float16.
     """
     stored = {name: _stored(name, tensor, dtype) for name, tensor in tensors.items()}
-    header = {**metadata, "format": FORMAT, "format_version": FORMAT_VERSION}
+    header = {**metadata, "format": _FORMAT, "format_version": FORMAT_VERSION}
     content = _sorted_header(safetensors.torch.save(stored, metadata=header))
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
@@ -237,7 +237,7 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
     """
     content = _content(path)
     metadata = _metadata(path, content)
-    _require_entry(path, metadata, "format", FORMAT)
+    _require_entry(path, metadata, "format", _FORMAT)
     _require_entry(path, metadata, "format_version", FORMAT_VERSION)
     if kind is not None:
         _require_entry(path, metadata, "kind", kind)

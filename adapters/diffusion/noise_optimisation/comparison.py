@@ -16,17 +16,17 @@ from prbench.evaluation.intervals import mean_interval
 from prbench.storage import atomic_path
 from prbench_adapters.diffusion.noise_optimisation.optimise import OptimisedMotions
 
-TERMS = ("initial", "goal", "jerk")
+_TERMS = ("initial", "goal", "jerk")
 MARGIN = 0.10
 """Largest difference in Prime Success that counts as none, as a fraction."""
 SEQUENCE_COLUMNS = (
     "sequence_id",
-    *TERMS,
+    *_TERMS,
     "prime_success",
     "reach_success",
     "network_passes",
 )
-CURVE_COLUMNS = ("network_passes", *TERMS)
+CURVE_COLUMNS = ("network_passes", *_TERMS)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def curve(found: OptimisedMotions) -> list[list[float]]:
     chains = found.iterations.numpy() + _decoded_again(found)
     each = float((found.network_passes.numpy() / chains).max())
     medians = []
-    for name in TERMS:
+    for name in _TERMS:
         values, final = getattr(found.history, name), getattr(found, name).cpu().numpy()
         medians.append(np.median(np.where(np.isnan(values), final, values), axis=1))
     return [[each * (i + 1), *(float(column[i]) for column in medians)] for i in range(iterations)]
@@ -104,7 +104,7 @@ def verdict(fast: ModeResult, paper: ModeResult, recording_ids: Sequence[str]) -
         raise ValueError("the two modes were not run on the same sequences")
     medians = {
         name: {"fast": float(np.median(getattr(fast, name))), "paper": float(np.median(getattr(paper, name)))}
-        for name in TERMS
+        for name in _TERMS
     }
     low, high = prime_difference_interval(fast.prime_success - paper.prime_success, recording_ids)
     shown = low is not None and high is not None and low > -MARGIN and high < MARGIN
@@ -152,8 +152,8 @@ def draw_curves(path: Path, curves: Mapping[str, Float[np.ndarray, "iterations 4
     units = {"initial": "m²", "goal": "m²", "jerk": "m / frame³"}
     figure = Figure(figsize=(12.0, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
-    for place, name in enumerate(TERMS, start=1):
-        axes = figure.add_subplot(1, len(TERMS), place)
+    for place, name in enumerate(_TERMS, start=1):
+        axes = figure.add_subplot(1, len(_TERMS), place)
         for mode, rows in curves.items():
             axes.plot(rows[:, 0], rows[:, place], label=mode, linewidth=1)
         axes.set(xscale="log", yscale="log", title=f"median {name} loss", ylabel=units[name])

@@ -57,13 +57,13 @@ def to_y_up(
         raise UsageError(f"unknown up axis '{up}'.{did_you_mean(up, _TURNS)} Choose one of: {', '.join(_TURNS)}.")
     columns, signs = np.transpose(_TURNS[up])
     exact = np.result_type(points.dtype, np.float32)  # millimetres may come as integers
-    turned = points[..., columns].astype(exact) * (signs * metres_of(unit)).astype(exact)
+    turned = points[..., columns].astype(exact) * (signs * _metres_of(unit)).astype(exact)
     if left_handed:
         turned[..., 0] = -turned[..., 0]
     return turned
 
 
-def metres_of(unit: str | float) -> float:
+def _metres_of(unit: str | float) -> float:
     """Metres a unit.
 
     Raises:

@@ -17,7 +17,7 @@ from prbench.numpy_files import Archive
 from prbench.representation.converters.smpl_rotations import RotationForm, numbers_of, quaternions_of
 from prbench.skeleton import N_JOINTS
 
-PARAMETERS = "parameters"
+_PARAMETERS = "parameters"
 """What messages call arrays that come from no file."""
 
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
@@ -48,7 +48,7 @@ class SmplParameters:
         betas: Float[np.ndarray, "..."] | None = None,
         form: RotationForm = "axis-angle",
         gender: str | None = None,
-        source: Path | str = PARAMETERS,
+        source: Path | str = _PARAMETERS,
     ) -> SmplParameters:
         """From the arguments that the package ``smplx`` has, under its names.
 
@@ -81,7 +81,7 @@ class SmplParameters:
         betas: Float[np.ndarray, "..."] | None = None,
         form: RotationForm = "axis-angle",
         gender: str | None = None,
-        source: Path | str = PARAMETERS,
+        source: Path | str = _PARAMETERS,
     ) -> SmplParameters:
         """From one array of rotations, pelvis first (``poses`` of AMASS: 72, 156 or 165 numbers a frame).
 
