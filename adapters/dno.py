@@ -17,7 +17,7 @@ from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_w
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+    from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
 DEFAULT_WEIGHTS = "mdm-small"
 _NO_PROMPT, _OWN_PROMPT = "none", "own"
@@ -42,7 +42,8 @@ class DNO(SingleModelMethod):
         Raises:
             AdapterError: for a goal that no body can reach, or a sequence that is longer than the prior knows.
         """
-        from prbench_adapters.diffusion.noise_optimisation import generate_optimised, keyframes
+        from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
+        from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
 
         require_goals_within_reach(batch, adapter=self.name)
         return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
@@ -57,7 +58,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """Entry point ``dno``.
 
     Options: ``optimise`` (fast or paper), ``prompt`` (none, own for each sequence's text, or any text), ``guidance``
-    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`.
+    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`.
 
     Args:
         weights: File, folder or name of bundled weights of a text-to-motion model; None for ``mdm-small``.
@@ -71,7 +72,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """
     from prbench_adapters.diffusion.bundled import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
-    from prbench_adapters.diffusion.noise_optimisation import KEYFRAME_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation.settings import KEYFRAME_OPTIONS
     from prbench_adapters.diffusion.options import require_known
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
@@ -90,7 +91,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
 def _settings(options: Mapping[str, str], diffusion_steps: int) -> OptimisationSettings:
     from dataclasses import replace
 
-    from prbench_adapters.diffusion.noise_optimisation import dno_paper, fast, optimisation_settings
+    from prbench_adapters.diffusion.noise_optimisation.settings import dno_paper, fast, optimisation_settings
     from prbench_adapters.diffusion.options import choice, number
 
     preset = {"fast": fast, "paper": dno_paper}[choice(options, "optimise", _MODES)](diffusion_steps)

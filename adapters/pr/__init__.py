@@ -19,7 +19,7 @@ from prbench_adapters.diffusion.method import GOALS, IN_TRAINING, TEXT_GUIDANCE,
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+    from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
@@ -88,7 +88,7 @@ class PR:
 
             motions = generate(model, batch, self.generation.sampling)
             return on_own_bones(motions, batch) if self.generation.own_bones else motions
-        from prbench_adapters.diffusion.noise_optimisation import generate_optimised
+        from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
 
         return generate_optimised(model, batch, self.generation.optimisation)
 
@@ -106,7 +106,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     """Entry point ``pr``.
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
-    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`; ``guidance`` (1), ``steps``;
+    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1), ``steps``;
     without optimisation also ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the initial pose's
     lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
 
@@ -122,7 +122,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         ValueError: for options that are unknown or have impossible values.
     """
     from prbench_adapters.diffusion.bundled import resolve
-    from prbench_adapters.diffusion.noise_optimisation import PRIME_AND_REACH_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
     require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", *PRIME_AND_REACH_OPTIONS))
@@ -172,7 +172,7 @@ def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Conditi
 
 def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
     """Turn the options into settings, checked before anything is generated."""
-    from prbench_adapters.diffusion.noise_optimisation import (
+    from prbench_adapters.diffusion.noise_optimisation.settings import (
         PRIME_AND_REACH_OPTIONS,
         fast,
         optimisation_settings,

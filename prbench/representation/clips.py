@@ -21,14 +21,14 @@ _STEEPEST_LEAN = 60.0  # degrees between ankle-to-head and +y
 _SHORTEST_BONE = 1e-6  # metres
 
 IN_MEMORY = "joints"
-"""What a message calls an array that comes from no file."""
+"""Name in messages of an array that comes from no file."""
 MIRRORED_JOINTS: tuple[int, ...] = tuple(
     Joint[
         joint.name.replace("LEFT", "RIGHT") if joint.name.startswith("LEFT") else joint.name.replace("RIGHT", "LEFT")
     ].value
     for joint in Joint
 )
-"""For each joint the one in whose place it stands in a mirror."""
+"""Maps each joint to the one in whose place it stands in a mirror."""
 
 
 def check_joints(
@@ -197,7 +197,7 @@ def at_20_fps(
 def every_stride(
     joints: Float[np.ndarray, "frames 22 3"], fps: float, *, source: Path | str = IN_MEMORY
 ) -> tuple[Float[np.ndarray, "kept 22 3"], float]:
-    """What the original's preprocessing does: every floor(fps / 20)-th frame, and the rate that this really gives.
+    """Keep every floor(fps / 20)-th frame, as the original's preprocessing does; return also the rate that this gives.
 
     Only multiples of 20 come out at 20 fps: 59 gives 29.5, 30 stays 30. Use it to reproduce the released data, and
     :func:`at_20_fps` for everything else.

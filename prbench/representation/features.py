@@ -98,7 +98,7 @@ ROTATION_PARENTS: tuple[int, ...] = _rotation_parents()
 
 
 def _half_turn_midways() -> np.ndarray:
-    """For a bone exactly opposite to its rest direction: the direction half-way of the turn that is chosen for it.
+    """Choose the direction half-way of the turn of a bone that is exactly opposite to its rest direction.
 
     Bones along x and y turn about z, those along z about y; the half-way direction is orthogonal to both.
     """

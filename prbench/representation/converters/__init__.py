@@ -1,4 +1,4 @@
-"""What models put out, as the 22 joints in the canonical frame (``docs/wrapping.md``).
+"""Converters from what models put out to the 22 joints in the canonical frame (``docs/wrapping.md``).
 
 Three sources: HumanML3D features, SMPL parameters, joints of another skeleton. Every step is a small pure function in
 NumPy; nothing here imports torch except :class:`SmplxModel`.

@@ -97,7 +97,7 @@ LIMBS: tuple[Joint, ...] = tuple(
     for part in ("HIP", "KNEE", "ANKLE", "SHOULDER", "ELBOW", "WRIST")
     for side in ("LEFT", "RIGHT")
 )
-"""What every source must have: without them nothing can be completed."""
+"""Joints that every source must have: without them nothing can be completed."""
 
 _HIPS = "0.5 left_hip + 0.5 right_hip"
 _SHOULDERS = "0.5 left_shoulder + 0.5 right_shoulder"
@@ -119,7 +119,7 @@ _RULES: Mapping[str, str] = MappingProxyType(
 COMPLETIONS: Mapping[Joint, Expression] = MappingProxyType(
     {Joint[name.upper()]: parse_expression(rule, NAMES, where=name) for name, rule in _RULES.items()}
 )
-"""How each joint that may be missing is made from the others, in an order in which each needs only earlier ones."""
+"""Maps each joint that may be missing to the rule that makes it; each rule needs only joints of earlier ones."""
 
 
 def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.ndarray, "*batch 3"]]:
@@ -162,7 +162,7 @@ def placed(
     joints: Float[np.ndarray, "frames joints 3"],
     axes: Mapping[str, Float[np.ndarray, "frames 3"]],
 ) -> Float[np.ndarray, "frames 3"]:
-    """Where an expression points, frame by frame."""
+    """Evaluate an expression, frame by frame."""
     place = sum(weight * joints[:, columns[name]] for name, weight in expression.joints)
     return np.asarray(place + sum(weight * axes[name] for name, weight in expression.axes))
 

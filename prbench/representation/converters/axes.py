@@ -27,7 +27,7 @@ _TURNS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
         "-x": ((1, 1), (0, -1), (2, 1)),
     }
 )
-"""For each axis that may point up: source column and sign of x, y and z; a rotation by a quarter or half turn."""
+"""Maps each axis that may point up to source column and sign of x, y and z: rotations by a quarter or half turn."""
 
 UNITS: Mapping[str, float] = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048})
 """Metres a unit."""
@@ -95,7 +95,7 @@ def at_rate(
     wanted_fps: float = FRAME_RATE,
     source: Path | str = IN_MEMORY,
 ) -> Float[np.ndarray, "wanted *shape"]:
-    """The same motion at another rate, linearly interpolated; both begin on the first frame.
+    """Resample a motion to another rate, linearly interpolated; both begin on the first frame.
 
     The first frame of a generated motion is the initial pose, so the grid begins there
     (:func:`prbench.representation.at_20_fps` ends its grid on the last frame, which is the event of a recording).

@@ -1,4 +1,4 @@
-"""What a HumanML3D model puts out, as joints: statistics, layout, rows and frames.
+"""Joints from what a HumanML3D model puts out: statistics, layout, rows and frames.
 
 Sources: docs/specification/humanml3d.md#inverse and docs/specification/humanml3d.md#normalisation.
 

@@ -1,4 +1,4 @@
-"""From any skeleton to the 22 joints: a checked map, applied."""
+"""Checked maps from any skeleton to the 22 joints."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class JointMap:
     source_joints: tuple[str, ...]
     """Names of the source, in the order of its arrays."""
     expressions: Mapping[Joint, Expression]
-    """Of the joints that the source has."""
+    """Expressions of the joints that the source has."""
 
     @classmethod
     def of(cls, name: str, source_joints: Sequence[str], given: Mapping[str, str]) -> JointMap:

@@ -1,4 +1,4 @@
-"""Where a generated motion stands: in the canonical frame, on the initial pose, on the body of the person."""
+"""Placement of a generated motion: in the canonical frame, on the initial pose, on the body of the person."""
 
 from __future__ import annotations
 

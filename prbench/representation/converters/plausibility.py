@@ -1,4 +1,4 @@
-"""Whether 22 joints can be a person's: left where left should be, limbs of human length.
+"""Checks that 22 joints can be a person's: left where left should be, limbs of human length.
 
 Wrong units, exchanged sides and a wrong order of joints pass every check of shapes; these numbers show them. They are
 refused here, before they become a score; ``prbench doctor`` looks at more.
@@ -91,7 +91,7 @@ def _no_limb(source: Path | str, end: Joint, expected: str, length: float) -> In
 
 
 def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True) -> float | None:
-    """How far feet and bent knees point to where hips and shoulders say that the front is.
+    """Measure how far feet and bent knees point to the front that hips and shoulders give.
 
     Args:
         joints: Y up, right-handed, metres.

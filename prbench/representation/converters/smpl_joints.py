@@ -40,9 +40,9 @@ class RestJoints:
     """The 22 joints of a body model in its rest pose, linear in the shape. Model frame: x left, y up, z forward."""
 
     template: Float[np.ndarray, "22 3"]
-    """Of the mean shape, metres."""
+    """Rest joints of the mean shape, metres."""
     directions: Float[np.ndarray, "22 3 shapes"]
-    """What each shape number adds."""
+    """Displacements that each shape number adds, metres."""
 
     def of(self, betas: Float[np.ndarray, " shapes"] | None) -> Float[np.ndarray, "22 3"]:
         """Rest joints of one shape, metres; fewer numbers than the model has leave the others at 0.

@@ -18,7 +18,7 @@ from prbench.representation.converters.smpl_rotations import RotationForm, numbe
 from prbench.skeleton import N_JOINTS
 
 _PARAMETERS = "parameters"
-"""What messages call arrays that come from no file."""
+"""Name in messages of arrays that come from no file."""
 
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 
@@ -50,7 +50,7 @@ class SmplParameters:
         gender: str | None = None,
         source: Path | str = _PARAMETERS,
     ) -> SmplParameters:
-        """From the arguments that the package ``smplx`` has, under its names.
+        """Read the arguments that the package ``smplx`` has, under its names.
 
         Args:
             global_orient: Rotation of the pelvis in the world; any shape of the right size a frame.
@@ -83,7 +83,7 @@ class SmplParameters:
         gender: str | None = None,
         source: Path | str = _PARAMETERS,
     ) -> SmplParameters:
-        """From one array of rotations, pelvis first (``poses`` of AMASS: 72, 156 or 165 numbers a frame).
+        """Read one array of rotations, pelvis first (``poses`` of AMASS: 72, 156 or 165 numbers a frame).
 
         Args:
             poses: At least 22 rotations a frame, in the order of SMPL; what follows is left away.

@@ -26,7 +26,7 @@ _NUMBERS: Mapping[str, int] = MappingProxyType(
      for form in get_args(RotationForm)}
 )  # fmt: skip
 _UNIT_TOLERANCE = 0.05
-"""How far a quaternion's length or a matrix's determinant may be from 1; networks do not end on exact rotations."""
+"""Tolerance of a quaternion's length or a matrix's determinant; networks do not end on exact rotations."""
 _NO_DIRECTION = 1e-6
 
 

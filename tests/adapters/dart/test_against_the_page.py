@@ -18,7 +18,7 @@ from prbench_adapters.dart.losses import delta_loss, divergence
 from prbench_adapters.dart.model import DartModel, FeatureScaling
 from prbench_adapters.dart.optimisation import goal_loss, optimise, unit_gradient
 from prbench_adapters.dart.rollout import first_history, roll_out
-from prbench_adapters.diffusion.noise_optimisation import Targets
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets
 from prbench_adapters.kinematics import DART, root_orientation
 from tests.adapters.dart import page, tiny
 from tests.adapters.diffusion.goal_batches import conditions

@@ -4,7 +4,9 @@ import numpy as np
 import torch
 
 from prbench_adapters.diffusion.batches import start_noise
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, optimise_noise
+from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from tests.adapters.diffusion import tiny
 
 SETTINGS = OptimisationSettings(ddim_steps=2, iterations=4, warmup=1, decorrelation_weight=100.0, batch_size=2)

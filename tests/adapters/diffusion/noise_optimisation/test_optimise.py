@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, prime_and_reach
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets, prime_and_reach
 from prbench_adapters.diffusion.noise_optimisation.optimise import optimise
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from prbench_adapters.diffusion.noise_optimisation.solver import AdamState, unit_gradient
 from tests.adapters.diffusion.noise_optimisation.linear import LinearDecoder, noise
 
