@@ -106,9 +106,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     """Entry point ``pr``.
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
-    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1), ``steps``;
-    without optimisation also ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the initial pose's
-    lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
+    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1),
+    ``steps``; without optimisation also ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the initial
+    pose's lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
