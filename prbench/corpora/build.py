@@ -18,10 +18,9 @@ from prbench.engine import Engine, InProcess
 from prbench.locks import sole_writer
 from prbench.manifests import digest_of, load_protocol
 from prbench.sequences import parts
-from prbench.sequences.corpus import CorpusRecord
-from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
-from prbench.sequences.corpus_schema import CORPUS_TABLES
+from prbench.sequences.corpus import CORPUS_TABLES, CorpusRecord
 from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.storage import require_replaceable, text_digest
 
 _IN_PROCESS = InProcess()

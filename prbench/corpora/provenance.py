@@ -10,9 +10,8 @@ from prbench.corpora.job import GroupReceipt
 from prbench.corpora.options import CorpusOptions
 from prbench.manifests import Manifest, digest_of, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
-from prbench.sequences.corpus_info import CorpusCounts, CorpusInfo
-from prbench.sequences.corpus_schema import ANNOTATION_OUTCOMES, CORPUS_SCHEMA_VERSION
-from prbench.sequences.info_file import QuarantinedRecording
+from prbench.sequences.corpus import ANNOTATION_OUTCOMES, CORPUS_SCHEMA_VERSION
+from prbench.sequences.dataset_info import CorpusCounts, CorpusInfo, QuarantinedRecording
 from prbench.storage import text_digest
 
 

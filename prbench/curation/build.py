@@ -25,7 +25,7 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import work_folder, working_in_parts
 from prbench.sequences.sequence import RecordingRecord
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
 
 _IN_PROCESS = InProcess()

@@ -19,8 +19,8 @@ from prbench.errors import RecordingUnusable
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
-from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
+from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 
 

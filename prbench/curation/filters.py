@@ -8,7 +8,7 @@ import numpy as np
 
 from prbench.curation.clipping import Clip
 from prbench.curation.events import Decision, PickPutEvent, Place
-from prbench.sequences.movement import body_movement
+from prbench.sequences.table_one import body_movement
 from prbench.skeleton import WRISTS
 
 

@@ -13,8 +13,7 @@ from prbench.curation.options import BuildOptions
 from prbench.curation.parts import PartReceipt
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.readers import SYNTHETIC_PREFIX, described_options, reader_for
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts
-from prbench.sequences.info_file import QuarantinedRecording
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import text_digest
 

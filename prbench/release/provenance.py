@@ -8,8 +8,7 @@ from prbench.release.inferences import Inference
 from prbench.release.interpret import Interpreted
 from prbench.release.terms import Terms
 from prbench.release.writing import ImportedRows
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts
-from prbench.sequences.info_file import QuarantinedRecording
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import file_digest, text_digest
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from prbench.errors import RecordingsWouldBeLost, TableError
-from prbench.sequences.info_file import counts_stated
+from prbench.sequences.dataset_info import counts_stated
 from prbench.sequences.rows import read_parquet, table_parts
 from prbench.shown import clean, quoted
 

@@ -5,6 +5,8 @@ Source: docs/specification/sequence-table.md#schema-version.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pyarrow as pa
 
 from prbench.errors import TableError
@@ -177,15 +179,30 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
             f"{source}: expected schema version {known}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."
         )
-    joint_set = metadata.get(b"joint_set", b"").decode()
+    later = {name for name, since in _SINCE_VERSION.items() if since > int(version)}
+    known = [field for field in expected if field.name not in later or schema.get_field_index(field.name) >= 0]
+    check_columns(schema, known, source=source, what="dataset")
+
+
+def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: str, what: str) -> None:
+    """Refuse a file with other joints, or with missing or differently typed columns.
+
+    Args:
+        schema: The columns of the file.
+        expected: Columns that it must have.
+        source: The file, for the message.
+        what: Thing to build again: ``dataset`` or ``corpus``.
+
+    Raises:
+        TableError: naming the file, what was expected and what was found.
+    """
+    joint_set = (schema.metadata or {}).get(b"joint_set", b"").decode()
     if joint_set != JOINT_SET:
         raise TableError(f"{source}: expected joint set {JOINT_SET}, found {joint_set or 'none'}.")
     for field in expected:
-        index = schema.get_field_index(field.name)
-        if index < 0 and _SINCE_VERSION.get(field.name, 1) > int(version):
-            continue
+        index = schema.get_field_index(field.name)  # also below 0 where the name stands twice
         if index < 0:
-            raise TableError(f"{source}: expected a column '{field.name}', found none. Build the dataset again.")
+            raise TableError(f"{source}: expected a column '{field.name}', found none. Build the {what} again.")
         found = schema.field(index).type
         if not found.equals(field.type):
             raise TableError(f"{source}: column '{field.name}': expected {field.type}, found {found}.")

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float
 
-from prbench.sequences.arrow import column
+from prbench.sequences.chunk import column
 from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]

@@ -122,3 +122,15 @@ def _quartiles(samples: Float[np.ndarray, "m 2"]) -> tuple[np.ndarray, np.ndarra
         if len(inside):
             quartiles[index] = np.quantile(inside, (0.25, 0.5, 0.75))
     return times, quartiles
+
+
+def body_movement(joints: np.ndarray) -> float:
+    """Largest 3-D distance of the pelvis from frame 0, metres; joints (n, 22, 3)."""
+    pelvis = joints[:, Joint.PELVIS]
+    return float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
+
+
+def hand_movement(joints: np.ndarray, wrist: int) -> float:
+    """Largest displacement of one wrist relative to the pelvis (translation removed, heading not), metres."""
+    relative = joints[:, wrist] - joints[:, Joint.PELVIS]
+    return float(np.linalg.norm(relative - relative[0], axis=1).max())

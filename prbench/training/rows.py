@@ -11,7 +11,7 @@ import numpy as np
 from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
-from prbench.sequences.corpus_info import CORPUS_FILE
+from prbench.sequences.dataset_info import CORPUS_FILE
 from prbench.training.motion import Motion
 
 Table = SequenceTable | CorpusTable

@@ -14,7 +14,7 @@ from prbench.manifests import Manifest, dataset_names, load_citations, load_mani
 from prbench.readers import READER_MODULES, reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
-from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.shown import clean
 from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 from prbench.workflows.inspection import missing_files

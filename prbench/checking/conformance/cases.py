@@ -17,7 +17,7 @@ from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTa
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 
 SEQUENCES = 12
 """Asked about, unless a method is slow."""
