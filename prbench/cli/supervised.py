@@ -16,9 +16,9 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any
 
+from prbench.engine import end_with_parent
 from prbench.errors import AdapterError
 from prbench.methods.remote.faults import exit_story
-from prbench.workers import end_with_parent
 
 Command = Callable[[Sequence[str]], int]
 

@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
-from prbench.curation.filters import minimum_movement
 from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
-from prbench.curation.options import DEFAULTS, CurationOptions
+from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.curation.split import split_of
 from prbench.errors import RecordingUnusable

@@ -1,25 +1,31 @@
-"""What changed between two builds: which events and sequences appeared, vanished or moved, and what decided.
+"""Compare two builds: which events and sequences appeared, vanished or moved, what decided, and which columns differ.
 
-Events of the two builds are paired by recording, object and action, nearest in time first
-(docs/specification/curation.md#audit-trail). What is the same event is compared column by column, with its sequence,
-and so are the recordings.
+Numbers are compared to 10 µm (or as little of another unit).
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
 
-from prbench.curation.differing_columns import Row, differing_columns, sequence_rows
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.sequences.schema import OUTCOMES
+from prbench.sequences.rows import is_bulky
+from prbench.sequences.schema import KEY_VALUES, OUTCOMES, SEQUENCES
 
+Row = Mapping[str, Any]
+"""Values by column; in place of per-frame values and poses their digest."""
+
+_WITHIN = 1e-5
+_DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
 LARGEST_SHIFT = 1.0
 """Seconds between two events that may be the same one."""
 Kind = Literal["gained", "lost", "appeared", "vanished", "moved", "outcome", "values"]
@@ -34,6 +40,51 @@ KINDS: dict[str, str] = {
 }
 """Kinds of changes in the order of a report."""
 _SAME_TIME, _SAME_PLACE = 1e-6, 1e-5  # s, m
+Event = dict[str, Any]
+"""One row of ``events``."""
+
+
+def sequence_rows(table: SequenceTable) -> dict[str, Row]:
+    """Every column of every sequence, by ``sequence_id``."""
+    found: dict[str, Row] = {}
+    short = [name for name in SEQUENCES.names if name not in _DIGESTED]
+    for chunk in table.chunks():
+        rows = chunk.batch.select(short).to_pylist()
+        for index, row in enumerate(rows):
+            digests = {name: _digest(chunk.batch.column(name).slice(index, 1)) for name in _DIGESTED}
+            found[row["sequence_id"]] = row | digests
+    return found
+
+
+def differing_columns(one: Row, other: Row, *, besides: Collection[str] = ()) -> list[str]:
+    """Names of the columns whose values differ, in the order of the first row.
+
+    Args:
+        one: A row.
+        other: One of the same columns.
+        besides: Columns that are not compared.
+    """
+    return [name for name in one if name not in besides and not _same(one[name], other[name])]
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return abs(one - other) <= _WITHIN or one == other or (math.isnan(one) and math.isnan(other))
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(_same(*pair) for pair in zip(one, other, strict=True))
+    return one == other
+
+
+def _digest(column: pa.Array) -> bytes:
+    """Digest of one row's numbers, rounded to 10 µm."""
+    if column.null_count:
+        return b""
+    while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+        column = column.flatten()
+    values = column.to_numpy(zero_copy_only=False)
+    if values.dtype != bool:
+        values = np.rint(values.astype(np.float64) / _WITHIN).astype(np.int64)
+    return hashlib.sha256(values.tobytes()).digest()
 
 
 @dataclass(frozen=True)
@@ -102,10 +153,6 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         unchanged_events=same_events,
         unchanged_sequences=same_sequences,
     )
-
-
-Event = dict[str, Any]
-"""One row of ``events``."""
 
 
 def _events(table: SequenceTable) -> list[Event]:

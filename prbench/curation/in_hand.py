@@ -11,10 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.contact import close_to, contact_distance, contact_streams, require_surfaces
-from prbench.curation.gaps import placed_in_gap
-from prbench.curation.masks import held_segments
-from prbench.curation.rest import Departure, Track, find_departure, windowed_speed
+from prbench.curation.contact import close_to, contact_distance, contact_streams, held_segments, require_surfaces
+from prbench.curation.rest import Departure, Track, find_departure, placed_in_gap, windowed_speed
 from prbench.manifests import InHandRule
 from prbench.recording import HandStream, ObjectTrack, Recording
 

@@ -42,6 +42,7 @@ CAPTION = pa.struct(
     ]
 )
 """One text of a clip; ``tokens`` as the source gives them (``word/POS``), else empty."""
+_METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
 
 
 def _shared(*names: str) -> list[pa.Field]:
@@ -51,8 +52,6 @@ def _shared(*names: str) -> list[pa.Field]:
 def _field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
     return pa.field(name, kind, nullable=nullable)
 
-
-_METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
 
 CLIPS = pa.schema(
     [

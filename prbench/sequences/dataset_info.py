@@ -14,6 +14,9 @@ from prbench.limits import LARGEST_JSON
 from prbench.shown import quoted
 from prbench.storage import is_path_part, write_json
 
+FILE_NAME = "dataset.json"
+CORPUS_FILE = "corpus.json"
+
 
 class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
     """A recording that was left out, and why."""
@@ -95,9 +98,6 @@ class _Counted(msgspec.Struct):
     counts: dict[str, int]
 
 
-FILE_NAME = "dataset.json"
-
-
 class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
     """How many candidates each stage left."""
 
@@ -142,9 +142,6 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
             TableError: if the folder holds none, or it is damaged or of another version.
         """
         return read_info(Path(folder) / FILE_NAME, cls, what="dataset")
-
-
-CORPUS_FILE = "corpus.json"
 
 
 class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):

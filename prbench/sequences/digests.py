@@ -24,6 +24,7 @@ from prbench.sequences.schema import SEQUENCES, SEQUENCES_VERSION
 from prbench.storage import file_digest
 
 _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
+_SHOWN = 12  # characters of a digest
 
 
 def identity_digest(
@@ -88,9 +89,6 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
         return numbers.astype(np.int64)
     integer = np.int32 if leaf.type == pa.float32() else np.int64
     return np.rint(numbers * np.float64(1 / _ROUNDING)).astype(integer)
-
-
-_SHOWN = 12  # characters of a digest
 
 
 class UnverifiedTableWarning(UserWarning):

@@ -30,6 +30,7 @@ from prbench.sequences.rows import (
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, check_schema, with_later_columns
 
 SPLITS = ("train", "validation", "test")
+_SHOWN = 8  # ids that an error message lists
 
 
 @dataclass(frozen=True)
@@ -189,9 +190,6 @@ def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
 def by_hash(sequence_ids: SequenceOf[str]) -> list[str]:
     """The ids by the SHA-256 of each: the order in which a growing limit takes them up."""
     return sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())
-
-
-_SHOWN = 8  # ids that an error message lists
 
 
 def find_sequence_id(wanted: str, known: Sequence[str], *, among: str) -> str:

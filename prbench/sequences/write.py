@@ -21,6 +21,11 @@ from prbench.storage import atomic_folder, atomic_path, require_replaceable
 
 ROW_GROUP_ROWS = 256
 LARGEST_PART_BYTES = 512 * 1024**2
+_ROWS = {
+    "sequences": "One prime-and-reach sequence: from 2 s before the first look at the goal to the pick or put.",
+    "events": "One candidate pick or put, with what became of it and the number that decided.",
+    "recordings": "One recording that was found, with counts of its events by outcome.",
+}
 
 
 def write_table(path: Path, batches: Iterable[pa.RecordBatch], schema: pa.Schema, *, protocol_version: int) -> int:
@@ -139,13 +144,6 @@ def _leaf_paths(path: str, kind: pa.DataType) -> list[tuple[str, pa.DataType]]:
 
 def _is_float(kind: pa.DataType) -> bool:
     return pa.types.is_floating(kind)
-
-
-_ROWS = {
-    "sequences": "One prime-and-reach sequence: from 2 s before the first look at the goal to the pick or put.",
-    "events": "One candidate pick or put, with what became of it and the number that decided.",
-    "recordings": "One recording that was found, with counts of its events by outcome.",
-}
 
 
 def write_dataset(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import prbench
-from prbench.corpora.humanml3d.format import MIRROR_PREFIX
+from prbench.corpora.humanml3d.files import MIRROR_PREFIX
 from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.locks import sole_writer

@@ -16,8 +16,7 @@ from prbench.readers.discover import Discovery, FoundDataset, discover
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.shown import clean
-from prbench.workflows.found_corpora import FoundCorpus, find_corpora
-from prbench.workflows.inspection import missing_files
+from prbench.workflows.inspection import FoundCorpus, find_corpora, missing_files
 
 _TERMS = {
     "none": "must not be passed on in any form, derived data included, without permission of its owners",

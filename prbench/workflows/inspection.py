@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from prbench.boundary import foreign_input
+from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecording, corpus_for
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
@@ -17,9 +18,41 @@ from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
-from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
+
+
+@dataclass(frozen=True)
+class FoundCorpus:
+    """One corpus in a folder."""
+
+    corpus: str
+    """Name under which it is built."""
+    root: Path
+    recordings: tuple[CorpusRecording, ...]
+
+    @property
+    def name(self) -> str:
+        """Name that a build gives it: ``synthetic-`` stands before that of invented people."""
+        return self.recordings[0].belonging.dataset
+
+
+def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
+    """Look for each corpus in the folder itself, and one folder below where there is nothing."""
+    found = []
+    for name in CORPUS_MODULES:
+        if corpus_for(name).manifest is None:
+            continue  # invented on the spot; nothing of it lies anywhere
+        below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+        for folder in (root, *below):
+            try:
+                recordings = corpus_for(name).find(folder, CorpusOptions())
+            except PrbenchError:
+                continue
+            if recordings:
+                found.append(FoundCorpus(name, folder, recordings))
+                break
+    return tuple(found)
 
 
 @dataclass(frozen=True)

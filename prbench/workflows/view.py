@@ -8,10 +8,10 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH
-from prbench.paths import turn_into_paths
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import find_sequence_id, smallest_by_hash
+from prbench.storage import turn_into_paths
 from prbench.submitted.verification import RunChecker
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.file_kind import file_kind

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus, plan_corpus
-from prbench.corpora.nymeria.find import find_sequences
+from prbench.corpora.nymeria.files import find_sequences
 from prbench.corpora.nymeria.format import participant_of
 from prbench.corpora.nymeria.source import CORPUS
 from prbench.corpora.splits import split_by_participant

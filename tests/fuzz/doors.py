@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.cli import main
-from prbench.corpora.options import CorpusOptions
-from prbench.corpora.sources import corpus_for, find_groups
+from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput

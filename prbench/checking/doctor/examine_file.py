@@ -9,7 +9,7 @@ from prbench.checking.doctor.diagnose import diagnose
 from prbench.checking.doctor.expectations import Known, from_conditions, from_table, joined
 from prbench.checking.doctor.reading import NamedMotion, read_motions
 from prbench.checking.doctor.types import Diagnosis
-from prbench.paths import turn_into_paths
+from prbench.storage import turn_into_paths
 
 DEFAULT_LIMIT = 200
 DEFAULT_FPS = 20.0

@@ -10,12 +10,10 @@ from typing import Literal
 
 from prbench.boundary import foreign_input
 from prbench.bounded import read_text
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.corpora.humanml3d.clips import clips_of
-from prbench.corpora.humanml3d.motion import read_joints
-from prbench.corpora.humanml3d.texts import read_texts
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.humanml3d.files import read_joints, read_texts
+from prbench.corpora.sources import Belonging, ClipLimits, CorpusOptions, Cost, ReadRecording
 from prbench.errors import InputFileError, UsageError
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -25,6 +23,11 @@ from prbench.storage import file_digest, text_digest
 _BYTES_A_SECOND, _TABLE_SHARE = 3.6e6, 2.7
 _UNKNOWN_PERSON = "unknown"
 _FILES_OF_A_GROUP = 2  # last digits that the names of a group do not share: a hundred motions
+_MAKE_JOINTS = (
+    "The notebooks of the dataset's repository write new_joints beside new_joint_vecs; run them again."
+    " Turning features into joints is no part of this command."
+)
+Split = Literal["train", "validation", "test"]
 
 
 @dataclass(frozen=True)
@@ -90,12 +93,6 @@ class HumanML3DSource:
         lines = read_texts(files.texts or self.root / layout.TEXTS_FOLDER / f"{files.name}.txt")
         clips, annotations = clips_of(self.belonging, joints, lines, self.limits, load_manifest("humanml3d"))
         return ReadRecording(clips, annotations, len(joints) / layout.RATE)
-
-
-_MAKE_JOINTS = (
-    "The notebooks of the dataset's repository write new_joints beside new_joint_vecs; run them again."
-    " Turning features into joints is no part of this command."
-)
 
 
 class HumanML3DCorpus:
@@ -174,9 +171,6 @@ def _by_stem(folder: Path, suffix: str) -> Mapping[str, Path]:
     if not folder.is_dir():
         return {}
     return {path.stem: path for path in folder.iterdir() if path.suffix == suffix and not path.name.startswith(".")}
-
-
-Split = Literal["train", "validation", "test"]
 
 
 def _splits(root: Path) -> dict[str, Split]:

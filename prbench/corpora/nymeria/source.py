@@ -13,16 +13,13 @@ from jaxtyping import Int
 
 from prbench.boundary import foreign_input
 from prbench.corpora.nymeria import format as nymeria
-from prbench.corpora.nymeria.body import BodyMotion, suit_motion
+from prbench.corpora.nymeria.body import BodyMotion, read_smpl_fit, smpl_motion, suit_motion
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_by_starts, offset_from_file
-from prbench.corpora.nymeria.find import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences
+from prbench.corpora.nymeria.files import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench.corpora.nymeria.format import Narration, NymeriaRecording
-from prbench.corpora.nymeria.narrations import read_narrations
-from prbench.corpora.nymeria.smpl import read_smpl_fit, smpl_motion
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.sources import Belonging, ClipLimits, CorpusOptions, Cost, ReadRecording
 from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
@@ -35,6 +32,7 @@ from prbench.storage import file_digest, read_json, text_digest
 
 _BYTES_A_SECOND, _TABLE_SHARE = 50e6, 0.06
 _NO_GAZE = np.empty(0, dtype=np.int64)
+__all__ = ["CORPUS", "NymeriaOptions", "NymeriaRecording", "NymeriaSource", "recording_clips"]
 
 
 class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -288,6 +286,3 @@ def _participant(found: RecordingFiles) -> str:
         if isinstance(metadata, dict) and isinstance(metadata.get("fake_name"), str) and metadata["fake_name"]:
             return metadata["fake_name"]
     return nymeria.participant_of(found.recording_id)
-
-
-__all__ = ["CORPUS", "NymeriaOptions", "NymeriaRecording", "NymeriaSource", "recording_clips"]

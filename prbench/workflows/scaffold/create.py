@@ -11,10 +11,17 @@ from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
 from prbench.locks import sole_writer
 from prbench.storage import atomic_folder
-from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
 from prbench.workflows.scaffold.one_file import ONE_FILE, converters_file
-from prbench.workflows.scaffold.templating import filled, read_template
-from prbench.workflows.scaffold.values import command_lines, template_flags, template_values
+from prbench.workflows.scaffold.values import (
+    MethodNames,
+    command_lines,
+    filled,
+    method_names,
+    read_template,
+    taken_by,
+    template_flags,
+    template_values,
+)
 
 
 @dataclass(frozen=True)

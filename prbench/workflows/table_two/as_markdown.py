@@ -1,8 +1,13 @@
-"""A table as Markdown: the study's layout, an interval under every mean, cost columns at the end."""
+"""A finished table as Markdown and as values for JSON.
+
+Markdown has the study's layout, an interval under every mean, and cost columns at the end. JSON has rates in %, as
+printed, and null where Markdown prints a dash.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
 from prbench.shown import markdown
@@ -20,6 +25,8 @@ DASH = "–"
 MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
 """Of the study's row labels."""
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
+SCHEMA_VERSION = 1
+_UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
 
 
 def as_markdown(layout: TableLayout) -> str:
@@ -112,3 +119,17 @@ def cost_cells(cost: LineCost) -> tuple[str, str, str]:
     seconds = DASH if cost.seconds is None else f"{cost.seconds:.2f}"
     passes = DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
     return seconds, passes, DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
+
+
+def as_builtins(layout: TableLayout) -> dict[str, object]:
+    """The whole layout with what its numbers mean."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "table": "2",
+        "metrics": [
+            {"id": info.id, "unit": _UNITS[info.unit], "higher_is_better": info.higher_is_better}
+            for info in MAIN_METRICS
+        ],
+        "ranked_from": FEWEST_RANKED,
+        **asdict(layout),
+    }

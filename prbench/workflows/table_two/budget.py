@@ -1,14 +1,32 @@
-"""How many sequences fit into a time: from what a first batch of every row has cost."""
+"""Time a first batch of every kind of row, and reckon from it how many sequences fit into a time.
+
+The batch is timed while the other workers work, too; its motions are thrown away.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+import shutil
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 from jaxtyping import Int
+
+from prbench.engine import Engine
+from prbench.errors import PrbenchError, StorageError
+from prbench.evaluation.controls import GROUND_TRUTH
+from prbench.evaluation.planning import Selection
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.runs.cost import read_batch_costs
+from prbench.runs.folder import RunFolder
+from prbench.runs.record import FILE_NAME as RECORD
+from prbench.workflows.table_two.plan import GOALS, PlannedRow
+from prbench.workflows.table_two.side_by_side import generate_side_by_side
 
 RESERVE = 0.1
 """Share of the time that is left free: the last batch of all is made alone, and machines have other work."""
@@ -16,6 +34,10 @@ LARGEST_BATCH = 16
 """Sequences; as many as the slowest methods generate side by side."""
 _SHARES = 2
 """Batches of equal size for as many workers; a fixed number, so that ``--workers`` changes no result."""
+FOLDER = ".timing"
+"""In the table's folder, so that a table that is killed meanwhile goes on with what it has timed."""
+MEASURED_SEQUENCES = 8
+"""In the one batch that is timed."""
 
 
 class RowCost(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,3 +111,117 @@ def largest_limit(costs: Collection[RowCost], sizes: Sequence[DatasetSize], pace
         fits = table_seconds(costs, middle, sizes, pace) <= (1 - RESERVE) * seconds
         low, high = (middle, high) if fits else (low, middle - 1)
     return low
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is known of the rows."""
+
+    costs: dict[str, RowCost]
+    """By :func:`kind`."""
+    failed: frozenset[str]
+    """Names of rows whose batch could not be made; each will say so when it is run."""
+
+
+def kind(planned: PlannedRow) -> str:
+    """Rows of one kind cost the same: those of a method, with or without a goal, with weights of one size."""
+    run = planned.run
+    condition = "goal" if run.condition in GOALS else run.condition.value
+    size = _size(run.weights) if run.weights is not None and run.weights.exists() else None
+    weights = "bundled" if size is None else f"{size:.1e} bytes"
+    return f"{run.method}, {condition}, {weights}"
+
+
+def measure(
+    planned: list[PlannedRow],
+    known: dict[str, RowCost],
+    median: Selection,
+    engine: Engine,
+    *,
+    folder: Path,
+    counting: Callable[[int, int, str], None],
+    seconds: float,
+) -> Measured:
+    """Time what is not known yet.
+
+    Args:
+        planned: Rows that will be run.
+        known: Costs by :func:`kind`.
+        median: The sequences of the batch, of about the same length.
+        engine: The one that the table will be run with.
+        folder: Of the table.
+        counting: Called with timed rows, all rows and a row's name.
+        seconds: After which no further row is timed.
+
+    Raises:
+        PrbenchError: if workers were killed before a single row was timed.
+    """
+    firsts = {kind(row): row for row in reversed(planned) if row.row is not None and kind(row) not in known}
+    rows = {row.name: row for row in planned if firsts.get(kind(row)) is row}
+    requests = {name: _first_batch(row.run, median, folder / FOLDER / name) for name, row in rows.items()}
+    made = generate_side_by_side(requests, engine, counting=counting, seconds=seconds)
+    overhead = _overhead(planned[0].run, median, folder / FOLDER / "overhead", engine)
+    spent = {name: _seconds_per_frame(request) for name, request in requests.items() if name not in made.failed}
+    costs = {
+        kind(rows[name]): RowCost(seconds_per_frame=seconds_per_frame, overhead=overhead)
+        for name, seconds_per_frame in spent.items()
+        if seconds_per_frame is not None
+    }
+    if made.broken is not None and not known | costs:
+        raise PrbenchError(made.broken)
+    return Measured(known | costs, frozenset(made.failed))
+
+
+def forget_timing(folder: Path) -> None:
+    """Remove the motions that were made for their time."""
+    shutil.rmtree(folder / FOLDER, ignore_errors=True)
+
+
+def near_median(selection: Selection) -> Selection:
+    """The sequences whose length is nearest to the median, so that hardly anything is padded."""
+    distance = np.abs(selection.n_frames - np.median(selection.n_frames))
+    keep = np.zeros(len(selection), dtype=bool)
+    keep[np.argsort(distance, kind="stable")[:MEASURED_SEQUENCES]] = True
+    return selection.chosen(keep)
+
+
+def _first_batch(run: RunRequest, median: Selection, out: Path) -> RunRequest:
+    return replace(
+        run,
+        data=(median.table.folder,),
+        sequences=median.sequence_ids,
+        batch_size=MEASURED_SEQUENCES,
+        samples=1,
+        control=None,
+        out=out,
+    )
+
+
+def _seconds_per_frame(request: RunRequest) -> float | None:
+    """None if nothing was generated: there was no time, or a worker was killed."""
+    if request.out is None or not (request.out / RECORD).is_file():
+        return None
+    folder = RunFolder.open(request.out)
+    costs = [
+        cost for table in folder.record.tables for cost in read_batch_costs(folder.dataset(table.dataset).batch_costs())
+    ]
+    frames = sum(cost.frames for cost in costs)
+    return sum(cost.seconds for cost in costs) / frames if frames else None
+
+
+def _overhead(run: RunRequest, median: Selection, out: Path, engine: Engine) -> float:
+    """Of a run that generates nothing: it is prepared twice, in side-by-side work and for its scores."""
+    control = replace(_first_batch(run, median, out), method=GROUND_TRUTH, weights=None, options={})
+    started = time.perf_counter()
+    try:
+        run_method(control, engine=engine)
+    except StorageError:
+        raise
+    except Exception:
+        return 0.0
+    return time.perf_counter() - started
+
+
+def _size(weights: Path) -> int:
+    files = weights.rglob("*") if weights.is_dir() else (weights,)
+    return sum(file.stat().st_size for file in files if file.is_file())

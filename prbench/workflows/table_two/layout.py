@@ -21,7 +21,7 @@ from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.order import METRIC, Step, order_of
 from prbench.workflows.table_two.plan import PlannedRow
-from prbench.workflows.table_two.rows import load_table_two
+from prbench.workflows.table_two.request import load_table_two
 
 METRIC_TITLES = {"location_error": "Loc Err"}
 """Where the study's table prints another word than the metric's own title."""

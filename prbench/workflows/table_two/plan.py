@@ -11,8 +11,7 @@ from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
 from prbench.evaluation.request import RunRequest
 from prbench.methods.adapters import load_adapter
 from prbench.methods.installed import list_adapters
-from prbench.workflows.table_two.request import CONTROLS, TableRequest
-from prbench.workflows.table_two.rows import Row, load_table_two
+from prbench.workflows.table_two.request import CONTROLS, Row, TableRequest, load_table_two
 
 ALL = "all"
 """As ``--method`` or ``--condition``: all that Table 2 has."""

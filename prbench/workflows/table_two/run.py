@@ -21,16 +21,13 @@ from prbench.evaluation.run import run_method
 from prbench.locks import sole_writer
 from prbench.sequences import SequenceTable
 from prbench.storage import remove_leftovers, write_json, write_text
-from prbench.workflows.table_two.as_json import as_builtins
-from prbench.workflows.table_two.as_markdown import as_markdown
-from prbench.workflows.table_two.budget import DatasetSize, even_batch_size
+from prbench.workflows.table_two.as_markdown import as_builtins, as_markdown
+from prbench.workflows.table_two.budget import DatasetSize, even_batch_size, kind
 from prbench.workflows.table_two.layout import RowOutcome, TableLayout, lay_out
-from prbench.workflows.table_two.measuring import kind
 from prbench.workflows.table_two.plan import PlannedRow, plan_rows
 from prbench.workflows.table_two.request import TableRequest
 from prbench.workflows.table_two.side_by_side import Counting, generate_side_by_side, why
-from prbench.workflows.table_two.state import TablePlan, open_plan
-from prbench.workflows.table_two.subset import dataset_size, with_limit
+from prbench.workflows.table_two.state import TablePlan, dataset_size, open_plan, with_limit
 
 MARKDOWN, JSON = "table_2.md", "table_2.json"
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.engine import Engine
+from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import PrbenchError, StorageError
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.request import RunRequest
@@ -21,7 +21,6 @@ from prbench.locks import sole_writer
 from prbench.methods.methods import forget_loaded_methods
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import FILE_NAME as RECORD
-from prbench.workers import is_out_of_memory
 
 Counting = Callable[[int, int, str], None]
 """Called with finished items, all items, and the next or last one's name."""

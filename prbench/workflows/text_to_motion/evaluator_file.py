@@ -14,7 +14,7 @@ from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementEn
 from prbench.representation import N_FEATURES, Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.training.weights import Weights, read_weights
-from prbench.workflows.text_to_motion.tokens import token_vectors
+from prbench.workflows.text_to_motion.clips import token_vectors
 from prbench.workflows.text_to_motion.training import EVALUATOR_KIND
 
 

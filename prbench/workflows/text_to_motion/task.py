@@ -15,9 +15,14 @@ from prbench.representation import N_FEATURES, Statistics
 from prbench.training.model_table import split_model_table
 from prbench.training.task import TrainingData
 from prbench.training.weights import Weights, read_weights
-from prbench.workflows.text_to_motion.losses import EvaluatorObjective
-from prbench.workflows.text_to_motion.tokens import token_vectors
-from prbench.workflows.text_to_motion.training import MOVEMENT_KIND, STAGES, EvaluatorTraining, Stage
+from prbench.workflows.text_to_motion.clips import token_vectors
+from prbench.workflows.text_to_motion.training import (
+    MOVEMENT_KIND,
+    STAGES,
+    EvaluatorObjective,
+    EvaluatorTraining,
+    Stage,
+)
 
 _MOVEMENT_ENCODER = frozenset({"movement_width", "representation", "fps"})
 """Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over."""

@@ -1,4 +1,7 @@
-"""Text files: one caption a line, with tokens and the part of the motion that it describes."""
+"""Read the files of HumanML3D's official folder: text lines and joint positions, checked, or a clear no.
+
+Source: docs/specification/humanml3d.md#text-files.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,26 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+
 from prbench.bounded import read_text
-from prbench.corpora.humanml3d.format import TEXT_SEPARATOR
 from prbench.errors import InputFileError
 from prbench.limits import HARMLESS_SIZE
+from prbench.numpy_files import load_array
+from prbench.skeleton import N_JOINTS, Joint
+
+JOINTS_FOLDER = "new_joints"
+"""Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps."""
+FEATURES_FOLDER = "new_joint_vecs"
+"""263 features a frame, one array a motion."""
+TEXTS_FOLDER = "texts"
+TEXTS_ARCHIVE = "texts.zip"
+SPLIT_FILES = {"train": "train.txt", "validation": "val.txt", "test": "test.txt"}
+MIRROR_PREFIX = "M"
+RATE = 20.0
+TEXT_SEPARATOR = "#"
+"""``caption#tokens#from#to``; both times 0.0 mean the whole motion."""
 
 
 @dataclass(frozen=True)
@@ -70,3 +89,39 @@ def _seconds(path: Path, number: int, cell: str) -> float:
     if math.isinf(value):
         raise InputFileError(path, f"line {number}", expected="a finite time in seconds", found=cell)
     return 0.0 if math.isnan(value) else value
+
+
+_SHORTEST_TRUNK, _LONGEST_TRUNK = 0.05, 20.0  # metres; longer ones are in millimetres
+
+
+def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
+    """Read one file of ``new_joints``.
+
+    Returns:
+        Positions, metres, Y up, 20 frames a second.
+
+    Raises:
+        InputFileError: if it is no plain array of (frames, 22, 3), holds NaN, or is in another unit.
+    """
+    joints = load_array(path, remedy="Make the file again.")
+    fits = joints.ndim == 3 and joints.shape[1:] == (N_JOINTS, 3) and joints.dtype.kind in "fiu"
+    if not fits or len(joints) < 2:
+        found = f"{joints.shape} of {joints.dtype}"
+        raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
+    joints = joints.astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
+    if bad.size:
+        raise InputFileError(
+            path, f"frame {bad[0]}", expected="finite positions", found="NaN", remedy="Leave the motion out."
+        )
+    _require_metres(path, joints)
+    return joints
+
+
+def _require_metres(path: Path, joints: np.ndarray) -> None:
+    trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
+    if trunk > _LONGEST_TRUNK:
+        found = f"{trunk:.0f} from pelvis to head"
+        raise InputFileError(path, "", expected="metres", found=found, remedy="Divide by 1,000.")
+    if trunk < _SHORTEST_TRUNK:
+        raise InputFileError(path, "", expected="a body", found=f"{trunk:.4f} m from pelvis to head")
