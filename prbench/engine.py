@@ -32,15 +32,15 @@ _KILLED = "a worker process ended without an answer: it was killed, or ran out o
 
 @dataclass(frozen=True)
 class Full:
-    """In place of a result: the memory did not suffice, or the worker was killed."""
+    """Stands in place of a result: the memory did not suffice, or the worker was killed."""
 
     reason: str
     told: PrbenchError | None = None
-    """What says it better than we could."""
+    """An error whose message already says it."""
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Of Python, NumPy or Arrow, or of torch on either kind of device (recognised without importing it).
+    """Return True if Python, NumPy, Arrow or torch lacked memory; torch is recognised without importing it.
 
     One of our own errors is, if such a one has caused it.
     """
@@ -65,13 +65,13 @@ def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:
 
 
 class _CtrlC:
-    """What Ctrl-C does in a worker: it ends the item under way, and all that follow at once, without a traceback."""
+    """Handles Ctrl-C in a worker: ends the item under way, and all that follow at once, without a traceback."""
 
     def __init__(self) -> None:
         self.working = self.pressed = False
 
     def __call__(self, *_: object) -> None:
-        """Of the signal's handler."""
+        """Handle the signal."""
         self.pressed = True
         if self.working:
             raise KeyboardInterrupt
@@ -114,7 +114,7 @@ def _wait_for_parent() -> None:
 
 @runtime_checkable
 class Engine(Protocol):
-    """Where work runs."""
+    """Something that runs work."""
 
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
@@ -259,7 +259,7 @@ def _settled(found: Result | Full, item: Item, if_full: IfFull[Item, Result]) ->
 
 
 def _name(item: object) -> str:
-    """What an item is called in a message."""
+    """Return the name of an item for a message."""
     for attribute in ("recording_id", "name"):
         name = getattr(item, attribute, None)
         if isinstance(name, str):

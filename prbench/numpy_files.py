@@ -40,13 +40,13 @@ class ByteStream(Protocol):
         ...
 
     def tell(self) -> int:
-        """How many were read."""
+        """Number of bytes that were read."""
         ...
 
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """What a ``.npy`` says about its array."""
+    """The header of a ``.npy``."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -56,7 +56,7 @@ class ArrayHeader:
 
     @property
     def nbytes(self) -> int:
-        """Of the values."""
+        """Bytes of the values."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     def shaped(self, values: np.ndarray) -> np.ndarray:
@@ -171,13 +171,13 @@ class Archive:
 
     path: Path
     content: bytes | None = None
-    """All its bytes, where they are at hand; ``path`` is then for messages."""
+    """The bytes, where they are at hand; ``path`` is then for messages."""
     remedy: str = ""
-    """What to do if it is damaged or another file, for messages."""
+    """Advice for messages if it is damaged or another file."""
 
     @cached_property
     def members(self) -> dict[str, zipfile.ZipInfo]:
-        """By the name of the array.
+        """Maps each array's name to the array.
 
         Raises:
             InputFileError: if the file is missing or no ZIP archive, or holds an array twice.
@@ -279,7 +279,7 @@ class Archive:
         return found
 
     def stored_as_is(self, name: str) -> bool:
-        """Whether :meth:`mapped` can give single rows without unpacking the whole."""
+        """Return True if :meth:`mapped` can give single rows without unpacking the whole."""
         return self.members[name].compress_type == zipfile.ZIP_STORED
 
     def mapped(self, name: str) -> np.ndarray:
@@ -378,7 +378,7 @@ _DAMAGED = (
     OSError,
     ValueError,  # of a table of contents that points before the start of the file
 )
-"""What zipfile says of damaged archives."""
+"""Exceptions that zipfile raises for damaged archives."""
 
 
 def _write_piece(file: BinaryIO, part: bytes) -> None:

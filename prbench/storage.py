@@ -246,7 +246,7 @@ def inside(root: Path, relative: str) -> Path:
 
 
 def is_path_part(name: str) -> bool:
-    """Whether a name can be that of one folder or file: it leads nowhere else and cannot be mistaken for an option."""
+    """Return True if a name can be that of one folder or file: it leads nowhere else and is not taken for an option."""
     return (
         0 < len(name) <= LONGEST_NAME
         and name[0] not in ".-"
@@ -256,7 +256,7 @@ def is_path_part(name: str) -> bool:
 
 
 def cache_folder() -> Path:
-    """Where prbench keeps what it can make again: the folder named by ``PRBENCH_CACHE``, else the user's cache."""
+    """Return the folder of what prbench can make again: ``PRBENCH_CACHE``, else the user's cache."""
     return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("prbench", appauthor=False))
 
 

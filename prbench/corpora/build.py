@@ -30,7 +30,7 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class CorpusReport:
-    """What a build made."""
+    """The result of a build."""
 
     folder: Path
     info: CorpusInfo
@@ -101,14 +101,14 @@ def _settings(described: dict[str, str], manifest_digest: str) -> str:
 
 @dataclass(frozen=True)
 class CorpusPlan:
-    """What a build would read, found out without reading any recording."""
+    """The input of a build, found out without reading any recording."""
 
     recordings: tuple[str, ...]
     skipped: tuple[str, ...]
     """Known-bad ones among them."""
     input_bytes: int
     estimated_seconds: float
-    """With one worker, on a machine like the one it was measured on."""
+    """Seconds with one worker, on a machine like the one it was measured on."""
     estimated_disk_bytes: int
 
 

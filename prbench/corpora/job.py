@@ -31,7 +31,7 @@ from prbench.storage import text_digest
 
 
 class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
-    """What a finished part tells without opening its tables."""
+    """Description of a finished part, readable without opening its tables."""
 
     name: str
     input_digest: str
@@ -49,7 +49,7 @@ class FinishedGroup:
     folder: Path
     receipt: GroupReceipt
     reused: bool
-    """Whether an earlier, interrupted build had made it."""
+    """True if an earlier, interrupted build had made it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class CorpusJob:
         return FinishedGroup(folder, self._write(folder, group, digest, done), reused=False)
 
     def _folder(self, group: RecordingGroup) -> tuple[Path, str]:
-        """Where the part lies, and the digest of its input."""
+        """Return the folder of the part, and the digest of its input."""
         try:
             digest = group.input_digest()
         except (OSError, InputFileError) as error:

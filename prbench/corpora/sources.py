@@ -39,7 +39,7 @@ class CorpusOptions:
     source: tuple[tuple[str, str], ...] = ()
     """Options of the corpus' own reader as name and value, sorted by name."""
     on_error: Literal["skip", "fail"] = "skip"
-    """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
+    """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     replace: bool = False
     """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 
@@ -65,7 +65,7 @@ class ClipLimits:
 
     @classmethod
     def of(cls, options: CorpusOptions, thresholds: dict[str, float]) -> ClipLimits:
-        """From the options, else from the manifest: a longest clip of 12 s at 20 fps has 241 frames."""
+        """Take the limits from the options, else from the manifest: a longest clip of 12 s at 20 fps has 241 frames."""
         fps = options.rate
         longest = options.max_frames or int(thresholds["longest_clip"] * fps + 1e-6) + 1
         return cls(fps, int(thresholds["shortest_clip"] * fps + 1e-6), longest)
@@ -73,7 +73,7 @@ class ClipLimits:
 
 @dataclass(frozen=True)
 class Belonging:
-    """What is known of a recording before it is read."""
+    """The identity of a recording, known before it is read."""
 
     dataset: str
     """Name that the clips will carry; ``synthetic-`` before it for invented people."""
@@ -85,24 +85,24 @@ class Belonging:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one recording costs, for the dry run; rates were measured on synthetic files, one core."""
+    """The cost of one recording, for the dry run; rates were measured on synthetic files, one core."""
 
     input_bytes: int
     seconds: float
     disk_bytes: float
-    """Of its rows in the table and in the parts that the table is made from."""
+    """Bytes of its rows in the table and in the parts that the table is made from."""
 
 
 @dataclass(frozen=True)
 class ReadRecording:
-    """What reading one recording gave."""
+    """The result of reading one recording."""
 
     clips: tuple[Clip, ...]
     annotations: tuple[Annotation, ...]
     duration: float
     """Seconds of usable motion."""
     clock_method: str = "same"
-    """How text and motion were brought onto one clock; ``same`` where they share one."""
+    """Method that brought text and motion onto one clock; ``same`` where they share one."""
     clock_quality: float | None = None
     message: str = ""
     measured: tuple[tuple[str, str], ...] = ()
@@ -119,7 +119,7 @@ class CorpusRecording(Protocol):
 
     @property
     def skip_reason(self) -> str | None:
-        """Why the recording must not be read; None for all that are fine."""
+        """The reason why the recording must not be read; None for all that are fine."""
         ...
 
     @property
@@ -148,7 +148,7 @@ class RecordingGroup:
     recordings: tuple[CorpusRecording, ...]
 
     def input_digest(self) -> str:
-        """Of all members."""
+        """Digest of all members that are read."""
         return text_digest(*(recording.input_digest() for recording in self.recordings if not recording.skip_reason))
 
 
@@ -170,7 +170,7 @@ class Corpus(Protocol):
         ...
 
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[CorpusRecording, ...]:
-        """All recordings below a folder.
+        """Find all recordings below a folder.
 
         Raises:
             UsageError: for an option that the corpus does not know.

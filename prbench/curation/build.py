@@ -39,12 +39,12 @@ class Progress:
     total: int
     record: RecordingRecord
     reused: bool
-    """Whether an interrupted build had already made it."""
+    """True if an interrupted build had already made it."""
 
 
 @dataclass(frozen=True)
 class BuildReport:
-    """What a build made."""
+    """The result of a build."""
 
     folder: Path
     info: DatasetInfo
@@ -162,14 +162,14 @@ def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
 
 @dataclass(frozen=True)
 class BuildPlan:
-    """What a build would read, found out without reading any recording."""
+    """The input of a build, found out without reading any recording."""
 
     recordings: tuple[str, ...]
     skipped: tuple[str, ...]
     """Known-bad ones among them."""
     input_bytes: int
     estimated_seconds: float
-    """With one worker, on a machine like the one it was measured on."""
+    """Seconds with one worker, on a machine like the one it was measured on."""
     estimated_disk_bytes: int
 
 

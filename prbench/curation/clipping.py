@@ -1,4 +1,4 @@
-"""From a primed event to a clip: frames on the grid that ends at the event, in the world frame.
+"""Cut a clip from a primed event: frames on the grid that ends at the event, in the world frame.
 
 Source: docs/specification/curation.md#clip.
 """
@@ -81,7 +81,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
 
 
 def has_heading(joints: Float[np.ndarray, "22 3"]) -> bool:
-    """Whether a pose faces anywhere, so that a canonical frame exists (see :func:`prbench.skeleton.facing_yaw`)."""
+    """Return True if a pose has a heading, without which there is no canonical frame."""
     try:
         facing_yaw(joints)
     except ValueError:

@@ -96,7 +96,7 @@ class Change:
     event: str
     """``object name/action/time`` as a person would say it; empty for a change of the recording itself."""
     before: str
-    """What the first build made of it; empty where it has no such event."""
+    """Outcome in the first build; empty where it has no such event."""
     after: str
     decided_by: str
     """Stage that made the difference, with its number and threshold where it has them."""
@@ -115,7 +115,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the two builds hold the same events, sequences and recordings."""
+        """Return True if the two builds hold the same events, sequences and recordings."""
         return not self.changes
 
 
@@ -193,7 +193,7 @@ def _change(
     recordings: list[dict[str, Row]],
     sequences: list[dict[str, Row]],
 ) -> Change | None:
-    """What is different about one event; None if nothing is."""
+    """Compare one event of both builds; None if nothing differs."""
     if one is None or other is None:
         event, absent = (other, recordings[0]) if one is None else (one, recordings[1])
         assert event is not None
@@ -278,7 +278,7 @@ def _decision(event: Event) -> str:
 
 
 def _shift(one: Event, other: Event) -> str:
-    """How far times and place of an event moved; empty if they did not."""
+    """Say how far times and place of an event moved; empty if they did not."""
     parts = []
     for name in ("event_time", "prime_time"):
         if one[name] is not None and other[name] is not None and abs(other[name] - one[name]) > _SAME_TIME:

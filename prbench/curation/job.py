@@ -40,13 +40,13 @@ TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
 
 @dataclass(frozen=True)
 class PartReceipt:
-    """What a finished part tells without opening its tables."""
+    """Description of a finished part, readable without opening its tables."""
 
     folder: Path
     input_digest: str
     record: RecordingRecord
     reused: bool
-    """Whether an earlier, interrupted build had made it."""
+    """True if an earlier, interrupted build had made it."""
 
 
 def write_part(folder: Path, curated: CuratedRecording, input_digest: str) -> PartReceipt:

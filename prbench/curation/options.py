@@ -44,7 +44,7 @@ MEASURES: dict[str, Callable[[Clip, PickPutEvent, Place], float | None]] = {
     "pelvis_displacement": pelvis_displacement,
     "object_displacement": object_displacement,
 }
-"""What must be at least the protocol's minimum movement, by name of the option."""
+"""Maps the option's name to the distance that must reach the protocol's minimum movement."""
 
 
 def minimum_movement(clip: Clip, event: PickPutEvent, place: Place, *, measure: str, threshold: float) -> Decision:
@@ -63,11 +63,11 @@ class CurationOptions:
     ray_origin: str | None = None
     """``eye`` or ``camera``; None = the protocol's."""
     minimum_movement: str = "wrist_to_goal"
-    """Which distance must reach the protocol's minimum; see :data:`prbench.curation.options.MEASURES`."""
+    """Distance that must reach the protocol's minimum; see :data:`prbench.curation.options.MEASURES`."""
     priming: PrimingSource = "rule"
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
-    """What to do with looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
+    """Treatment of looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
 
     def __post_init__(self) -> None:
         if self.occlusion not in get_args(OcclusionMode):
@@ -142,7 +142,7 @@ class BuildOptions:
     reader: tuple[tuple[str, str], ...] = ()
     """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers.options`)."""
     on_error: Literal["skip", "fail"] = "skip"
-    """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
+    """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     replace: bool = False
     """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 

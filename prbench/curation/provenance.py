@@ -87,7 +87,7 @@ def _citation(manifest: Manifest, options: BuildOptions) -> str:
 
 
 def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
-    """How many candidates each stage left, from recordings by status and events by outcome."""
+    """Count the candidates that each stage left, from recordings by status and events by outcome."""
 
     def without(left: int, names: tuple[str, ...]) -> int:
         return left - sum(outcomes.get(name, 0) for name in names)
@@ -134,7 +134,7 @@ class FunnelRow:
 
 
 def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
-    """From files found to sequences, one row a stage."""
+    """Return one row a stage, from files found to sequences."""
     counts, outcomes = info.counts, info.outcomes
     left_out = counts.recordings_failed + counts.recordings_skipped
     read_reason = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""

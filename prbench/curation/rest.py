@@ -33,7 +33,7 @@ class Departure:
     """An object leaves its rest (or, seen backwards in time, comes to rest)."""
 
     time: float
-    """When the movement begins, seconds: see :func:`find_departure`."""
+    """Beginning of the movement, seconds: see :func:`find_departure`."""
     gap: tuple[float, float]
     """Times of the last sample at rest and of the first away from it, seconds."""
     first_away: Float[np.ndarray, "3"]

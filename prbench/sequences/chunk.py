@@ -34,7 +34,7 @@ class SequenceChunk:
 
     @property
     def offsets(self) -> Int[np.ndarray, " offsets"]:
-        """Where each row begins in the arrays that :meth:`frames` returns; one more than there are rows."""
+        """First position of each row in the arrays that :meth:`frames` returns; one more than there are rows."""
         return np.concatenate(([0], np.cumsum(self.n_frames)))
 
     @property

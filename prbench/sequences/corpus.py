@@ -32,7 +32,7 @@ ANNOTATION_OUTCOMES = (
     "no_clock",
     "no_heading",
 )
-"""What can become of one annotated span of text."""
+"""Possible outcomes of one annotated span of text."""
 
 CAPTION = pa.struct(
     [
@@ -132,7 +132,7 @@ class Caption:
 
     text: str
     kind: str
-    """What the text describes, for example ``atomic_action`` or ``body posture``."""
+    """Kind of description, for example ``atomic_action`` or ``body posture``."""
     tokens: str = ""
     """``word/POS`` tokens where the source gives them."""
 
@@ -149,18 +149,18 @@ class Clip:
     split_group: str
     kind: str
     captions: tuple[Caption, ...]
-    """At least one."""
+    """The texts of the clip, at least one."""
     fps: float
     n_frames: int
     start_time: float
-    """Of the first frame, on the motion's clock."""
+    """Time of the first frame, on the motion's clock."""
     end_time: float
     """``start_time`` plus ``n_frames`` frame times."""
     text_start: float
     """Beginning of the described span on the text's own clock."""
     text_end: float
     cut: bool
-    """Whether the described span goes on after the last frame."""
+    """True if the described span goes on after the last frame."""
     mirrored: bool
     clock_method: str
     clock_offset: float
@@ -198,7 +198,7 @@ class Annotation:
     value: float | None = None
     """The deciding number."""
     threshold: float | None = None
-    """What it was compared with."""
+    """Threshold that the value was compared with."""
 
     def __post_init__(self) -> None:
         assert self.outcome in ANNOTATION_OUTCOMES, self.outcome
@@ -221,7 +221,7 @@ class CorpusRecord:
     """``read``, ``failed`` or ``skipped``."""
     message: str
     measured: Mapping[str, str] = field(default_factory=dict)
-    """What was measured about the recording, as text."""
+    """Measurements of the recording, as text."""
 
 
 def clip_batch(clips: Iterable[Clip]) -> pa.RecordBatch:

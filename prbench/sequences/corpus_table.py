@@ -83,7 +83,7 @@ class CorpusTable:
 
     @foreign_input()
     def scalars(self, *, split: str | None = None) -> pa.Table:
-        """All columns of the clips that hold one short value a row, and their captions."""
+        """Read all columns of the clips that hold one short value a row, and their captions."""
         names = [field.name for field in CLIPS if not is_bulky(field.type) or field.name == "captions"]
         table = pa.concat_tables(read_parquet(path, names) for path in table_parts(self.folder, "clips"))
         if split is not None:

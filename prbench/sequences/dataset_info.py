@@ -27,7 +27,7 @@ class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """What every built table says of itself. Holds no time of day, host, absolute path or worker count."""
+    """The description of every built table. Holds no time of day, host, absolute path or worker count."""
 
     schema_version: int
     protocol_version: int
@@ -99,14 +99,14 @@ class _Counted(msgspec.Struct):
 
 
 class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """How many candidates each stage left."""
+    """Numbers of candidates that each stage left."""
 
     recordings_found: int
     recordings_read: int
     recordings_failed: int
     recordings_skipped: int
     recordings_cut_short: int = 0
-    """Of those that were read, how many have a stream that ends before the recording does; 0 in older tables."""
+    """Recordings, among those that were read, with a stream that ends too early; 0 in older tables."""
     events: int
     located: int
     primed: int
@@ -122,7 +122,7 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
 
     @property
     def why_not_scored(self) -> str | None:
-        """Why no metric may be computed on this dataset, or None; an import may not know where its goals are."""
+        """Why no metric may be computed on this dataset, or None: an import may not know the frame of its goals."""
         if self.options.get("goal_frame") == "unknown":
             return (
                 "it was imported from a release whose goals are in an unknown frame (import_report.json has the"
@@ -145,7 +145,7 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
 
 
 class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """How many recordings, texts and clips each stage left."""
+    """Numbers of recordings, texts and clips that each stage left."""
 
     recordings_found: int
     recordings_read: int

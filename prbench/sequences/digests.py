@@ -30,7 +30,7 @@ _SHOWN = 12  # characters of a digest
 def identity_digest(
     sequence_ids: list[str], splits: list[str], actions: list[str], n_frames: Iterable[int], *, protocol_version: int
 ) -> str:
-    """What two laboratories with the same licensed data share: ids with split, action and length, in sorted order."""
+    """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length."""
     digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
     for row in sorted(zip(sequence_ids, splits, actions, (str(n) for n in n_frames))):
         digest.update("\t".join(row).encode() + b"\n")

@@ -1,4 +1,4 @@
-"""What a dataset's licence lets leave the machine of whoever has it: one rule for every view, export and run.
+"""One rule for every view, export and run of what a dataset's licence lets leave its holder's machine.
 
 ``none``: recorded motion and goal poses are left out or refused unless the user states permission for that dataset;
 ``non-commercial``: they may be passed on, with a notice; ``yes``: they may be passed on.
@@ -38,7 +38,7 @@ class HasTerms(Protocol):
 
 
 def may_pass_on(terms: HasTerms, permitted: Collection[str] = ()) -> bool:
-    """Whether recorded motion and goal poses may stand in a view or export.
+    """Return True if recorded motion and goal poses may stand in a view or export.
 
     Args:
         terms: Of the dataset.
@@ -78,7 +78,7 @@ def notice(terms: HasTerms, permitted: Collection[str] = ()) -> str:
 
 
 def run_notice(terms: HasTerms, *, recorded_motion: bool) -> str:
-    """What a run folder says about the motions in it; empty where nothing has to be said.
+    """Return the notice of a run folder about the motions in it; empty where nothing has to be said.
 
     A run stays with whoever has the data, so nothing is refused; passing the folder on is the user's act.
 

@@ -120,5 +120,5 @@ def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatc
 
 
 def is_bulky(kind: pa.DataType) -> bool:
-    """Whether a column holds per-frame values or whole poses."""
+    """Return True if a column holds per-frame values or whole poses."""
     return pa.types.is_list(kind) or (pa.types.is_fixed_size_list(kind) and kind.list_size > 16)

@@ -17,7 +17,7 @@ SCHEMA_VERSION = 3
 the hand."""
 READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
-"""Of the columns of ``sequences`` alone, which enters the identity of a table: it outlives changes of the others."""
+"""Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
 
 OUTCOMES = (
     "sequence",
@@ -32,7 +32,7 @@ OUTCOMES = (
     "excluded_by_dataset",
     "not_published",
 )
-"""What can become of a candidate event."""
+"""Possible outcomes of a candidate event."""
 
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float32(), 3)

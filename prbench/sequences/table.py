@@ -109,7 +109,7 @@ class SequenceTable:
 
     @foreign_input()
     def scalars(self, *, split: str | None = None) -> pa.Table:
-        """All columns that hold one short value a row (no per-frame values, no poses)."""
+        """Read all columns that hold one short value a row (no per-frame values, no poses)."""
         names = [field.name for field in SEQUENCES if not is_bulky(field.type)]
         table = pa.concat_tables(read_parquet(path, names) for path in self.part_paths("sequences"))
         if split is not None:
@@ -170,7 +170,7 @@ class SequenceTable:
 
 
 def why_no_sequences(info: DatasetInfo) -> str:
-    """What became of the recordings and events of a dataset, in one sentence or two."""
+    """Say in one sentence or two what became of the recordings and events of a dataset."""
     counts = info.counts
     told = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
     outcomes = sorted(info.outcomes.items(), key=lambda item: (-item[1], item[0]))

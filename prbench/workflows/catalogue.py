@@ -39,7 +39,7 @@ class CatalogueEntry:
 
 
 def catalogue(root: Path | None = None, name: str | None = None) -> tuple[CatalogueEntry, ...]:
-    """All datasets, or one of them.
+    """List all datasets, or one of them.
 
     Args:
         root: Folder with copies, itself or one folder below; nothing is looked for if None.

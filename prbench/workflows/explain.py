@@ -21,7 +21,7 @@ from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
-"""In the order in which curation asks."""
+"""The stages in the order in which curation asks."""
 _PART_OF_PRIMING = (OCCLUSION_STAGE, PUBLISHED_STAGE)
 """Stages that stand for priming where an option asks otherwise."""
 _TOLD_BY = {
@@ -172,7 +172,7 @@ def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
 
 
 def _location(event: EventRecord, *, shown: bool) -> str:
-    """Where the object is; not told where the licence keeps goals."""
+    """Return the object's place in words; empty where the licence keeps goals private."""
     if event.outcome == "no_location":
         return "the object never came to rest, or the dataset gives no place"
     if event.location is None or event.box_min is None or event.box_max is None:

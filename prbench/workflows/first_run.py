@@ -29,7 +29,7 @@ PRESET = "adt"
 RECORDINGS = 40
 SEED = 0
 SEQUENCES = 48
-"""Of the test split that a first run generates, unless it is told how many."""
+"""Number of test sequences that a first run generates, unless the user names another."""
 BATCH_SIZE = 12
 """Sequences a batch in a first run: small enough that two workers share the work."""
 _COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))

@@ -78,7 +78,7 @@ class InspectedDataset:
 
     @property
     def usable(self) -> int:
-        """How many recordings a build can use, as far as was looked."""
+        """Number of recordings that a build can use, as far as they were looked at."""
         return sum(recording.state == "complete" for recording in self.recordings)
 
 
@@ -92,7 +92,7 @@ class Inspection:
 
     @property
     def all_complete(self) -> bool:
-        """Whether nothing is missing, damaged, cut short or unreadable; recordings that are left out do not count."""
+        """Return True if nothing is missing, damaged, cut short or unreadable, apart from what is left out."""
         states = {recording.state for dataset in self.datasets for recording in dataset.recordings}
         return not self.broken and states <= {"complete", "left out"}
 

@@ -34,7 +34,7 @@ class SensorLevel:
     name: str
     noise: float
     provoked: bool
-    """Whether provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
+    """True if provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
 
 
 LEVELS = (
@@ -178,7 +178,7 @@ class Limit:
 
     @property
     def holds(self) -> bool:
-        """Whether the number is on the right side; a number without sample is."""
+        """Return True if the number is on the right side of its bound; a number without sample counts as right."""
         return bool(np.isnan(self.value)) or (self.value >= self.bound if self.at_least else self.value <= self.bound)
 
 

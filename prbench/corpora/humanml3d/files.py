@@ -44,7 +44,7 @@ class TextLine:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the caption describes the whole motion."""
+        """Return True if the caption describes the whole motion."""
         return self.start == 0.0 and self.end == 0.0
 
 

@@ -57,7 +57,7 @@ class HumanML3DSource:
 
     @property
     def cost(self) -> Cost:
-        """By the bytes of all input files."""
+        """Estimate from the bytes of all input files."""
         size = sum(path.stat().st_size for path in self.files.used)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
@@ -100,7 +100,7 @@ class HumanML3DCorpus:
 
     @property
     def manifest(self) -> Manifest:
-        """Of HumanML3D."""
+        """HumanML3D's manifest."""
         return load_manifest("humanml3d")
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
@@ -110,7 +110,7 @@ class HumanML3DCorpus:
 
     @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[HumanML3DSource, ...]:
-        """All motions of which joints, features or texts were found."""
+        """Find all motions with joints, features or texts."""
         if root is None:
             raise UsageError("--root DIR is needed: the folder HumanML3D with new_joints, texts and train.txt.")
         root, limits = root.expanduser().resolve(), self._limits(options)

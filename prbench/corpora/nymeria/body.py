@@ -39,7 +39,7 @@ class MotionPiece:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """All pieces of one recording."""
+    """The pieces of one recording."""
 
     pieces: tuple[MotionPiece, ...]
     pose_source: str

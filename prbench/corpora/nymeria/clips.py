@@ -19,7 +19,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class _Span:
-    """All texts of one kind for one stretch of time."""
+    """The texts of one kind for one stretch of time."""
 
     kind: str
     start: float
@@ -29,7 +29,7 @@ class _Span:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Where a span lies in a piece of the motion, or why it does not."""
+    """The place of a span in a piece of the motion, or the reason why it has none."""
 
     outcome: str
     value: float | None = None
@@ -96,7 +96,7 @@ def _micros(seconds: float) -> int:
 
 
 def _spans(narrations: Sequence[Narration]) -> list[_Span]:
-    """By kind and time; the order of rows in the file leaves no trace."""
+    """Group narrations by kind and time; the order of rows in the file leaves no trace."""
     groups: dict[tuple[str, int, int], list[Narration]] = {}
     for row in narrations:
         groups.setdefault((row.kind, _micros(row.start), _micros(row.end)), []).append(row)

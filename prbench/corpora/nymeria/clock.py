@@ -1,4 +1,4 @@
-"""From the glasses' clock, on which texts are timed, to the suit's: three ways, the first that works.
+"""Find the offset from the glasses' clock, on which texts are timed, to the suit's: three ways, the first that works.
 
 The offset is constant within a recording and differs between recordings (docs/specification/nymeria.md#narrations).
 """
@@ -30,7 +30,7 @@ _LONGEST_OF_CORRELATION = 1e7  # samples; a broken clock must not ask for all me
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How text times become suit times: ``TIME_CODE = device time + seconds``."""
+    """The offset that turns text times into suit times: ``TIME_CODE = device time + seconds``."""
 
     method: Literal["file", "correlation", "start_alignment", "known"]
     """``known``: invented people, whose clocks nobody has to find."""
@@ -40,13 +40,13 @@ class ClockOffset:
 
     @property
     def approximate(self) -> bool:
-        """Whether only the starts were aligned."""
+        """Return True if only the starts were aligned."""
         return self.method == "start_alignment"
 
 
 @dataclass(frozen=True)
 class AngularSpeed:
-    """How fast something turns, on a uniform grid."""
+    """The angular speed of something on a uniform grid."""
 
     start: float
     """Seconds, of the first sample."""
@@ -182,7 +182,7 @@ def best_agreement(first: AngularSpeed, second: AngularSpeed, rate: float) -> Pe
 
 
 def _parabola(score: np.ndarray, best: int) -> float:
-    """How far the top lies from the highest sample, in samples."""
+    """Return the distance of the top from the highest sample, in samples."""
     if best in (0, len(score) - 1):
         return 0.0
     before, top, after = score[best - 1 : best + 2]

@@ -32,7 +32,7 @@ _INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER)
 
 
 def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
-    """All sequences of which a suit, a fit or a text was found.
+    """Find all sequences with a suit, a fit or a text.
 
     A file belongs to the sequence whose name stands in its path, so that trees of one group each (all bodies, all
     narrations) and sequences nested a level deeper are found alike.
@@ -67,7 +67,7 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
 
 
 def _interesting_files(root: Path) -> list[Path]:
-    """By name, in a fixed order; links to folders are followed, each folder is entered once."""
+    """List the files of known names in a fixed order; links to folders are followed, each folder is entered once."""
     paths: list[Path] = []
     entered: set[str] = set()
     for folder, inner, names in os.walk(root, followlinks=True):

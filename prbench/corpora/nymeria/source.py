@@ -39,15 +39,15 @@ class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_
     """Choices about Nymeria."""
 
     mapping: str = "anatomical"
-    """Which suit segment becomes which joint: ``anatomical``, or one of the manifest's other mappings (``named``)."""
+    """Mapping of suit segments to joints: ``anatomical``, or one of the manifest's other mappings (``named``)."""
     body: Literal["xsens", "smpl"] = "xsens"
     """The suit, or the fit of the Plus release (needs ``smpl_model``)."""
     smpl_model: Path | None = None
     """The user's SMPL neutral model as ``.npz``."""
     kinds: str = "atomic_action,motion_narration"
-    """Which texts become clips."""
+    """Kinds of texts that become clips."""
     start_alignment: bool = True
-    """Whether texts may be placed by aligning starts where nothing better works; such clips are marked."""
+    """True if texts may be placed by aligning starts where nothing better works; such clips are marked."""
 
     @property
     def chosen_kinds(self) -> tuple[str, ...]:
@@ -80,7 +80,7 @@ class NymeriaSource:
 
     @property
     def cost(self) -> Cost:
-        """By the bytes of all input files."""
+        """Estimate from the bytes of all input files."""
         size = sum(file.size for file in self.found.files)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
@@ -224,7 +224,7 @@ class NymeriaCorpus:
 
     @property
     def manifest(self) -> Manifest:
-        """Of Nymeria."""
+        """Nymeria's manifest."""
         return load_manifest("nymeria")
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
@@ -239,7 +239,7 @@ class NymeriaCorpus:
 
     @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[NymeriaSource, ...]:
-        """All sequences below a folder."""
+        """Find all sequences below a folder."""
         if root is None:
             raise UsageError("--root DIR is needed: your copy of Nymeria.")
         chosen, limits = self._options(options), ClipLimits.of(options, self.manifest.thresholds)

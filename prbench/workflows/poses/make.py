@@ -28,7 +28,7 @@ _REPLACED = ".replaced"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one recording."""
+    """The outcome of one recording."""
 
     recording_id: str
     state: Literal["made", "kept", "failed", "skipped"]
@@ -36,7 +36,7 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether a body is still lacking."""
+        """Return True if a body is still lacking."""
         return self.state == "failed"
 
 

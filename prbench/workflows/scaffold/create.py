@@ -26,10 +26,10 @@ from prbench.workflows.scaffold.values import (
 
 @dataclass(frozen=True)
 class ScaffoldRequest:
-    """What is to be written."""
+    """The method that is to be written."""
 
     name: str
-    """Of the method."""
+    """Name of the method."""
     conditions: tuple[str, ...] = (Condition.GOAL_LOCATION.value,)
     out: Path | None = None
     """The new folder; None for one in the current folder, named after the package or the program."""
@@ -40,7 +40,7 @@ class ScaffoldRequest:
 
 @dataclass(frozen=True)
 class ScaffoldReport:
-    """What was written."""
+    """The files that were written."""
 
     folder: Path
     files: tuple[Path, ...]

@@ -35,7 +35,7 @@ ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.contract.noise": ("batch_noise", "sequence_noise"),
     "prbench.representation": ("Statistics", "UniformSkeleton", "canonicalise", "rest_offsets", "retarget"),
 }
-"""What the file offers besides the converters."""
+"""Names that the file offers besides the converters."""
 
 _MARK = "Written by `prbench adapters converters`"
 _HEADER = '''# ruff: noqa
@@ -126,7 +126,7 @@ _Needed = dict[str, list[_Statement]]
 
 
 def _needed(found: Iterable[tuple[str, str]]) -> _Needed:
-    """By module, the statements behind some names, and behind all that these use."""
+    """Collect, by module, the statements behind some names and behind all that these use."""
     needed: _Needed = {}
     waiting = list(found)
     while waiting:

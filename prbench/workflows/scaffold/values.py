@@ -52,24 +52,24 @@ _NO_WEIGHTS = (
 
 @dataclass(frozen=True)
 class MethodNames:
-    """What a method and its package are called."""
+    """The names of a method and its package."""
 
     method: str
-    """What ``--method`` is given."""
+    """The name that ``--method`` is given."""
 
     @property
     def distribution(self) -> str:
-        """What pip installs."""
+        """Name of the distribution that pip installs."""
         return f"prbench-{self.method}"
 
     @property
     def module(self) -> str:
-        """What Python imports."""
+        """Name of the package that Python imports."""
         return self.distribution.replace("-", "_")
 
     @property
     def class_name(self) -> str:
-        """Of the adapter."""
+        """Name of the adapter's class."""
         name = "".join(part.capitalize() for part in self.method.split("-"))
         taken = hasattr(builtins, name) or name in _IN_TEMPLATES
         return f"{name}Method" if taken else name
@@ -161,7 +161,7 @@ def _holds(term: list[str], flags: Collection[str]) -> bool:
 
 
 def template_flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[str]:
-    """Which optional parts of the templates are kept.
+    """Return the names of the templates' optional parts that are kept.
 
     ``goal`` and ``free`` tell whether the method takes conditions with a first pose and a goal, and without.
     """

@@ -23,14 +23,14 @@ from prbench.workflows.table_two.order import Step
 
 DASH = "–"
 MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
-"""Of the study's row labels."""
+"""Marks of the study's row labels."""
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
 SCHEMA_VERSION = 1
 _UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
 
 
 def as_markdown(layout: TableLayout) -> str:
-    """The whole document."""
+    """Return the whole document."""
     parts = ["# Table 2"]
     for dataset in layout.datasets:
         parts += [f"## {markdown(heading(dataset, layout))}", _grid(dataset)]
@@ -47,7 +47,7 @@ def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
 
 
 def orders(dataset: DatasetLayout) -> Iterable[str]:
-    """For each block the order by Prime Success, with the difference at each step and what the data say of it."""
+    """Yield each block's order by Prime Success, with the difference at each step and whether the data support it."""
     for block in (block for block in dataset.blocks if block.order):
         labels = {line.name: line.label for line in block.lines}
         steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
@@ -61,7 +61,7 @@ def _step(step: Step) -> str:
 
 
 def notes(layout: TableLayout) -> Iterable[str]:
-    """What a reader has to know, one sentence or two each."""
+    """Yield the notes that a reader needs, one sentence or two each."""
     if layout.minutes is not None:
         yield f"n is what fitted into {layout.minutes} min on the machine that it was run on."
     lines = [line for block in layout.datasets[0].blocks for line in block.lines]

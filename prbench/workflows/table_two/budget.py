@@ -35,39 +35,39 @@ LARGEST_BATCH = 16
 _SHARES = 2
 """Batches of equal size for as many workers; a fixed number, so that ``--workers`` changes no result."""
 FOLDER = ".timing"
-"""In the table's folder, so that a table that is killed meanwhile goes on with what it has timed."""
+"""Folder in the table's own one, so that a table that is killed meanwhile goes on with what it has timed."""
 MEASURED_SEQUENCES = 8
-"""In the one batch that is timed."""
+"""Sequences in the one batch that is timed."""
 
 
 class RowCost(msgspec.Struct, frozen=True, kw_only=True):
-    """What a first batch of one row has cost."""
+    """The cost of a first batch of one row."""
 
     seconds_per_frame: float
-    """Of ``generate``, in one worker while the others work, too; padding counts as frames."""
+    """Seconds of ``generate`` a frame, in one worker while the others work, too; padding counts as frames."""
     overhead: float
     """Seconds of everything else for one dataset: loading, reading, scoring."""
 
 
 @dataclass(frozen=True)
 class DatasetSize:
-    """As much of a table as an estimate needs."""
+    """The lengths of a table's sequences, which is all that an estimate needs."""
 
     n_frames: Int[np.ndarray, " sequences"]
-    """Of the split, in the order in which a growing limit takes sequences up."""
+    """Frames of each sequence of the split, in the order in which a growing limit takes them up."""
 
     @property
     def sequences(self) -> int:
-        """In the split."""
+        """Number of sequences in the split."""
         return len(self.n_frames)
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How the work is spread."""
+    """The way in which work is spread."""
 
     batch_size: int | None
-    """None for :func:`even_batch_size`."""
+    """Sequences of a batch; None for :func:`even_batch_size`."""
     workers: int
     samples: int
 
@@ -90,7 +90,7 @@ def table_seconds(costs: Collection[RowCost], limit: int, sizes: Sequence[Datase
 
 
 def _padded_frames(n_frames: Int[np.ndarray, " sequences"], batch_size: int) -> list[int]:
-    """Of each batch; sequences of similar length go together."""
+    """Return the frames of each batch with its padding; sequences of similar length go together."""
     ordered = np.sort(n_frames)
     batches = (ordered[i : i + batch_size] for i in range(0, len(ordered), batch_size))
     return [len(batch) * int(batch[-1]) for batch in batches]
@@ -115,10 +115,10 @@ def largest_limit(costs: Collection[RowCost], sizes: Sequence[DatasetSize], pace
 
 @dataclass(frozen=True)
 class Measured:
-    """What is known of the rows."""
+    """The costs of the rows as far as they are known."""
 
     costs: dict[str, RowCost]
-    """By :func:`kind`."""
+    """Maps each :func:`kind` of row to its cost."""
     failed: frozenset[str]
     """Names of rows whose batch could not be made; each will say so when it is run."""
 
@@ -198,7 +198,7 @@ def _first_batch(run: RunRequest, median: Selection, out: Path) -> RunRequest:
 
 
 def _seconds_per_frame(request: RunRequest) -> float | None:
-    """None if nothing was generated: there was no time, or a worker was killed."""
+    """Return the seconds a frame, or None if nothing was generated: there was no time, or a worker was killed."""
     if request.out is None or not (request.out / RECORD).is_file():
         return None
     folder = RunFolder.open(request.out)
@@ -210,7 +210,7 @@ def _seconds_per_frame(request: RunRequest) -> float | None:
 
 
 def _overhead(run: RunRequest, median: Selection, out: Path, engine: Engine) -> float:
-    """Of a run that generates nothing: it is prepared twice, in side-by-side work and for its scores."""
+    """Return the seconds of a run that generates nothing: it is prepared beside others and again for scoring."""
     control = replace(_first_batch(run, median, out), method=GROUND_TRUTH, weights=None, options={})
     started = time.perf_counter()
     try:

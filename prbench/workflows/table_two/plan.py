@@ -1,4 +1,4 @@
-"""From rows to runs: which can be run here, with which weights, and why the others cannot."""
+"""Plan the runs of the rows: which can be run here, with which weights, and why the others cannot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prbench.methods.installed import list_adapters
 from prbench.workflows.table_two.request import CONTROLS, Row, TableRequest, load_table_two
 
 ALL = "all"
-"""As ``--method`` or ``--condition``: all that Table 2 has."""
+"""The value of ``--method`` or ``--condition`` that asks for all that Table 2 has."""
 ROWS_FOLDER = "rows"
 GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
 
@@ -26,15 +26,15 @@ class PlannedRow:
     name: str
     """Unique; the name of its run folder."""
     label: str
-    """As printed."""
+    """Label as printed."""
     row: Row | None
-    """None for a control of the harness."""
+    """The study's row; None for a control."""
     run: RunRequest
-    """Without limit and size of batches, which follow later."""
+    """The run without limit and size of batches, which follow later."""
     skipped: str | None = None
-    """Why it is not run; None for a row that is."""
+    """The reason why it is not run; None for a row that is."""
     stands_in: bool = False
-    """Whether bundled weights take the place of the study's."""
+    """True if bundled weights take the place of the study's."""
 
     @property
     def is_control(self) -> bool:
@@ -47,7 +47,7 @@ class PlannedRow:
 
 
 def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> list[PlannedRow]:
-    """All lines in printed order, controls last.
+    """Plan all lines in printed order, controls last.
 
     Args:
         request: What is asked for.

@@ -24,7 +24,7 @@ from prbench.storage import text_digest
 _PACKAGE, _FILE = "prbench_benchmarks.prime_and_reach", "table_2.toml"
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
-"""Beside the rows, always."""
+"""Controls that always stand beside the rows."""
 _PAPER_ORDER = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
 
 
@@ -33,11 +33,11 @@ class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     condition: Condition
     title: str
-    """As printed."""
+    """Title as printed."""
 
 
 class RowWeights(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the weights of a row are in the study."""
+    """The weights of a row in the study."""
 
     state: Literal["none", "pretrained", "finetuned"]
     """Pre-trained ones were never shown a prime-and-reach sequence: zero-shot."""
@@ -51,7 +51,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """One printed row."""
 
     label: str
-    """As printed."""
+    """Label as printed."""
     method: str
     weights: str
     """Key in :attr:`TableTwo.weights`, and the name under which a user's own are found."""
@@ -142,13 +142,13 @@ class TableRequest:
     data: tuple[Path, ...]
     """Dataset folders."""
     method: str | None = None
-    """None for all."""
+    """The method; None for all."""
     condition: Condition | None = None
-    """None for all."""
+    """The condition; None for all."""
     weights: Path | None = None
     """Folder with weights by the names of ``table_2.toml``; those that come with prbench take the place of others."""
     options: Mapping[str, str] = field(default_factory=dict)
-    """By ``method.key``; a table of one method takes plain keys too."""
+    """Maps ``method.key`` to a value; a table of one method takes plain keys too."""
     split: str = "test"
     limit: int | None = None
     """Sequences of each dataset; None for as many as fit in ``minutes``."""
@@ -156,11 +156,11 @@ class TableRequest:
     seed: int = 0
     samples: int = 1
     batch_size: int | None = None
-    """None for one that follows from the number of sequences."""
+    """Sequences of a batch; None for a number that follows from the number of sequences."""
     device: str = "cpu"
     threads: int = 1
     shuffled_goal: bool = False
-    """Whether every goal row stands there with other sequences' goals, too."""
+    """True if every goal row stands there with other sequences' goals, too."""
     out: Path | None = None
     """Folder of the table; by default one under ``runs`` whose name says what was asked."""
 
@@ -184,7 +184,7 @@ class TableRequest:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What is asked for, in printed order."""
+        """The rows that are asked for, in printed order."""
         return load_table_two().chosen(self.method, self.condition)
 
     def options_of(self, method: str) -> dict[str, str]:
@@ -218,7 +218,7 @@ class TableRequest:
         return sorted(tables, key=lambda table: _place(table.info.dataset))
 
     def folder(self) -> Path:
-        """Where the table is kept; the same request finds its folder again."""
+        """Return the folder of the table; the same request finds its folder again."""
         if self.out is not None:
             return self.out
         tables = self.tables()
@@ -229,7 +229,7 @@ class TableRequest:
         return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
 
     def deciding(self, tables: list[SequenceTable]) -> dict[str, str]:
-        """All that decides what the rows compute, by what a user calls it; empty where it was left to prbench.
+        """Map the user's name of everything that decides the rows to its value; empty where it was left to prbench.
 
         The weights do not stand here: the run folder of each row records its own.
         """

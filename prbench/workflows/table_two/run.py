@@ -38,7 +38,7 @@ def _uncounted(done: int, total: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Say:
-    """Where a table says how far it has got; silent by default."""
+    """Progress messages of a table; silent by default."""
 
     notice: Callable[[str], None] = lambda _: None
     """One line that stays: what is skipped, what has failed, how many sequences there will be."""

@@ -28,14 +28,14 @@ Counting = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class SideBySide:
-    """What became of the runs whose batches were made."""
+    """The outcome of the runs whose batches were made."""
 
     failed: dict[str, str]
-    """Why a run has not all of its batches, by name."""
+    """Maps the name of a run that lacks batches to the reason."""
     untouched: frozenset[str]
     """Runs that were not begun because time was up."""
     broken: str | None
-    """Why the work ended early: a worker was killed. Nothing is known then of runs without batches."""
+    """The reason why the work ended early: a worker was killed. Nothing is known then of runs without batches."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class _NamedTask:
 class _Tried:
     name: str
     reason: str | None
-    """Why it could not be made."""
+    """The reason why it could not be made; None if it was."""
 
 
 def generate_side_by_side(
@@ -120,7 +120,7 @@ def _discard_if_empty(out: Path | None) -> None:
 
 
 def _try(named: _NamedTask) -> _Tried:
-    """In a worker."""
+    """Make one batch, in a worker."""
     try:
         run_batch(named.task)
     except StorageError:
@@ -133,5 +133,5 @@ def _try(named: _NamedTask) -> _Tried:
 
 
 def why(error: Exception) -> str:
-    """What to tell of an error that ended a run."""
+    """Return the message for an error that ended a run."""
     return str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"

@@ -38,7 +38,7 @@ from prbench.workflows.table_two.request import TableRequest
 FILE_NAME = "plan.json"
 _VERSION = 1
 TIMING_SHARE = 1 / 3
-"""Of the time, after which no further row is timed; what is not counts as the slowest that was."""
+"""Share of the time after which no further row is timed; an untimed row counts as the slowest timed one."""
 
 
 class TablePlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,19 +46,19 @@ class TablePlan(msgspec.Struct, frozen=True, kw_only=True):
 
     schema_version: int = _VERSION
     asked: dict[str, str]
-    """What decides the rows, by what a user calls it, the tables among it."""
+    """Maps the user's name of everything that decides the rows, tables among it, to its value."""
     limit: int | None
     """Sequences of each dataset; None until it is known."""
     minutes: int | None
     """The time that the limit follows from; None where the user named the limit."""
     expected_seconds: float | None = None
-    """What all of it was expected to take when the limit was found, timing included."""
+    """Seconds that all of it was expected to take when the limit was found, timing included."""
     costs: dict[str, RowCost] = {}
     """Measured, by kind of row."""
 
     @property
     def fits(self) -> bool:
-        """Whether the limit follows from a time, which is enough for at least one sequence."""
+        """Return True if the limit follows from a time that is enough for at least one sequence."""
         return self.minutes is not None and (self.expected_seconds or 0.0) <= 60 * self.minutes
 
     def write(self, folder: Path) -> None:
@@ -156,7 +156,7 @@ def with_limit(
 
 
 def _cost(row: PlannedRow, measured: Measured) -> RowCost | None:
-    """As slow as any that was timed, if this one's kind was not; None if it fails. A control generates nothing."""
+    """Return a row's cost; an untimed kind counts as the slowest timed one, a failing row costs nothing (None)."""
     if row.name in measured.failed or not measured.costs:
         return None
     overhead = max(cost.overhead for cost in measured.costs.values())

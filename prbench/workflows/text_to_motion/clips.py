@@ -33,7 +33,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Pass:
-    """How one pass over the clips draws crops and captions: a function of these and of a clip's id alone."""
+    """The settings by which one pass draws crops and captions, as a function of these and of a clip's id alone."""
 
     seed: int
     repetition: int
@@ -47,7 +47,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Draw:
-    """What is evaluated of a clip in one pass."""
+    """The crop and caption of a clip in one pass."""
 
     caption: str
     start: int
@@ -63,7 +63,7 @@ class EvaluatedClips:
     split: str
     clips: tuple[Clip, ...]
     left_out: int
-    """Without a caption of the kinds asked for, or shorter than 4 frames."""
+    """Number of clips without a caption of the kinds asked for, or shorter than 4 frames."""
 
     @classmethod
     def read(cls, folder: Path, *, split: str, kinds: frozenset[str], fps: float) -> EvaluatedClips:
@@ -102,7 +102,7 @@ class EvaluatedClips:
         return cls(table, split, tuple(sorted(clips, key=lambda clip: clip.sequence_id)), left_out)
 
     def captions(self) -> tuple[str, ...]:
-        """All distinct captions, sorted."""
+        """Return all distinct captions, sorted."""
         return tuple(sorted({caption for clip in self.clips for caption in clip.captions}))
 
 

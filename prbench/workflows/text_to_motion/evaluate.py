@@ -50,14 +50,14 @@ class TextEvaluationRequest:
     """A built corpus or dataset."""
     split: str = "test"
     kinds: frozenset[str] = frozenset()
-    """Of captions; empty for all."""
+    """Kinds of captions; empty for all."""
     method: MethodRequest | None = None
-    """None for recorded motions alone."""
+    """The method; None for recorded motions alone."""
     repetitions: int | None = None
-    """By default 20, and 5 with multimodality."""
+    """Number of repetitions; by default 20, and 5 with multimodality."""
     multimodality: bool = False
     prompts: int = PROMPTS
-    """That a method is given a repetition; fewer if there are fewer."""
+    """Prompts that a method is given in a repetition; fewer if there are fewer."""
     diversity_pairs: int = DIVERSITY_PAIRS
     seed: int = 0
     device: str = "cpu"
@@ -67,7 +67,7 @@ class TextEvaluationRequest:
 
     @property
     def chosen_repetitions(self) -> int:
-        """As asked for, or the usual number."""
+        """Number of repetitions: as asked for, or the usual one."""
         return self.repetitions or (REPETITIONS_WITH_MULTIMODALITY if self.multimodality else REPETITIONS)
 
 

@@ -27,7 +27,7 @@ from prbench.training.weights import representation_entry
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
 EVALUATOR_KIND, MOVEMENT_KIND = "t2m-evaluator", "t2m-movement"
-"""Of weights files: a whole evaluator, or a trained movement autoencoder alone."""
+"""Kinds of weights files: a whole evaluator, or a trained movement autoencoder alone."""
 _SHORTER = 1 / 3
 """Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training)."""
 
@@ -125,7 +125,7 @@ def positive_losses(
 
 
 def different_texts(texts: Sequence[str], shift: int) -> Bool[torch.Tensor, " batch"]:
-    """Whether each row's text differs from that of the motion ``shift`` rows before."""
+    """Return True for each row whose text differs from that of the motion ``shift`` rows before."""
     return torch.tensor([text != texts[row - shift] for row, text in enumerate(texts)])
 
 
@@ -192,7 +192,7 @@ class EvaluatorTraining(TrainingModule):
         return {name: found.get(name, absent) for name in ("loss", "reconstruction", "positive", "negative", "ranked")}
 
     def reconstructs(self, step: int) -> bool:
-        """Whether a step trains the autoencoder; validation, which counts below zero, is of what comes out."""
+        """Return True if a step trains the autoencoder; validation (a step below 0) judges the final result."""
         return self.stage == "autoencoder" or (self.stage == "full" and 0 <= step < self.objective.autoencoder_batches)
 
     def reconstruct(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
