@@ -35,7 +35,7 @@ class Full:
     """Stands in place of a result: the memory did not suffice, or the worker was killed."""
 
     reason: str
-    told: PrbenchError | None = None
+    error: PrbenchError | None = None
     """An error whose message already says it."""
 
 
@@ -59,8 +59,8 @@ def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:
         return function(item)
     except Exception as error:
         if is_out_of_memory(error):
-            told = error if isinstance(error, PrbenchError) else None
-            return Full(f"the memory of this machine does not suffice ({quoted(error) or type(error).__name__})", told)
+            ours = error if isinstance(error, PrbenchError) else None
+            return Full(f"the memory of this machine does not suffice ({quoted(error) or type(error).__name__})", ours)
         raise
 
 
@@ -91,7 +91,7 @@ def call(function: Callable[[Item], Result], item: Item) -> Result | Full:
         _ctrl_c.working = False
 
 
-def start_worker(threads: int) -> None:
+def _start_worker(threads: int) -> None:
     """Set up a worker process, before the numerical libraries load."""
     signal.signal(signal.SIGINT, _ctrl_c)
     # Numerical libraries read these when they load, which in a spawned worker is after this.
@@ -210,7 +210,7 @@ class ProcessPool:
     def _pool(self, workers: int) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(
-            workers, mp_context=context, initializer=start_worker, initargs=(self.threads_per_worker,)
+            workers, mp_context=context, initializer=_start_worker, initargs=(self.threads_per_worker,)
         )
 
 
@@ -252,7 +252,7 @@ def _settled(found: Result | Full, item: Item, if_full: IfFull[Item, Result]) ->
     """The result of the second try, or what stands for it."""
     if not isinstance(found, Full):
         return found
-    error = found.told or MemoryFullError(_name(item), found.reason)
+    error = found.error or MemoryFullError(_name(item), found.reason)
     if if_full is None:
         raise error
     return if_full(item, error)

@@ -32,7 +32,7 @@ _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), o
 
 
 @runtime_checkable
-class ByteStream(Protocol):
+class _ByteStream(Protocol):
     """A file that is open for reading, in an archive or not."""
 
     def read(self, size: int = ..., /) -> bytes:
@@ -64,7 +64,7 @@ class ArrayHeader:
         return values.reshape(self.shape, order="F" if self.fortran_order else "C")
 
 
-def read_header(stream: ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
+def read_header(stream: _ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
@@ -155,7 +155,7 @@ def _require_bytes(path: Path, header: ArrayHeader, *, largest: int, present: in
         )
 
 
-def _values(stream: ByteStream, header: ArrayHeader) -> np.ndarray:
+def _values(stream: _ByteStream, header: ArrayHeader) -> np.ndarray:
     """The values behind a header, flat, in memory of their own."""
     values = bytearray(header.nbytes)
     filled = 0
@@ -337,7 +337,7 @@ class Archive:
         header = self.header(name)
         return map_array(target, replace(header, offset=0))
 
-    def _header(self, name: str, stream: ByteStream) -> ArrayHeader:
+    def _header(self, name: str, stream: _ByteStream) -> ArrayHeader:
         header, info = read_header(stream, self.path, f"'{name}'", remedy=self.remedy), self.members[name]
         if header.offset + header.nbytes != info.file_size:
             raise InputFileError(

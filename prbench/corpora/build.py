@@ -85,7 +85,7 @@ def build_corpus(
             done += len(part.receipt.records)
             if progress is not None:
                 progress(done, total, part.receipt.name)
-        dataset = groups[0].recordings[0].belonging.dataset
+        dataset = groups[0].recordings[0].identity.dataset
         info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
         folders = [part.folder for part in finished]
         tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
@@ -125,8 +125,8 @@ def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DE
     recordings = [each for group in find_groups(corpus, root, options) for each in group.recordings]
     costs = [each.cost for each in recordings if each.skip_reason is None]
     return CorpusPlan(
-        recordings=tuple(each.belonging.recording_id for each in recordings),
-        skipped=tuple(each.belonging.recording_id for each in recordings if each.skip_reason is not None),
+        recordings=tuple(each.identity.recording_id for each in recordings),
+        skipped=tuple(each.identity.recording_id for each in recordings if each.skip_reason is not None),
         input_bytes=sum(cost.input_bytes for cost in costs),
         estimated_seconds=sum(cost.seconds for cost in costs),
         estimated_disk_bytes=round(sum(cost.disk_bytes for cost in costs)),

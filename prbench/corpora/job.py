@@ -91,7 +91,7 @@ class CorpusJob:
         known = [
             text
             for recording in group.recordings
-            for text in (*map(str, vars(recording.belonging).values()), recording.skip_reason or "")
+            for text in (*map(str, vars(recording.identity).values()), recording.skip_reason or "")
         ]
         return text_digest(self.settings, *known)
 
@@ -131,7 +131,7 @@ class CorpusJob:
 
     def _failed(self, recording: CorpusRecording, error: Exception) -> tuple[ReadRecording, CorpusRecord]:
         known = isinstance(error, PrbenchError)
-        name = recording.belonging.recording_id
+        name = recording.identity.recording_id
         if self.stop_on_error:
             if known:
                 raise error
@@ -150,12 +150,12 @@ def _left_out(
 def _record(
     recording: CorpusRecording, read: ReadRecording, outcomes: Counter[str], status: str, message: str
 ) -> CorpusRecord:
-    belonging = recording.belonging
+    identity = recording.identity
     return CorpusRecord(
-        recording_id=belonging.recording_id,
-        participant_id=belonging.participant_id,
-        split=belonging.split,
-        split_group=belonging.split_group,
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
+        split_group=identity.split_group,
         duration=read.duration,
         outcomes=dict(outcomes),
         clock_method=read.clock_method,

@@ -72,11 +72,11 @@ class ClipLimits:
 
 
 @dataclass(frozen=True)
-class Belonging:
+class RecordingIdentity:
     """The identity of a recording, known before it is read."""
 
     dataset: str
-    """Name that the clips will carry; ``synthetic-`` before it for invented people."""
+    """Name that the clips will carry; ``synthetic-`` before it for synthetic people."""
     recording_id: str
     participant_id: str
     split: str
@@ -113,7 +113,7 @@ class CorpusRecording(Protocol):
     """One recording that can be read, here or in another process; instances are picklable."""
 
     @property
-    def belonging(self) -> Belonging:
+    def identity(self) -> RecordingIdentity:
         """Name, participant and split."""
         ...
 
@@ -200,7 +200,7 @@ def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tu
     Raises:
         InputFileError: if there is no recording, or none that matches the glob.
     """
-    found = {each.belonging.recording_id: each for each in corpus.find(root, options)}
+    found = {each.identity.recording_id: each for each in corpus.find(root, options)}
     groups: dict[str, list[CorpusRecording]] = {}
     for name in _chosen(list(found), options, where=root or "invented people"):
         groups.setdefault(corpus.group_of(name), []).append(found[name])

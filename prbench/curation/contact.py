@@ -15,10 +15,10 @@ from prbench.recording.streams import Side
 from prbench.timelines import covered, interpolate
 
 _SLACK = 1e-6  # seconds; times are computed, so equality needs room
-LONGEST_HAND_GAP = 1.0
+_LONGEST_HAND_GAP = 1.0
 """Seconds; hand samples further apart are not interpolated. Long enough that a holding survives the stretches of
 implausible poses that a noisy suit gives: who holds something before and after holds it in between."""
-LONGEST_UNSEEN = 2.0
+_LONGEST_UNSEEN = 2.0
 """Seconds; a hand that is close to an object on both sides of a stretch without measurements never left it (hands leave
 the view of the glasses while they carry something)."""
 _VERTICES_AT_ONCE = 200_000
@@ -114,7 +114,7 @@ def contact_distance(
     Raises:
         MissingExtraError: if the rule asks for a surface, and Open3D is not installed.
     """
-    measured = covered(hand.times, hand.valid, times, max_gap=LONGEST_HAND_GAP)
+    measured = covered(hand.times, hand.valid, times, max_gap=_LONGEST_HAND_GAP)
     if not measured.any():
         return np.full(len(times), np.inf)
     surface = None
@@ -142,7 +142,7 @@ def close_to(
     close = distance < rule.distance
     for start, stop in runs(~np.isfinite(distance)):
         inside = start > 0 and stop < len(times)
-        if inside and close[start - 1] and close[stop] and times[stop] - times[start - 1] <= LONGEST_UNSEEN:
+        if inside and close[start - 1] and close[stop] and times[stop] - times[start - 1] <= _LONGEST_UNSEEN:
             close[start:stop] = True
     return close
 

@@ -26,7 +26,7 @@ Row = Mapping[str, Any]
 
 _WITHIN = 1e-5
 _DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
-LARGEST_SHIFT = 1.0
+_LARGEST_SHIFT = 1.0
 """Seconds between two events that may be the same one."""
 Kind = Literal["gained", "lost", "appeared", "vanished", "moved", "outcome", "values"]
 KINDS: dict[str, str] = {
@@ -44,7 +44,7 @@ Event = dict[str, Any]
 """One row of ``events``."""
 
 
-def sequence_rows(table: SequenceTable) -> dict[str, Row]:
+def _sequence_rows(table: SequenceTable) -> dict[str, Row]:
     """Every column of every sequence, by ``sequence_id``."""
     found: dict[str, Row] = {}
     short = [name for name in SEQUENCES.names if name not in _DIGESTED]
@@ -56,7 +56,7 @@ def sequence_rows(table: SequenceTable) -> dict[str, Row]:
     return found
 
 
-def differing_columns(one: Row, other: Row, *, besides: Collection[str] = ()) -> list[str]:
+def _differing_columns(one: Row, other: Row, *, besides: Collection[str] = ()) -> list[str]:
     """Names of the columns whose values differ, in the order of the first row.
 
     Args:
@@ -132,7 +132,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         raise UsageError(f"{first} holds {names[0]} and {second} holds {names[1]}; compare builds of one dataset.")
     before, after = (_events(table) for table in tables)
     recordings = [_recordings(table) for table in tables]
-    sequences = [sequence_rows(table) for table in tables]
+    sequences = [_sequence_rows(table) for table in tables]
     changes: list[tuple[float, Change]] = []
     same_events = same_sequences = 0
     for one, other in _pairs(before, after):
@@ -143,8 +143,8 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         same_events += 1
         same_sequences += one is not None and one["outcome"] == "sequence"
     changes += [(0.0, change) for change in _sequences_without_event(before, after, sequences)]
-    told = {change.recording_id for _, change in changes}
-    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], told)]
+    reported = {change.recording_id for _, change in changes}
+    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], reported)]
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
     return Difference(
@@ -175,7 +175,7 @@ def _pairs(before: list[Event], after: list[Event]) -> Iterator[tuple[Event | No
 
 def _pair_group(ours: list[Event], theirs: list[Event]) -> Iterator[tuple[Event | None, Event | None]]:
     gaps = np.abs(np.subtract.outer([e["event_time"] for e in ours], [e["event_time"] for e in theirs]))
-    rows, columns = np.nonzero(gaps.reshape(len(ours), len(theirs)) <= LARGEST_SHIFT)
+    rows, columns = np.nonzero(gaps.reshape(len(ours), len(theirs)) <= _LARGEST_SHIFT)
     partner: dict[int, int] = {}
     taken: set[int] = set()
     for index in np.argsort(gaps[rows, columns], kind="stable") if len(rows) else ():
@@ -207,7 +207,7 @@ def _change(
     shift = _shift(one, other)
     if shift and was:
         return _described("moved", one, other, shift)
-    columns = differing_columns(one, other)
+    columns = _differing_columns(one, other)
     if was:
         columns += _differing_of_sequence(sequences[0].get(one["sequence_id"]), sequences[1].get(other["sequence_id"]))
     return _described("values", one, other, ", ".join(dict.fromkeys(columns))) if columns else None
@@ -216,7 +216,7 @@ def _change(
 def _differing_of_sequence(one: Row | None, other: Row | None) -> list[str]:
     if one is None or other is None:
         return [] if one is other else ["no row in sequences in one of them"]
-    return differing_columns(one, other)
+    return _differing_columns(one, other)
 
 
 def _sequences_without_event(
@@ -233,18 +233,18 @@ def _sequences_without_event(
         yield Change(kind, row["recording_id"], event, *before_and_after, "a sequence that no event names")
 
 
-def _changed_recordings(one: dict[str, Row], other: dict[str, Row], told: Collection[str]) -> Iterator[Change]:
-    """Recordings with other values; what follows from changes of their events, which are told, is left out."""
+def _changed_recordings(one: dict[str, Row], other: dict[str, Row], reported: Collection[str]) -> Iterator[Change]:
+    """Recordings with other values; what follows from changes of their events, which are reported, is left out."""
     for name in sorted(one.keys() | other.keys()):
         if name not in one or name not in other:
-            if name not in told:
+            if name not in reported:
                 kind: Kind = "appeared" if name not in one else "vanished"
                 there = one.get(name) or other[name]
                 before_and_after = ("", there["status"]) if name not in one else (there["status"], "")
                 yield Change(kind, name, "", *before_and_after, "recording in one of the builds only")
             continue
-        columns = differing_columns(
-            one[name], other[name], besides=(*OUTCOMES, "status", "message") if name in told else ()
+        columns = _differing_columns(
+            one[name], other[name], besides=(*OUTCOMES, "status", "message") if name in reported else ()
         )
         if columns:
             yield Change("values", name, "", one[name]["status"], other[name]["status"], ", ".join(columns))

@@ -14,7 +14,7 @@ from prbench.meshes import TriangleMesh
 from prbench.recording import ObjectTrack, Occluder, Recording
 
 OcclusionMode = Literal["off", "mark", "require"]
-"""``mark``: primes stay what they are, those through a mesh are told; ``require``: only unobstructed looks prime."""
+"""``mark``: primes stay, those through a mesh are reported; ``require``: only unobstructed looks prime."""
 
 MARGIN = 0.02
 """Metres before the place within which a mesh is no obstacle: what the place lies on or in (choice)."""

@@ -18,10 +18,10 @@ from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, Quarantine
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import text_digest
 
-NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
-UNLOCATED = (*NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
-UNPRIMED = ("not_primed", "excluded_by_dataset", "not_published")
-TOO_SHORT = ("too_short", "no_body")
+_NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
+_UNLOCATED = (*_NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
+_UNPRIMED = ("not_primed", "excluded_by_dataset", "not_published")
+_TOO_SHORT = ("too_short", "no_body")
 _REASONS = {
     "other_wearer": "somebody else's hand was nearer",
     "excluded_category": "doors, drawers and the like",
@@ -93,9 +93,9 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
         return left - sum(outcomes.get(name, 0) for name in names)
 
     events = sum(outcomes.values())
-    located = without(events, UNLOCATED)
-    primed = without(located, UNPRIMED)
-    long_enough = without(primed, TOO_SHORT)
+    located = without(events, _UNLOCATED)
+    primed = without(located, _UNPRIMED)
+    long_enough = without(primed, _TOO_SHORT)
     moved_enough = without(long_enough, ("minimum_movement",))
     return FunnelCounts(
         recordings_found=sum(statuses.values()),

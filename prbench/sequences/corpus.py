@@ -34,7 +34,7 @@ ANNOTATION_OUTCOMES = (
 )
 """Possible outcomes of one annotated span of text."""
 
-CAPTION = pa.struct(
+_CAPTION = pa.struct(
     [
         pa.field("text", pa.string(), nullable=False),
         pa.field("kind", pa.string(), nullable=False),
@@ -58,7 +58,7 @@ CLIPS = pa.schema(
         *_shared("sequence_id", "dataset", "recording_id", "participant_id", "split", "split_group"),
         _field("kind", pa.string()),
         *_shared("text"),
-        _field("captions", pa.list_(CAPTION)),
+        _field("captions", pa.list_(_CAPTION)),
         *_shared("fps", "n_frames", "start_time"),
         _field("end_time", pa.float64()),
         _field("text_start", pa.float64()),

@@ -52,11 +52,11 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     citation: str
 
 
-Info = TypeVar("Info", bound=Provenance)
+_Info = TypeVar("_Info", bound=Provenance)
 
 
 @foreign_input()
-def read_info(path: Path, kind: type[Info], *, what: str) -> Info:
+def _read_info(path: Path, kind: type[_Info], *, what: str) -> _Info:
     """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
 
     Raises:
@@ -141,7 +141,7 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        return read_info(Path(folder) / FILE_NAME, cls, what="dataset")
+        return _read_info(Path(folder) / FILE_NAME, cls, what="dataset")
 
 
 class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -176,4 +176,4 @@ class CorpusInfo(Provenance, frozen=True, kw_only=True):
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        return read_info(Path(folder) / CORPUS_FILE, cls, what="corpus")
+        return _read_info(Path(folder) / CORPUS_FILE, cls, what="corpus")

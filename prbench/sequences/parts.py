@@ -26,11 +26,11 @@ def work_folder(out: Path) -> Path:
 
 def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path:
     """Return the folder of one part: another input, option or version of the code is another folder."""
-    return work / text_digest(name, input_digest, settings, code_digest())[:32]
+    return work / text_digest(name, input_digest, settings, _code_digest())[:32]
 
 
 @cache
-def code_digest() -> str:
+def _code_digest() -> str:
     """Digest of the package's source files, so that parts made by other code are never taken over."""
     root = Path(prbench.__file__).parent
     digest = hashlib.sha256(prbench.__version__.encode())

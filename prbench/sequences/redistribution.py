@@ -18,7 +18,7 @@ _STRICTEST_FIRST = ("none", "non-commercial", "yes")
 
 
 @runtime_checkable
-class HasTerms(Protocol):
+class _HasTerms(Protocol):
     """Anything that says under which terms a dataset's recordings stand (``DatasetInfo``, ``TableRecord`` …)."""
 
     @property
@@ -37,7 +37,7 @@ class HasTerms(Protocol):
         ...
 
 
-def may_pass_on(terms: HasTerms, permitted: Collection[str] = ()) -> bool:
+def may_pass_on(terms: _HasTerms, permitted: Collection[str] = ()) -> bool:
     """Return True if recorded motion and goal poses may stand in a view or export.
 
     Args:
@@ -47,7 +47,7 @@ def may_pass_on(terms: HasTerms, permitted: Collection[str] = ()) -> bool:
     return _known(terms.redistribution) != "none" or terms.dataset in permitted
 
 
-def require_may_pass_on(terms: HasTerms, what: str, permitted: Collection[str] = ()) -> None:
+def require_may_pass_on(terms: _HasTerms, what: str, permitted: Collection[str] = ()) -> None:
     """Refuse to write what the licence keeps.
 
     Args:
@@ -66,7 +66,7 @@ def require_may_pass_on(terms: HasTerms, what: str, permitted: Collection[str] =
         )
 
 
-def notice(terms: HasTerms, permitted: Collection[str] = ()) -> str:
+def notice(terms: _HasTerms, permitted: Collection[str] = ()) -> str:
     """The sentence that a view or export of the dataset's recordings carries; empty where nothing has to be said."""
     if _known(terms.redistribution) == "yes":
         return ""
@@ -77,7 +77,7 @@ def notice(terms: HasTerms, permitted: Collection[str] = ()) -> str:
     return f"{terms.title}: recorded motion and goal poses must not be passed on; left out here."
 
 
-def run_notice(terms: HasTerms, *, recorded_motion: bool) -> str:
+def run_notice(terms: _HasTerms, *, recorded_motion: bool) -> str:
     """Return the notice of a run folder about the motions in it; empty where nothing has to be said.
 
     A run stays with whoever has the data, so nothing is refused; passing the folder on is the user's act.

@@ -1,4 +1,4 @@
-"""Rows of tables in Parquet files: found, streamed, and damage told with the file's name."""
+"""Rows of tables in Parquet files: found and streamed; damage is reported with the file's name."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from prbench.skeleton import JOINT_SET, N_JOINTS
 SCHEMA_VERSION = 3
 """2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
 the hand."""
-READABLE_VERSIONS = (1, 2, 3)
+_READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
 """Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
 
@@ -173,8 +173,8 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
     """
     metadata = schema.metadata or {}
     version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
-    if version not in {str(known) for known in READABLE_VERSIONS}:
-        known = ", ".join(map(str, READABLE_VERSIONS))
+    if version not in {str(known) for known in _READABLE_VERSIONS}:
+        known = ", ".join(map(str, _READABLE_VERSIONS))
         raise TableError(
             f"{source}: expected schema version {known}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."

@@ -172,13 +172,13 @@ class SequenceTable:
 def why_no_sequences(info: DatasetInfo) -> str:
     """Say in one sentence or two what became of the recordings and events of a dataset."""
     counts = info.counts
-    told = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
+    counted = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
     outcomes = sorted(info.outcomes.items(), key=lambda item: (-item[1], item[0]))
     became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
     if not became:
-        return f"{told}, and no candidate event was found in them."
+        return f"{counted}, and no candidate event was found in them."
     bodies = " Bodies can be estimated: `prbench poses egoallo`." if info.outcomes.get("no_body") else ""
-    return f"{told}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
+    return f"{counted}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
 
 
 def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
@@ -216,12 +216,12 @@ def find_sequence_id(wanted: str, known: Sequence[str], *, among: str) -> str:
         raise UsageError(
             f"'{wanted}' fits {len(fitting)} sequences of {among}; give a longer part of one:\n{_lines(fitting)}{more}"
         )
-    near = nearest_ids(wanted, known)
+    near = _nearest_ids(wanted, known)
     hint = f" Near it:\n{_lines(near)}" if near else ""
     raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{hint}")
 
 
-def nearest_ids(wanted: str, known: Sequence[str]) -> list[str]:
+def _nearest_ids(wanted: str, known: Sequence[str]) -> list[str]:
     """Up to three ids of which a part between slashes, as long as what was typed, looks like it."""
     length = wanted.count("/") + 1
     whole: dict[str, str] = {}

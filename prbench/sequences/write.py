@@ -19,8 +19,8 @@ from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, with_metadata
 from prbench.storage import atomic_folder, atomic_path, require_replaceable
 
-ROW_GROUP_ROWS = 256
-LARGEST_PART_BYTES = 512 * 1024**2
+_ROW_GROUP_ROWS = 256
+_LARGEST_PART_BYTES = 512 * 1024**2
 _ROWS = {
     "sequences": "One prime-and-reach sequence: from 2 s before the first look at the goal to the pick or put.",
     "events": "One candidate pick or put, with what became of it and the number that decided.",
@@ -48,7 +48,7 @@ def write_table_in_parts(
     schema: pa.Schema,
     *,
     protocol_version: int,
-    largest_part: int = LARGEST_PART_BYTES,
+    largest_part: int = _LARGEST_PART_BYTES,
 ) -> int:
     """Write ``folder/name.parquet``, or ``folder/name/part-*.parquet`` where one file would pass ``largest_part``.
 
@@ -108,7 +108,7 @@ class _PartWriter:
         """Take up rows; complete row groups go to the file."""
         self._pending.append(batch)
         self._pending_rows += batch.num_rows
-        if self._pending_rows >= ROW_GROUP_ROWS:
+        if self._pending_rows >= _ROW_GROUP_ROWS:
             self._flush(everything=False)
         return batch.num_rows
 
@@ -120,9 +120,9 @@ class _PartWriter:
 
     def _flush(self, *, everything: bool) -> None:
         table = pa.Table.from_batches([batch.cast(self._schema) for batch in self._pending], self._schema)
-        rows = table.num_rows if everything else table.num_rows - table.num_rows % ROW_GROUP_ROWS
+        rows = table.num_rows if everything else table.num_rows - table.num_rows % _ROW_GROUP_ROWS
         if rows:
-            self._writer.write_table(table.slice(0, rows), row_group_size=ROW_GROUP_ROWS)
+            self._writer.write_table(table.slice(0, rows), row_group_size=_ROW_GROUP_ROWS)
         self._pending = table.slice(rows).to_batches()
         self._pending_rows = table.num_rows - rows
 

@@ -14,7 +14,7 @@ from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import SUIT_RATE
 from prbench.corpora.nymeria.source import NymeriaOptions, recording_clips
 from prbench.corpora.nymeria.suit import clean_suit
-from prbench.corpora.sources import Belonging, ClipLimits, CorpusOptions, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.errors import UsageError
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, described_options
@@ -47,7 +47,7 @@ class SyntheticSource:
     """One recording that is acted out when it is read (see :class:`prbench.corpora.sources.CorpusRecording`)."""
 
     index: int
-    belonging: Belonging
+    identity: RecordingIdentity
     options: SyntheticOptions
     limits: ClipLimits
     skip_reason: None = None
@@ -77,7 +77,7 @@ class SyntheticSource:
         )
         texts = tuple(row for row in readings.recording.narrations if row.kind in kinds)
         offset = ClockOffset("known", readings.offset)
-        return recording_clips(self.belonging, body, texts, offset, self.limits, manifest.thresholds)
+        return recording_clips(self.identity, body, texts, offset, self.limits, manifest.thresholds)
 
 
 class SyntheticCorpus:
@@ -106,8 +106,10 @@ class SyntheticCorpus:
         sources = []
         for index in range(chosen.recordings):
             cast = cast_of(chosen.seed, index)
-            belonging = Belonging(DATASET, cast.recording_id, cast.participant_id, cast.split, cast.participant_id)
-            sources.append(SyntheticSource(index, belonging, chosen, limits))
+            identity = RecordingIdentity(
+                DATASET, cast.recording_id, cast.participant_id, cast.split, cast.participant_id
+            )
+            sources.append(SyntheticSource(index, identity, chosen, limits))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:

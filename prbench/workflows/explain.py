@@ -51,7 +51,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     """
     table = SequenceTable.open(folder)
     events = table.events()
-    row = find_event(events, event)
+    row = _find_event(events, event)
     record = _record(events, row)
     recordings = table.recordings()
     index = pc.index(recordings["recording_id"], record.recording_id).as_py()
@@ -70,7 +70,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     )
 
 
-def find_event(events: pa.Table, wanted: str) -> int:
+def _find_event(events: pa.Table, wanted: str) -> int:
     """The row of the one event that fits.
 
     Raises:

@@ -33,8 +33,8 @@ class FoundCorpus:
 
     @property
     def name(self) -> str:
-        """Name that a build gives it: ``synthetic-`` stands before that of invented people."""
-        return self.recordings[0].belonging.dataset
+        """Name that a build gives it: ``synthetic-`` stands before that of synthetic people."""
+        return self.recordings[0].identity.dataset
 
 
 def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
@@ -42,7 +42,7 @@ def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
     found = []
     for name in CORPUS_MODULES:
         if corpus_for(name).manifest is None:
-            continue  # invented on the spot; nothing of it lies anywhere
+            continue  # generated on the spot; no folder holds it
         below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
         for folder in (root, *below):
             try:
@@ -138,7 +138,7 @@ def _inspect_corpus(found: FoundCorpus) -> InspectedDataset:
     """Corpora tell while they are searched which of their recordings cannot be used."""
     recordings = tuple(
         InspectedRecording(
-            each.belonging.recording_id,
+            each.identity.recording_id,
             "left out" if each.skip_reason else "complete",
             each.cost.input_bytes,
             (each.skip_reason,) if each.skip_reason else (),

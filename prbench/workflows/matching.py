@@ -15,10 +15,10 @@ from prbench.recording.reaching_hand import LEAST_DIFFERENCE
 from prbench.sequences.sequence import EventRecord
 from prbench.synthetic.performance import TrueEvent
 
-LARGEST_DIFFERENCE = 0.5
+_LARGEST_DIFFERENCE = 0.5
 """Seconds between a found and a true event that may be the same."""
-NOT_AN_EVENT = "not_an_event"
-LOST = "lost"
+_NOT_AN_EVENT = "not_an_event"
+_LOST = "lost"
 _SEQUENCE = "sequence"
 PRIMED_STAGES = ("priming", "clipping", "body", "filters")
 """Stages at which it is known whether an event was primed."""
@@ -35,7 +35,7 @@ class Match:
     @property
     def expected(self) -> str:
         """The outcome that curation should have reached."""
-        return NOT_AN_EVENT if self.true is None else self.true.expected
+        return _NOT_AN_EVENT if self.true is None else self.true.expected
 
     @property
     def outcome(self) -> str:
@@ -57,7 +57,7 @@ def match_events(true: Sequence[TrueEvent], found: Sequence[EventRecord]) -> lis
         return [Match(event, None) for event in true] + [Match(None, event) for event in found]
     difference = np.abs(np.subtract.outer([t.event_time for t in true], [f.event_time for f in found]))
     same = np.array([[t.object_id == f.object_id and t.action == f.action for f in found] for t in true])
-    rows, columns = np.nonzero(same & (difference <= LARGEST_DIFFERENCE))
+    rows, columns = np.nonzero(same & (difference <= _LARGEST_DIFFERENCE))
     partner: dict[int, int] = {}
     taken: set[int] = set()
     for index in np.argsort(difference[rows, columns], kind="stable"):
@@ -171,9 +171,9 @@ class Verification:
 def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
     """Summarise the matches of some recordings."""
     thin = [m for m in matches if m.true is not None and m.true.thin]
-    lost = [m for m in matches if m.true is not None and m.true.tag == LOST]
-    counted = [m for m in matches if m.true is None or not (m.true.thin or m.true.tag == LOST)]
-    real = [m for m in counted if m.expected != NOT_AN_EVENT]
+    lost = [m for m in matches if m.true is not None and m.true.tag == _LOST]
+    counted = [m for m in matches if m.true is None or not (m.true.thin or m.true.tag == _LOST)]
+    real = [m for m in counted if m.expected != _NOT_AN_EVENT]
     found = [m for m in counted if m.found is not None]
     pairs = [(m.true, m.found) for m in real if m.true is not None and m.found is not None]
     primed = [(t, f) for t, f in pairs if f.stage in PRIMED_STAGES and t.prime_time is not None]
@@ -186,7 +186,7 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
         found_events=len(found),
         matched=len(pairs),
         thin=len(thin),
-        thin_missed=sum(m.found is None and m.expected != NOT_AN_EVENT for m in thin),
+        thin_missed=sum(m.found is None and m.expected != _NOT_AN_EVENT for m in thin),
         recall=_share(len(pairs), len(real)),
         precision=_share(len(pairs), len(found)),
         timing=Spread.of(f.event_time - t.event_time for t, f in pairs),

@@ -29,7 +29,7 @@ _IN_PROCESS = InProcess()
 
 PUBLISHED_OUTCOMES = ("primed", "not_primed", "excluded", "not in the file")
 RULE_OUTCOMES = ("primed", "not_primed", "no_location")
-ACTIONS = ("pick", "put")
+_ACTIONS = ("pick", "put")
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def _validation(
     outcomes: Counter[str],
     published: Counter[str],
 ) -> Validation:
-    of_action = [agreement(action, [event for event in events if event.action == action]) for action in ACTIONS]
+    of_action = [agreement(action, [event for event in events if event.action == action]) for action in _ACTIONS]
     return Validation(
         recordings=recordings,
         synthetic=synthetic,

@@ -27,7 +27,7 @@ TEXTS_ARCHIVE = "texts.zip"
 SPLIT_FILES = {"train": "train.txt", "validation": "val.txt", "test": "test.txt"}
 MIRROR_PREFIX = "M"
 RATE = 20.0
-TEXT_SEPARATOR = "#"
+_TEXT_SEPARATOR = "#"
 """``caption#tokens#from#to``; both times 0.0 mean the whole motion."""
 
 
@@ -67,7 +67,7 @@ def read_texts(path: Path) -> tuple[TextLine, ...]:
 
 
 def _parse(path: Path, number: int, line: str) -> TextLine:
-    parts = line.strip().rsplit(TEXT_SEPARATOR, 3)
+    parts = line.strip().rsplit(_TEXT_SEPARATOR, 3)
     if len(parts) != 4:
         raise InputFileError(
             path,

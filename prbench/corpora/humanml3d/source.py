@@ -13,7 +13,7 @@ from prbench.bounded import read_text
 from prbench.corpora.humanml3d import files as layout
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.files import read_joints, read_texts
-from prbench.corpora.sources import Belonging, ClipLimits, CorpusOptions, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.errors import InputFileError, UsageError
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -51,7 +51,7 @@ class HumanML3DSource:
 
     root: Path
     files: MotionFiles
-    belonging: Belonging
+    identity: RecordingIdentity
     skip_reason: str | None
     limits: ClipLimits
 
@@ -91,7 +91,7 @@ class HumanML3DSource:
             )
         joints = read_joints(files.joints)
         lines = read_texts(files.texts or self.root / layout.TEXTS_FOLDER / f"{files.name}.txt")
-        clips, annotations = clips_of(self.belonging, joints, lines, self.limits, load_manifest("humanml3d"))
+        clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
         return ReadRecording(clips, annotations, len(joints) / layout.RATE)
 
 
@@ -122,8 +122,8 @@ class HumanML3DCorpus:
             group = name.removeprefix(layout.MIRROR_PREFIX)
             split = splits.get(name)
             reason = None if split else "not listed in train.txt, val.txt or test.txt"
-            belonging = Belonging(dataset, name, _UNKNOWN_PERSON, split or "train", group)
-            sources.append(HumanML3DSource(root, files, belonging, reason, limits))
+            identity = RecordingIdentity(dataset, name, _UNKNOWN_PERSON, split or "train", group)
+            sources.append(HumanML3DSource(root, files, identity, reason, limits))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:

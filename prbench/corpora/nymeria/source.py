@@ -19,7 +19,7 @@ from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, of
 from prbench.corpora.nymeria.files import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench.corpora.nymeria.format import Narration, NymeriaRecording
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
-from prbench.corpora.sources import Belonging, ClipLimits, CorpusOptions, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
@@ -73,7 +73,7 @@ class NymeriaSource:
 
     root: Path
     found: RecordingFiles
-    belonging: Belonging
+    identity: RecordingIdentity
     skip_reason: str | None
     options: NymeriaOptions
     limits: ClipLimits
@@ -111,7 +111,7 @@ class NymeriaSource:
         clean = clean_suit(read_suit(path), self._manifest.thresholds, path=path)
         offset, messages = self._offset(clean, narrations)
         read = recording_clips(
-            self.belonging, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
+            self.identity, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
         )
         message = "; ".join(part for part in (*self._without_texts(narrations), *messages, read.message) if part)
         return ReadRecording(
@@ -198,7 +198,7 @@ def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, off
 
 
 def recording_clips(
-    belonging: Belonging,
+    identity: RecordingIdentity,
     body: BodyMotion,
     narrations: tuple[Narration, ...],
     offset: ClockOffset | None,
@@ -206,7 +206,7 @@ def recording_clips(
     thresholds: dict[str, float],
 ) -> ReadRecording:
     """Clips and the fate of every text; used for files and for recordings that were never written."""
-    clips, annotations = clips_of(belonging, body, narrations, offset, limits, thresholds)
+    clips, annotations = clips_of(identity, body, narrations, offset, limits, thresholds)
     duration = sum(len(piece.joints) / piece.rate for piece in body.pieces)
     return ReadRecording(
         clips,
@@ -248,9 +248,9 @@ class NymeriaCorpus:
             name, dataset = found.recording_id, found.dataset
             participant = _participant(found)
             split = found.split or split_by_participant(self.manifest, participant)
-            belonging = Belonging(dataset, name, participant, split, participant)
-            sources.append(NymeriaSource(root, found, belonging, self.manifest.why_bad(name), chosen, limits))
-        require_one_origin(root, (source.belonging.dataset for source in sources))
+            identity = RecordingIdentity(dataset, name, participant, split, participant)
+            sources.append(NymeriaSource(root, found, identity, self.manifest.why_bad(name), chosen, limits))
+        require_one_origin(root, (source.identity.dataset for source in sources))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:

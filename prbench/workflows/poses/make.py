@@ -50,8 +50,8 @@ def make_poses(
 ) -> tuple[Outcome, ...]:
     """Make the bodies that are lacking, one recording after the other; what is complete is kept.
 
-    A recording that fails is told and does not stop the others. Interrupted, the same call goes on where it stopped:
-    outputs take their place only when they are whole.
+    A recording that fails is reported and does not stop the others. After an interruption the same call goes on where
+    it stopped: outputs take their place only when they are whole.
 
     Args:
         states: What there is.

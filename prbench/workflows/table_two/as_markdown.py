@@ -21,8 +21,8 @@ from prbench.workflows.table_two.layout import (
 )
 from prbench.workflows.table_two.order import Step
 
-DASH = "–"
-MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
+_DASH = "–"
+_MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
 """Marks of the study's row labels."""
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
 SCHEMA_VERSION = 1
@@ -65,8 +65,8 @@ def notes(layout: TableLayout) -> Iterable[str]:
     if layout.minutes is not None:
         yield f"n is what fitted into {layout.minutes} min on the machine that it was run on."
     lines = [line for block in layout.datasets[0].blocks for line in block.lines]
-    if any(line.label[-1] in MARKS for line in lines):
-        yield "; ".join(f"{mark}: {meaning}" for mark, meaning in MARKS.items()) + "; no mark: fine-tuned."
+    if any(line.label[-1] in _MARKS for line in lines):
+        yield "; ".join(f"{mark}: {meaning}" for mark, meaning in _MARKS.items()) + "; no mark: fine-tuned."
     yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
     few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
     if few:
@@ -108,7 +108,7 @@ def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
 
 def _cell(cell: Cell | None) -> str:
     if cell is None:
-        return DASH
+        return _DASH
     mean = f"{cell.mean:.2f}"
     marked = {1: f"**{mean}**", 2: f"<u>{mean}</u>"}.get(cell.rank or 0, mean)
     return f"{marked} {cell.interval}".rstrip()
@@ -116,9 +116,9 @@ def _cell(cell: Cell | None) -> str:
 
 def cost_cells(cost: LineCost) -> tuple[str, str, str]:
     """Seconds and network passes of a motion, memory of a process."""
-    seconds = DASH if cost.seconds is None else f"{cost.seconds:.2f}"
-    passes = DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
-    return seconds, passes, DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
+    seconds = _DASH if cost.seconds is None else f"{cost.seconds:.2f}"
+    passes = _DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
+    return seconds, passes, _DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
 
 
 def as_builtins(layout: TableLayout) -> dict[str, object]:

@@ -30,13 +30,13 @@ from prbench.workflows.table_two.side_by_side import generate_side_by_side
 
 RESERVE = 0.1
 """Share of the time that is left free: the last batch of all is made alone, and machines have other work."""
-LARGEST_BATCH = 16
+_LARGEST_BATCH = 16
 """Sequences; as many as the slowest methods generate side by side."""
 _SHARES = 2
 """Batches of equal size for as many workers; a fixed number, so that ``--workers`` changes no result."""
 FOLDER = ".timing"
 """Folder in the table's own one, so that a table that is killed meanwhile goes on with what it has timed."""
-MEASURED_SEQUENCES = 8
+_MEASURED_SEQUENCES = 8
 """Sequences in the one batch that is timed."""
 
 
@@ -73,9 +73,9 @@ class Pace:
 
 
 def even_batch_size(limit: int, sizes: Sequence[DatasetSize]) -> int:
-    """The largest batches, up to :data:`LARGEST_BATCH`, that leave none of two workers without one."""
+    """The largest batches, up to :data:`_LARGEST_BATCH`, that leave none of two workers without one."""
     most = max(min(limit, size.sequences) for size in sizes)
-    rounds = math.ceil(most / (_SHARES * LARGEST_BATCH))
+    rounds = math.ceil(most / (_SHARES * _LARGEST_BATCH))
     return math.ceil(most / (_SHARES * rounds))
 
 
@@ -181,7 +181,7 @@ def near_median(selection: Selection) -> Selection:
     """The sequences whose length is nearest to the median, so that hardly anything is padded."""
     distance = np.abs(selection.n_frames - np.median(selection.n_frames))
     keep = np.zeros(len(selection), dtype=bool)
-    keep[np.argsort(distance, kind="stable")[:MEASURED_SEQUENCES]] = True
+    keep[np.argsort(distance, kind="stable")[:_MEASURED_SEQUENCES]] = True
     return selection.chosen(keep)
 
 
@@ -190,7 +190,7 @@ def _first_batch(run: RunRequest, median: Selection, out: Path) -> RunRequest:
         run,
         data=(median.table.folder,),
         sequences=median.sequence_ids,
-        batch_size=MEASURED_SEQUENCES,
+        batch_size=_MEASURED_SEQUENCES,
         samples=1,
         control=None,
         out=out,

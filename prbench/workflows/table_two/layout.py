@@ -23,9 +23,9 @@ from prbench.workflows.table_two.order import METRIC, Step, order_of
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import load_table_two
 
-METRIC_TITLES = {"location_error": "Loc Err"}
+_METRIC_TITLES = {"location_error": "Loc Err"}
 """Titles for which the study's table prints another word than the metric's own."""
-CONTROLS_TITLE = "Controls"
+_CONTROLS_TITLE = "Controls"
 _CONTROL = "control"
 _MEBIBYTE = 2**20
 
@@ -141,7 +141,7 @@ class TableLayout:
 def metric_title(info: MetricInfo) -> str:
     """Return a metric's title as the study's table prints it, with its direction."""
     arrow = {True: " ↑", False: " ↓", None: ""}[info.higher_is_better]
-    return f"{METRIC_TITLES.get(info.id, info.title)}{arrow}"
+    return f"{_METRIC_TITLES.get(info.id, info.title)}{arrow}"
 
 
 def lay_out(
@@ -178,7 +178,7 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
         under[_CONTROL if planned.is_control else planned.run.condition.value].append(line)
-    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: CONTROLS_TITLE}
+    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: _CONTROLS_TITLE}
     return DatasetLayout(
         dataset=info.dataset,
         title=info.title,

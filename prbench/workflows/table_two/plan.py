@@ -15,7 +15,7 @@ from prbench.workflows.table_two.request import CONTROLS, Row, TableRequest, loa
 
 ALL = "all"
 """The value of ``--method`` or ``--condition`` that asks for all that Table 2 has."""
-ROWS_FOLDER = "rows"
+_ROWS_FOLDER = "rows"
 GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
 
 
@@ -72,7 +72,7 @@ def _planned(request: TableRequest, row: Row, data: tuple[Path, ...], folder: Pa
         condition=row.condition,
         weights=weights,
         options=request.options_of(row.method),
-        out=folder / ROWS_FOLDER / row.name,
+        out=folder / _ROWS_FOLDER / row.name,
     )
     reason = _why_skipped(row, run, own=own is not None)
     return PlannedRow(row.name, row.label, row, run, reason, stands_in=own is None and bool(row.bundled))
@@ -99,14 +99,14 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
 def _shuffled(planned: PlannedRow, folder: Path) -> PlannedRow:
     """The same with other sequences' goals."""
     name = f"{planned.name}-{SHUFFLED_GOAL}"
-    run = replace(planned.run, control=SHUFFLED_GOAL, out=folder / ROWS_FOLDER / name)
+    run = replace(planned.run, control=SHUFFLED_GOAL, out=folder / _ROWS_FOLDER / name)
     label = f"{planned.label}, {run.condition.value}, {SHUFFLED_GOAL}"
     return replace(planned, name=name, label=label, run=run)
 
 
 def _control(request: TableRequest, name: str, data: tuple[Path, ...], folder: Path) -> PlannedRow:
     run = replace(
-        _base(request, data), method=name, condition=_control_condition(request), out=folder / ROWS_FOLDER / name
+        _base(request, data), method=name, condition=_control_condition(request), out=folder / _ROWS_FOLDER / name
     )
     return PlannedRow(name, name, None, run)
 

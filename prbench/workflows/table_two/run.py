@@ -1,8 +1,9 @@
 """Work through the rows of Table 2, unattended.
 
 ``plan.json`` is written first and holds the number of sequences; every row is a run folder of its own, which resumes.
-The batches of all rows are generated side by side, those of the dearest rows first; then each row is scored. A row that
-cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next call.
+The batches of all rows are generated side by side, those of the most expensive rows first; then each row is scored. A
+row that cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next
+call.
 Whatever moment the table was killed at, the same request goes on and ends with the same numbers.
 """
 
@@ -95,7 +96,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         assert plan.limit is not None
         say.notice(_shown_limit(plan, tables, sizes))
         batch_size = request.batch_size or even_batch_size(plan.limit, sizes)
-        runs = {row.name: row.limited(plan.limit, batch_size) for row in _dearest_first(planned, plan)}
+        runs = {row.name: row.limited(plan.limit, batch_size) for row in _most_expensive_first(planned, plan)}
         outcomes = _outcomes(planned, runs, engine, say)
         minutes = plan.minutes if plan.fits else None
         layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
@@ -106,7 +107,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
     return TableReport(folder, layout, outcomes)
 
 
-def _dearest_first(planned: list[PlannedRow], plan: TablePlan) -> list[PlannedRow]:
+def _most_expensive_first(planned: list[PlannedRow], plan: TablePlan) -> list[PlannedRow]:
     """Rows to be run; a short batch at the end leaves the other worker idle for less long than a long one."""
 
     def seconds(row: PlannedRow) -> float:

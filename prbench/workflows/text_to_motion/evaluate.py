@@ -34,7 +34,7 @@ from prbench.workflows.text_to_motion.generated import Generator, MethodRequest,
 from prbench.workflows.text_to_motion.report import ResultRow, RowTally, TextEvaluation
 
 REPETITIONS, REPETITIONS_WITH_MULTIMODALITY = 20, 5
-PROMPTS = 1000
+_PROMPTS = 1000
 REAL, MISMATCHED = "real", "real, texts shuffled"
 Progress = Callable[[int, int, str], None]
 """Called with finished repetitions, all repetitions, and a word."""
@@ -56,7 +56,7 @@ class TextEvaluationRequest:
     repetitions: int | None = None
     """Number of repetitions; by default 20, and 5 with multimodality."""
     multimodality: bool = False
-    prompts: int = PROMPTS
+    prompts: int = _PROMPTS
     """Prompts that a method is given in a repetition; fewer if there are fewer."""
     diversity_pairs: int = DIVERSITY_PAIRS
     seed: int = 0

@@ -113,8 +113,8 @@ def _continue_from(module: EvaluatorTraining, start: Weights) -> None:
     Raises:
         InputFileError: if it is one of another size or representation.
     """
-    of_no_matter = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
-    start.require_same(module.configuration, apart_from=of_no_matter)
+    irrelevant = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
+    start.require_same(module.configuration, apart_from=irrelevant)
     start.load_into(module.movement, "movement")
 
 

@@ -116,7 +116,7 @@ def contrastive_losses(
     }
 
 
-def positive_losses(
+def _positive_losses(
     text: Float[torch.Tensor, "batch dimension"], motion: Float[torch.Tensor, "batch dimension"]
 ) -> dict[str, torch.Tensor]:
     """:func:`contrastive_losses` where there is no wrong pair."""
@@ -226,7 +226,7 @@ class EvaluatorTraining(TrainingModule):
         tokens, lengths = cut_tokens(self.tokens.encode(batch.text), self.configuration)
         text, motion = self.text(tokens.to(features.device), lengths), self.motion(snippets, counts)
         if len(batch) < 2:  # what was left over of the validation split has nothing wrong to meet
-            return positive_losses(text, motion)
+            return _positive_losses(text, motion)
         return contrastive_losses(
             text, motion, shift=shift, margin=self.objective.margin, counted=self._counted(batch, shift)
         )
