@@ -10,14 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.corpora.humanml3d.format import MIRROR_PREFIX
+from prbench.corpora.humanml3d.files import MIRROR_PREFIX
 from prbench.corpora.nymeria.body import suit_motion
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import SUIT_RATE
 from prbench.corpora.nymeria.source import NymeriaOptions, recording_clips
 from prbench.corpora.nymeria.suit import clean_suit
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.locks import sole_writer
@@ -55,7 +54,7 @@ class SyntheticSource:
     """One recording that is acted out when it is read (see :class:`prbench.corpora.sources.CorpusRecording`)."""
 
     index: int
-    belonging: Belonging
+    identity: RecordingIdentity
     options: SyntheticOptions
     limits: ClipLimits
     skip_reason: None = None
@@ -85,7 +84,7 @@ class SyntheticSource:
         )
         texts = tuple(row for row in readings.recording.narrations if row.kind in kinds)
         offset = ClockOffset("known", readings.offset)
-        return recording_clips(self.belonging, body, texts, offset, self.limits, manifest.thresholds)
+        return recording_clips(self.identity, body, texts, offset, self.limits, manifest.thresholds)
 
 
 class SyntheticCorpus:
@@ -114,10 +113,10 @@ class SyntheticCorpus:
         sources = []
         for index in range(chosen.recordings):
             identity = identity_of(chosen.seed, index)
-            belonging = Belonging(
+            source = RecordingIdentity(
                 DATASET, identity.recording_id, identity.participant_id, identity.split, identity.participant_id
             )
-            sources.append(SyntheticSource(index, belonging, chosen, limits))
+            sources.append(SyntheticSource(index, source, chosen, limits))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:

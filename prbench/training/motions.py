@@ -14,7 +14,7 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, TableError
 from prbench.representation import Mode, encode, mirror
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
-from prbench.sequences.corpus_info import CORPUS_FILE
+from prbench.sequences.dataset_info import CORPUS_FILE
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 
 _LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)

@@ -15,7 +15,7 @@ from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo
 from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from tests.fakes import fake_info, fake_sequence
 
 ROWS = sorted((fake_sequence(index, recordings=2) for index in range(6)), key=lambda row: row.sequence_id)

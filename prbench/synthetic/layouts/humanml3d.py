@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.activities import NarratedMotion
