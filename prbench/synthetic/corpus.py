@@ -38,7 +38,7 @@ POSE_SOURCE = "invented-xsens"
 
 
 class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to invent."""
+    """Options of a corpus that is generated when it is read."""
 
     recordings: int = 40
     """How many; about 13 atomic actions each."""
@@ -93,7 +93,7 @@ class SyntheticCorpus:
 
     @property
     def manifest(self) -> Manifest | None:
-        """Nobody's licence: invented by prbench."""
+        """Return None: synthetic people are under nobody's licence."""
         return None
 
     def described(self, options: CorpusOptions) -> dict[str, str]:

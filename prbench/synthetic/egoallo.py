@@ -241,7 +241,7 @@ def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
 
 
 def write_smplh_model(path: Path) -> None:
-    """Write the invented body model with the keys of an SMPL-H file: 52 points, one a joint; fingers at the wrists.
+    """Write the synthetic body model with the keys of an SMPL-H file: 52 points, one a joint; fingers at the wrists.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.activities.stage import Arc, Hand, Loop, Script
+from prbench.synthetic.activities.script import Arc, Hand, Loop, Script
 from prbench.synthetic.people.arms import elbow_poles, move_wrists, pose_arms
 from prbench.synthetic.people.base import BasePath, BasePose, sample_base
 from prbench.synthetic.people.channels import add_bump, blend, bump, eased_trapezoid, minimum_jerk

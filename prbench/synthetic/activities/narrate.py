@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from prbench.skeleton import Joint, facing_yaw
 from prbench.synthetic.activities.acts import PAUSE, SHORT
 from prbench.synthetic.activities.patterns import BODY_POSTURE
-from prbench.synthetic.activities.stage import Act, Script
+from prbench.synthetic.activities.script import Act, Script
 from prbench.synthetic.activities.wording import Facts, Span, clause, facts_of, sentence
 from prbench.synthetic.people.legs import plan_steps
 from prbench.synthetic.people.motion import Motion

@@ -49,7 +49,7 @@ _SHARE = msgspec.json.Decoder(_Share)
 
 
 def slam_number(video: str) -> str:
-    """Return the number of the SLAM archive that holds an invented video: its own, at the end of its name."""
+    """Return the number of the SLAM archive that holds a synthetic video: its own, at the end of its name."""
     return str(int(video.rpartition("_")[2]))
 
 

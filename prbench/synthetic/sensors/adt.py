@@ -77,7 +77,7 @@ def clock_start_us(performance: Performance) -> int:
 
 
 def _glasses_serial(performance: Performance, other: int = 0) -> str:
-    """Return an invented serial of the wearer's glasses, or of those of another person in the scene."""
+    """Return a synthetic serial of the wearer's glasses, or of those of another person in the scene."""
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
 

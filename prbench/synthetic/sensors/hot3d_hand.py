@@ -1,4 +1,4 @@
-"""An invented hand in UmeTrack's form: 80 vertices, 21 landmarks, and how it follows a performance.
+"""A synthetic hand in UmeTrack's form: 80 vertices, 21 landmarks, and how it follows a performance.
 
 Model frame as in the dataset: x from the wrist along the middle finger, y out of the back of the hand, z towards the
 thumb. All lengths are shares of the distance from the wrist to the base of the middle finger.

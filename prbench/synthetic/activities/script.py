@@ -1,4 +1,4 @@
-"""Somebody on an empty floor: the state between activities, and the small movements of which they are made."""
+"""The script of a recording: commands of the activities, and the writer who knows where the person is between them."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ _EYE_HEIGHT, _SEATED_EYE_HEIGHT = 0.93, 0.71  # of the stature
 _ARC_START, _ARC_STOP = 0.5, 0.65  # s
 
 
-class Stage:
+class ScriptWriter:
     """Adds movements to a script; knows where the person is and whether they sit."""
 
     def __init__(self, person: Person, rng: np.random.Generator) -> None:
