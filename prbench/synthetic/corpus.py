@@ -73,7 +73,8 @@ class SyntheticSource:
         """Act it out, and cut the clips that its texts describe."""
         motion = narrated_recording(self.options.seed, self.index)
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
-        manifest, kinds = load_manifest("nymeria"), NymeriaOptions(kinds=self.options.kinds).chosen_kinds
+        manifest = load_manifest("nymeria")
+        kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
         clean = clean_suit(readings.recording.suit, manifest.thresholds, path=motion.recording_id)
         body = suit_motion(
             clean,
@@ -98,7 +99,8 @@ class SyntheticCorpus:
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
         """Return the rate, lengths, seed and generator."""
-        limits, chosen = self._limits(options), self._options(options)
+        limits = self._limits(options)
+        chosen = self._options(options)
         return {
             "fps": f"{limits.fps:g}",
             "max_frames": str(limits.longest),
@@ -110,7 +112,8 @@ class SyntheticCorpus:
         """Return as many recordings as were asked for."""
         if root is not None:
             raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
-        chosen, limits = self._options(options), self._limits(options)
+        chosen = self._options(options)
+        limits = self._limits(options)
         sources = []
         for index in range(chosen.recordings):
             identity = identity_of(chosen.seed, index)

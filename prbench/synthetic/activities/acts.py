@@ -57,7 +57,8 @@ def _walk_curve(writer: ScriptWriter) -> None:
 
 def _walk_carrying(writer: ScriptWriter) -> None:
     """Walk with one or both hands held before the chest, as with something in them."""
-    begin, hand = writer.now, int(writer.rng.integers(3))
+    begin = writer.now
+    hand = int(writer.rng.integers(3))
     hands = (0, 1) if hand == 2 else (hand,)
     for one in hands:
         writer.move_hand(one, begin, 0.75, "shoulder", _CARRY_BOTH if hand == 2 else _CARRY)
@@ -88,17 +89,21 @@ def stand(writer: ScriptWriter) -> None:
 
 def look_around(writer: ScriptWriter) -> None:
     """Look far to both sides in turn."""
-    begin, time, side = writer.now, writer.now, writer.side()
+    begin = writer.now
+    time = writer.now
+    side = writer.side()
     for _ in range(int(writer.rng.integers(3, 5))):
         length = writer.draw(0.75, 1.15)
         writer.look(time, time + length, side * writer.draw(0.7, 1.35), writer.draw(-0.15, 0.3))
-        time, side = time + length, -side
+        time = time + length
+        side = -side
     writer.did("look around", begin, time)
 
 
 def _look_at_hands(writer: ScriptWriter) -> None:
     """Hold both hands before the chest and look at them."""
-    begin, length = writer.now, writer.draw(2.6, 3.6)
+    begin = writer.now
+    length = writer.draw(2.6, 3.6)
     for hand in (0, 1):
         writer.move_hand(hand, begin, 0.8, "shoulder", (-0.05, -0.10, 0.17))
         writer.rest(hand, begin + length - 0.8, 0.8)
@@ -108,7 +113,8 @@ def _look_at_hands(writer: ScriptWriter) -> None:
 
 def _step_sideways(writer: ScriptWriter) -> None:
     """Step sideways, still facing the same way."""
-    begin, side = writer.now, writer.side()
+    begin = writer.now
+    side = writer.side()
     goal = writer.base.point + side * writer.draw(0.3, 0.6) * writer.base.left
     segment = writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0)
     writer.did("sidestep", begin, begin + 1.5 if segment is None else segment.end)
@@ -124,7 +130,8 @@ def _step_back(writer: ScriptWriter) -> None:
 
 def _reach_out(writer: ScriptWriter) -> None:
     """Reach for something without taking it."""
-    begin, hand = writer.now + 0.2, writer.free_hand()
+    begin = writer.now + 0.2
+    hand = writer.free_hand()
     outwards = (1.0 if hand == 0 else -1.0) * writer.draw(0.02, 0.20)
     point = writer.base.point + writer.draw(0.42, 0.58) * writer.base.forward + outwards * writer.base.left
     point[1] = writer.stature * writer.draw(0.42, 0.92)
@@ -133,8 +140,11 @@ def _reach_out(writer: ScriptWriter) -> None:
 
 
 def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: tuple[float, float]) -> None:
-    begin, hand, length = writer.now, writer.free_hand(), writer.draw(3.0, 4.2)
-    half, ratio = writer.draw(*size) / 2.0, writer.draw(0.5, 1.0)
+    begin = writer.now
+    hand = writer.free_hand()
+    length = writer.draw(3.0, 4.2)
+    half = writer.draw(*size) / 2.0
+    ratio = writer.draw(0.5, 1.0)
     loop = Loop(
         begin + 0.7, begin + length - 0.7, np.array([half, 0.0, 0.0]), np.array([0.0, 0.0, half * ratio]),
         writer.draw(*frequency),
@@ -160,7 +170,8 @@ def stir(writer: ScriptWriter) -> None:
 
 def crouch(writer: ScriptWriter) -> None:
     """Go down with bent knees, and up again."""
-    begin, depth = writer.now, writer.draw(0.32, 0.48)
+    begin = writer.now
+    depth = writer.draw(0.32, 0.48)
     down = 0.8 + 1.25 * depth
     stay = writer.draw(0.4, 1.0)
     writer.bend(begin, down, writer.draw(0.35, 0.6), depth)
@@ -170,7 +181,9 @@ def crouch(writer: ScriptWriter) -> None:
 
 def _bend_forward(writer: ScriptWriter) -> None:
     """Lean forward with nearly straight legs, and up again."""
-    begin, length, stay = writer.now, writer.draw(1.0, 1.3), writer.draw(0.4, 1.0)
+    begin = writer.now
+    length = writer.draw(1.0, 1.3)
+    stay = writer.draw(0.4, 1.0)
     writer.bend(begin, length, writer.draw(0.75, 1.15), writer.draw(0.02, 0.06))
     writer.look(begin + 0.1, begin + length + stay, 0.0, 1.0, 1.2)
     writer.bend(begin + length + stay, length, 0.0, 0.0)
@@ -179,8 +192,10 @@ def _bend_forward(writer: ScriptWriter) -> None:
 
 def wave(writer: ScriptWriter) -> None:
     """Wave a hand beside the head."""
-    begin, hand = writer.now, writer.free_hand()
-    frequency, cycles = writer.draw(1.5, 2.5), int(writer.rng.integers(3, 7))
+    begin = writer.now
+    hand = writer.free_hand()
+    frequency = writer.draw(1.5, 2.5)
+    cycles = int(writer.rng.integers(3, 7))
     waving = cycles / frequency
     loop = Loop(begin + 0.75, begin + 0.75 + waving, np.array([0.05, 0.0, 0.0]), np.array([0.0, 0.015, 0.0]), frequency)
     writer.script.hands.append(Hand(hand, begin, 0.8, "shoulder", (0.09, 0.105, 0.08), loop, _WAVING_ELBOW, _BULGE))
@@ -192,7 +207,9 @@ def wave(writer: ScriptWriter) -> None:
 
 def _raise_arms(writer: ScriptWriter) -> None:
     """Raise both arms, and lower them again."""
-    begin, up, stay = writer.now, writer.draw(0.9, 1.2), writer.draw(0.4, 1.1)
+    begin = writer.now
+    up = writer.draw(0.9, 1.2)
+    stay = writer.draw(0.4, 1.1)
     for hand in (0, 1):
         writer.move_hand(hand, begin, up, "shoulder", (writer.draw(0.02, 0.06), 0.265, 0.05), bulge=_BULGE)
         writer.rest(hand, begin + up + stay, up, bulge=_BULGE)
@@ -201,7 +218,9 @@ def _raise_arms(writer: ScriptWriter) -> None:
 
 def _scratch_head(writer: ScriptWriter) -> None:
     """Rub the head with a hand."""
-    begin, hand, length = writer.now, writer.free_hand(), writer.draw(2.8, 3.8)
+    begin = writer.now
+    hand = writer.free_hand()
+    length = writer.draw(2.8, 3.8)
     loop = Loop(
         begin + 0.8,
         begin + length - 0.8,

@@ -71,7 +71,8 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
     Raises:
         ValueError: if the model cannot express the person: a preset whose bodies differ in other lengths.
     """
-    rest, wanted = synthetic_smplh(), _rest_bones(performance)
+    rest = synthetic_smplh()
+    wanted = _rest_bones(performance)
     wanted[Joint.HEAD] = _HEAD_BONE * performance.person.stature
     directions = np.stack([_bones_of(rest.directions[..., k]) for k in range(ego.N_BETAS)], axis=-1)
     missing = (wanted - _bones_of(rest.template)).reshape(-1)
