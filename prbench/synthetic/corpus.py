@@ -37,7 +37,7 @@ POSE_SOURCE = "invented-xsens"
 
 
 class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to invent."""
+    """Options of a corpus that is generated when it is read."""
 
     recordings: int = 40
     """How many; about 13 atomic actions each."""
@@ -72,7 +72,8 @@ class SyntheticSource:
         """Act it out, and cut the clips that its texts describe."""
         motion = narrated_recording(self.options.seed, self.index)
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
-        manifest, kinds = load_manifest("nymeria"), NymeriaOptions(kinds=self.options.kinds).chosen_kinds
+        manifest = load_manifest("nymeria")
+        kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
         clean = clean_suit(readings.recording.suit, manifest.thresholds, path=motion.recording_id)
         body = suit_motion(
             clean,
@@ -92,12 +93,13 @@ class SyntheticCorpus:
 
     @property
     def manifest(self) -> Manifest | None:
-        """Nobody's licence: invented by prbench."""
+        """Return None: synthetic people are under nobody's licence."""
         return None
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
         """Return the rate, lengths, seed and generator."""
-        limits, chosen = self._limits(options), self._options(options)
+        limits = self._limits(options)
+        chosen = self._options(options)
         return {
             "fps": f"{limits.fps:g}",
             "max_frames": str(limits.longest),
@@ -109,7 +111,8 @@ class SyntheticCorpus:
         """Return as many recordings as were asked for."""
         if root is not None:
             raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
-        chosen, limits = self._options(options), self._limits(options)
+        chosen = self._options(options)
+        limits = self._limits(options)
         sources = []
         for index in range(chosen.recordings):
             identity = identity_of(chosen.seed, index)

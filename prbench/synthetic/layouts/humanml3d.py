@@ -43,7 +43,8 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
     stride = round(motion.rate / layout.RATE)
     motions = []
     for number in range(0, len(rows) - 1, 2):
-        first, second = rows[number], rows[number + 1]
+        first = rows[number]
+        second = rows[number + 1]
         if second.end - first.start > _LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
             continue
         begin, stop = (round(time * motion.rate) for time in (first.start, second.end))
