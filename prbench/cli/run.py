@@ -108,7 +108,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _require_no_minutes(arguments)
     _tell_claims(arguments.method)
     if arguments.view is not None:
-        from prbench.viewing.replay.file_kind import file_kind
+        from prbench.viewing.replay.write import file_kind
 
         file_kind(arguments.view)  # what would fail after the run fails before it
     first_run = not arguments.data

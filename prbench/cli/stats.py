@@ -34,7 +34,7 @@ def _stats(arguments: argparse.Namespace) -> int:
     from prbench.sequences.table_one import table_statistics
 
     if arguments.draw is not None:
-        from prbench.viewing.table_one import require_drawable
+        from prbench.viewing.distributions import require_drawable
 
         require_drawable(arguments.draw)
     tables = [SequenceTable.open(folder) for folder in arguments.data]
@@ -73,7 +73,7 @@ def _stats(arguments: argparse.Namespace) -> int:
     if any(each.dataset.startswith("synthetic-") for each in statistics):
         print("Synthetic sequences imitate the published means; their counts and scores are not comparable with them.")
     if arguments.draw is not None:
-        from prbench.viewing.table_one import draw_table_one
+        from prbench.viewing.distributions import draw_table_one
 
         draw_table_one(_with_sequences(statistics), arguments.draw)
         print(f"drawing: {arguments.draw}")

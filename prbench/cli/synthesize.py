@@ -93,7 +93,7 @@ def _synthesize(arguments: argparse.Namespace) -> int:
 def _write_tree(arguments: argparse.Namespace) -> None:
     from prbench.engine import engine_for
     from prbench.errors import UsageError
-    from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
+    from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
     if arguments.out is None:
@@ -160,7 +160,7 @@ def _write_table(arguments: argparse.Namespace) -> None:
 
 def _write_corpus_tree(arguments: argparse.Namespace) -> None:
     """Write synthetic people in the layout of a text-motion dataset."""
-    from prbench.synthetic.corpus_tree import DEFAULT_RECORDINGS, synthesize_corpus_tree
+    from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
 
     done, planned = itertools.count(1), arguments.recordings or DEFAULT_RECORDINGS
     with progress(f"writing {arguments.layout}") as show:
@@ -237,13 +237,13 @@ def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
 
 def _draw_gallery(arguments: argparse.Namespace) -> None:
     """Draw twelve sequences of all presets, or of the one that was named."""
-    from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
+    from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.people import perform
-    from prbench.viewing.clip_strips import invented_strips, render_strips
+    from prbench.viewing.clip_strips import render_strips, strips_of_activities
     from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
 
     if arguments.layout in CORPUS_LAYOUTS:
-        render_strips(invented_strips(arguments.seed), arguments.gallery)
+        render_strips(strips_of_activities(arguments.seed), arguments.gallery)
     elif arguments.layout is None:
         render_contact_sheet(arguments.gallery, seed=arguments.seed)
     else:
@@ -255,7 +255,7 @@ def _draw_gallery(arguments: argparse.Namespace) -> None:
 def _draw_histograms(arguments: argparse.Namespace) -> None:
     """Draw statistics of some recordings of the preset that was named, or of all presets."""
     from prbench.synthetic.people import PRESETS, perform
-    from prbench.viewing.histograms import render_histograms
+    from prbench.viewing.distributions import render_histograms
 
     presets = tuple(PRESETS) if arguments.layout is None else (arguments.layout,)
     count = arguments.recordings or _RECORDINGS_OF_A_HISTOGRAM

@@ -68,7 +68,7 @@ def _view(arguments: argparse.Namespace) -> int:
 
 def _print_view(report: ViewReport) -> None:
     """Say what was shown: each sequence with what every motion scored."""
-    from prbench.viewing.replay.captions import score_sentence
+    from prbench.viewing.replay.measures import score_sentence
 
     for scene in report.scenes:
         print(f"{scene.sequence_id}: {scene.title}")

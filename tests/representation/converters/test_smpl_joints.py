@@ -27,10 +27,10 @@ from prbench.representation.converters import (
 )
 from prbench.representation.converters.smpl_joints import HOW_TO_CONVERT
 from prbench.representation.converters.smpl_rotations import numbers_of
-from prbench.synthetic.sensors.smplh import invented_smplh
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 from tests.representation.converters.bodies import person_rotations, write_body_model
 
-REST = RestJoints.fixed(invented_smplh().template)
+REST = RestJoints.fixed(synthetic_smplh().template)
 
 
 def written(rotations: np.ndarray, form: str) -> np.ndarray:
