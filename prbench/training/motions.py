@@ -114,7 +114,9 @@ def mirrored_text(text: str) -> str:
     def exchanged(match: re.Match[str]) -> str:
         word = match[1]
         other = "right" if word.lower() == "left" else "left"
-        return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+        if word.isupper():
+            return other.upper()
+        return other.capitalize() if word[0].isupper() else other
 
     return _LEFT_RIGHT.sub(exchanged, text)
 
@@ -176,7 +178,8 @@ def holds_mirrored(table: Table) -> bool:
 
 def _rows(chunk: SequenceChunk, *, corpus: bool) -> list[Row]:
     joints, offsets = chunk.joints, chunk.offsets
-    before, after = chunk.poses("previous_joints"), chunk.poses("next_joints")
+    before = chunk.poses("previous_joints")
+    after = chunk.poses("next_joints")
     goals = np.full((len(chunk), 3), np.nan) if corpus else chunk.vectors("goal_location")
     texts = _captions(chunk) if corpus else [(text,) for text in chunk.strings("text")]
     return [
