@@ -1,7 +1,7 @@
 """DNO: the noise of a frozen text-to-motion model is optimised until its motion meets the keyframes.
 
-The study's baseline (*Prime and Reach*, section 5.3; ``methods/dno.md``): no network of its own. With a prior that
-was only pre-trained it is the study's zero-shot row; with one fine-tuned on P&R sequences, such as the bundled
+The study's baseline (*Prime and Reach*, section 5.3; docs/specification/dno.md): no network of its own. With a prior
+that was only pre-trained it is the study's zero-shot row; with one fine-tuned on P&R sequences, such as the bundled
 ``mdm-small``, the other one.
 """
 

@@ -1,4 +1,4 @@
-"""Static: the mean pose of all training frames, held still (``methods/metrics.md`` section 10).
+"""Static: the mean pose of all training frames, held still (docs/specification/metrics.md#ceilings-and-static).
 
 A lower bound without conditions. Averaging joints of people who face and stand differently shrinks the limbs, which is
 part of the baseline as the study describes it ("average full-body pose of training data").

@@ -183,6 +183,29 @@ class MissingExtraError(PrbenchError):
         return type(self), (self.package, self.extra, self.purpose)
 
 
+class UnloadableExtraError(PrbenchError):
+    """An optional package is installed and cannot be loaded, for example because a library of the system is missing.
+
+    Args:
+        package: Name of the package.
+        purpose: What needs it.
+        reason: What the system said.
+        remedy: What the user can do about it.
+    """
+
+    exit_code = 9
+
+    def __init__(self, package: str, purpose: str, reason: str, remedy: str) -> None:
+        self.package, self.purpose, self.reason, self.remedy = package, purpose, reason, remedy
+        super().__init__(
+            f"{purpose} needs the package '{package}', which is installed and cannot be loaded: {reason}. {remedy}"
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Keep the four parts when the error crosses a process border."""
+        return type(self), (self.package, self.purpose, self.reason, self.remedy)
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A question to put behind the sentence that refuses a name, its leading space included; empty if none is near.
 

@@ -74,7 +74,8 @@ def facing_yaw(joints: Float[np.ndarray, "22 3"]) -> float:
     """Heading of a pose about +Y, radians: 0 faces +Z, positive turns towards +X.
 
     The facing direction is Y x across with across = (right hip - left hip) + (right shoulder - left shoulder)
-    (``formats/humanml3d.md`` section 2, step 4). A pose that faces exactly -Z gets a yaw of pi, not NaN.
+    (docs/specification/humanml3d.md#forward-conversion, step 4). A pose that faces exactly -Z gets a yaw of pi, not
+    NaN.
 
     Raises:
         ValueError: if hips and shoulders stand exactly above one another, so that no heading exists.
@@ -92,7 +93,7 @@ def canonical_frame(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarra
     """``world_from_canonical`` of a motion: pelvis of frame 0 over the origin facing +Z, lowest joint at Y = 0.
 
     The rotation is a pure yaw, so gravity keeps its direction. "Lowest" means over all joints and all frames
-    (``formats/humanml3d.md`` section 2, steps 2 to 4).
+    (docs/specification/humanml3d.md#forward-conversion, steps 2 to 4).
 
     Args:
         joints: World frame, metres, Y up.
@@ -130,7 +131,7 @@ def head_forward(
     joints: Float[np.ndarray, "*batch 22 3"],
     head_tilt_deg: float | Float[np.ndarray, "*batch"],
 ) -> tuple[Float[np.ndarray, "*batch 3"], Bool[np.ndarray, "*batch"]]:
-    """Head-forward vector H from the joints alone (``formats/humanml3d.md`` section 8).
+    """Head-forward vector H from the joints alone (docs/specification/humanml3d.md#head-forward-vector).
 
     With h the unit vector neck to head and a the left-pointing shoulder axis made orthogonal to h,
     ``H = cos(tilt) (a x h) + sin(tilt) h``; its ray starts at the head joint.

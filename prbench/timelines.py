@@ -114,7 +114,7 @@ class ClockMap:
 
 @dataclass(frozen=True)
 class SequenceGrid:
-    """The frame times of one sequence: uniform, ending exactly at the event (design, section 2)."""
+    """The frame times of one sequence: uniform, ending exactly at the event (docs/specification/curation.md#clip)."""
 
     start_time: float
     fps: float

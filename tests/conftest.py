@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 from collections.abc import Generator
@@ -48,3 +49,23 @@ def reference_values(samples: Path) -> dict[str, dict]:
         pytest.skip(f"the values to compare with are not there: {path}")
     items = json.loads(path.read_text(encoding="utf-8"))["items"]
     return {item["id"]: item for item in items}
+
+
+@pytest.fixture(
+    params=[
+        "slow loop",
+        pytest.param(
+            "Open3D",
+            marks=pytest.mark.skipif(importlib.util.find_spec("open3d") is None, reason="needs the extra open3d"),
+        ),
+    ]
+)
+def open3d_or_slow_loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What answers questions about meshes: the tests of curation run with both, and without Open3D with the loop."""
+    if request.param == "slow loop":
+        from tests.slow_meshes import SlowMesh  # not before the import hook
+
+        for module in ("occlusion", "contact"):
+            monkeypatch.setattr(f"prbench.curation.{module}.TriangleMesh", SlowMesh)
+        monkeypatch.setattr("prbench.curation.options.import_open3d", lambda purpose: None)
+    return request.param

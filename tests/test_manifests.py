@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from prbench.errors import UsageError
-from prbench.formats.adt import JOINT_NAMES
 from prbench.manifests import Manifest, dataset_names, digest_of, load_manifest, load_protocol
+from prbench.readers.adt.format import JOINT_NAMES
 from prbench.skeleton import N_JOINTS
 
 

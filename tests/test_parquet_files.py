@@ -9,10 +9,10 @@ import pytest
 
 from prbench import parquet_files
 from prbench.errors import InputFileError, PredictionsError, RunError, TableError
-from prbench.evaluation.offline.as_parquet import read_parquet as read_conditions
 from prbench.runs.predictions import Predictions
 from prbench.runs.scores import read_scores
 from prbench.sequences.rows import open_parquet
+from prbench.submitted.offline.as_parquet import read_parquet as read_conditions
 
 ROWS = 10**6
 

@@ -8,15 +8,13 @@ from typing import Any
 
 import pytest
 
+from prbench.checking.doctor.examine_file import DoctorRequest
 from prbench.contract import Condition
 from prbench.corpora import build_corpus, plan_corpus
 from prbench.curation import build_dataset, plan_build
 from prbench.curation.differences import compare_builds
 from prbench.errors import PrbenchError
-from prbench.evaluation.doctor.examine_file import DoctorRequest
-from prbench.evaluation.offline import ExportRequest
 from prbench.evaluation.request import RunRequest
-from prbench.evaluation.score_predictions import ScoreRequest
 from prbench.leaderboard.comparison import compare_runs
 from prbench.paths import turn_into_paths
 from prbench.readers import READER_MODULES, reader_for
@@ -24,6 +22,8 @@ from prbench.release import export_release, import_release
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
 from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTable
+from prbench.submitted.offline import ExportRequest
+from prbench.submitted.score_predictions import ScoreRequest
 from prbench.workflows.build_all import build_all, plan_all
 from prbench.workflows.explain import explain_event
 from prbench.workflows.inspection import inspect_folder

@@ -1,4 +1,4 @@
-"""DartControl as a method of the benchmark (``methods/dart.md``; *Prime and Reach*, section 5.3)."""
+"""DartControl as a method of the benchmark (docs/specification/dart.md; *Prime and Reach*, section 5.3)."""
 
 from __future__ import annotations
 

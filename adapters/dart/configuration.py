@@ -14,7 +14,7 @@ _COUNTS = (
 
 
 class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The networks of one model; the defaults are the original's sizes (``methods/dart.md``).
+    """The networks of one model; the defaults are the original's sizes (docs/specification/dart.md#networks).
 
     Raises:
         ValueError: for sizes that do not fit together.
@@ -39,8 +39,8 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     diffusion_steps: int = 10
     fps: float = 20.0
     uniform_skeleton: bool = False
-    """Whether the model has learnt bodies that were rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section
-    3); conditions are then put onto it, and motions scaled back."""
+    """Whether the model has learnt bodies that were rescaled to HumanML3D's skeleton
+    (docs/specification/pr-model.md#data-and-features); conditions are then put onto it, and motions scaled back."""
 
     def __post_init__(self) -> None:
         for name in _COUNTS:

@@ -1,7 +1,8 @@
 """Frames of motion as DART describes them: 276 numbers each, and the frame of reference of a primitive.
 
 World with Z up, metres, per frame. Rotations are those that :mod:`prbench_adapters.kinematics.skeleton` fits to joints,
-so no body model is needed; the body's translation is its pelvis (``methods/dart.md``, "Skeleton-only").
+so no body model is needed; the body's translation is its pelvis
+(docs/specification/dart.md#skeleton-only-re-implementation).
 """
 
 from __future__ import annotations

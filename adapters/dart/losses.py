@@ -1,4 +1,4 @@
-"""What primitives are trained for (``methods/dart.md``, "Training"); every loss is Huber's with δ = 1."""
+"""What primitives are trained for (docs/specification/dart.md#training); every loss is Huber's with δ = 1."""
 
 from __future__ import annotations
 

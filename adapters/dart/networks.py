@@ -1,4 +1,7 @@
-"""The two networks of DART: the autoencoder of primitives and the denoiser of their latents (``methods/dart.md``)."""
+"""The two networks of DART: the autoencoder of primitives and the denoiser of their latents.
+
+Source: docs/specification/dart.md#networks.
+"""
 
 from __future__ import annotations
 

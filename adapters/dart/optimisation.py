@@ -1,4 +1,7 @@
-"""The noise of all primitives of a motion, moved together until its last frame meets the goal (``methods/dart.md``)."""
+"""The noise of all primitives of a motion, moved together until its last frame meets the goal.
+
+Source: docs/specification/dart.md#noise-optimisation.
+"""
 
 from __future__ import annotations
 

@@ -22,7 +22,10 @@ _MOST_ITERATIONS = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class DartSettings:
-    """Settings of generation; the defaults are those of the study's comparison (``methods/dart.md``)."""
+    """Settings of generation; the defaults are those of the study's comparison.
+
+    Source: docs/specification/dart.md#conditions-in-the-study.
+    """
 
     optimised: bool = True
     """Whether the noise is optimised towards the goal; otherwise the goal is not looked at."""

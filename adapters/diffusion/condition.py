@@ -18,7 +18,7 @@ class EncodedCondition:
     padding: Bool[torch.Tensor, "batch tokens"]
     """True where a row has no word piece. The first token of a row always counts, so that no row is without any."""
     vector: Float[torch.Tensor, "batch size"] | None = None
-    """Initial pose, initial velocity and goal, scaled (``methods/pr-model.md`` section 2); None without a goal."""
+    """Initial pose, initial velocity and goal, scaled (docs/specification/pr-model.md#network); None without a goal."""
 
     def __len__(self) -> int:
         return len(self.text)

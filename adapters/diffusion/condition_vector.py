@@ -1,7 +1,8 @@
 """The vector p is made of: initial pose, initial velocity and goal, scaled, with dropped conditions as zeros.
 
-``methods/pr-model.md`` sections 1 and 2 (*Prime and Reach*, section 4.1). Everything is given in the canonical frame of
-the first pose, in metres; velocities are in metres per second. Where each part stands in the vector says
+docs/specification/pr-model.md#task-and-conditions and docs/specification/pr-model.md#network (*Prime and Reach*,
+section 4.1). Everything is given in the canonical frame of the first pose, in metres; velocities are in metres per
+second. Where each part stands in the vector says
 :attr:`prbench_adapters.diffusion.configuration.DenoiserConfiguration.condition_parts`.
 """
 
@@ -72,7 +73,7 @@ class ConditionScaling:
         """With the statistics of a training split, or none if the configuration says so.
 
         ``condition_scaling = "none"`` is the literal reading of the study: metres, and metres per frame for the
-        velocity (``methods/pr-model.md`` section 8, gap 8).
+        velocity (docs/specification/pr-model.md#gaps-in-the-study, gap 8).
         """
         parts, kept = configuration.condition_parts, torch.ones_like(mean)
         if configuration.condition_scaling == "none":

@@ -23,7 +23,9 @@ _GOAL_SIZE = {"none": 0, "pose": _POSE, "location": 3}
 
 
 class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Architecture, conditions and data of a denoiser (``methods/mdm.md``, ``methods/pr-model.md`` section 2).
+    """Architecture, conditions and data of a denoiser.
+
+    Sources: docs/specification/mdm.md#network, docs/specification/pr-model.md#network.
 
     The defaults are the sizes of the paper: decoder, DistilBERT's word tokens, T = 50, conditions added to the memory.
 
@@ -54,9 +56,15 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     fps: float = 20.0
     max_frames: int = 241
     time_in_frames: bool = False
-    """Whether the time token is also put in front of the frames of a decoder (``methods/mdm.md``, an option)."""
+    """Whether the time token is also put in front of the frames of a decoder.
+
+    Source: docs/specification/mdm.md#network.
+    """
     uniform_skeleton: bool = False
-    """Whether the features are those of bodies rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section 3)."""
+    """Whether the features are those of bodies rescaled to HumanML3D's skeleton.
+
+    Source: docs/specification/pr-model.md#data-and-features.
+    """
 
     def __post_init__(self) -> None:
         for name in _COUNTS:

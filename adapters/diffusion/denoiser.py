@@ -1,4 +1,7 @@
-"""The x0-predicting transformer shared by MDM, DNO and P&R (``methods/mdm.md``, ``methods/pr-model.md`` section 2)."""
+"""The x0-predicting transformer shared by MDM, DNO and P&R.
+
+Sources: docs/specification/mdm.md#network, docs/specification/pr-model.md#network.
+"""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ class Addition(nn.Module):
 class CrossAttentionInjection(nn.Module):
     """z̃ = z + softmax(z W_Q (P W_K)ᵀ / √d) P W_V with three condition tokens P: pose, velocity and goal.
 
-    With one token the softmax would be over one element and this would be an addition (``methods/pr-model.md``
-    section 2); so each part of the vector has a linear layer of its own.
+    With one token the softmax would be over one element and this would be an addition
+    (docs/specification/pr-model.md#network); so each part of the vector has a linear layer of its own.
     """
 
     def __init__(self, configuration: DenoiserConfiguration) -> None:

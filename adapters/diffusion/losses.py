@@ -1,6 +1,6 @@
 """What training minimises: squared errors of features and of joints over the valid frames.
 
-``methods/pr-model.md`` section 4 (*Prime and Reach*, section 4.2: L + L_joint). Both sums are divided by
+docs/specification/pr-model.md#training (*Prime and Reach*, section 4.2: L + L_joint). Both sums are divided by
 263 x valid frames, which keeps the study's ratio between them and MDM's scale.
 """
 
@@ -34,7 +34,10 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
     loss_average: Literal["frames", "sequences"] = "frames"
-    """Whether a batch is averaged over its frames (P&R) or over its sequences (MDM, ``methods/mdm.md``)."""
+    """Whether a batch is averaged over its frames (P&R) or over its sequences.
+
+    Source: docs/specification/mdm.md#training.
+    """
 
 
 def losses(

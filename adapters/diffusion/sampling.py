@@ -1,4 +1,4 @@
-"""From noise to clean features: DDPM and DDIM over any number of steps (``methods/mdm.md``, "Diffusion").
+"""From noise to clean features: DDPM and DDIM over any number of steps (docs/specification/mdm.md#diffusion).
 
 Both are differentiable from end to end. The coefficients are float64 numbers of the host, applied in the dtype of the
 state, so that no step waits for the device.

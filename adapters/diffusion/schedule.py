@@ -1,4 +1,7 @@
-"""The cosine noise schedule and the chains of steps that sampling walks along (``methods/mdm.md``); all in float64."""
+"""The cosine noise schedule and the chains of steps that sampling walks along; all in float64.
+
+Source: docs/specification/mdm.md#diffusion.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Bodies of the batch on the skeleton that a model has learnt, and back (``methods/pr-model.md`` section 3).
+"""Bodies of the batch on the skeleton that a model has learnt, and back.
+
+Source: docs/specification/pr-model.md#data-and-features.
 
 Models of P&R or Nymeria know bodies with their own bone lengths: nothing changes. Models of HumanML3D know one skeleton
 only: conditions are put onto it, goals are scaled with the root, and the motion is scaled back.

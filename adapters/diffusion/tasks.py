@@ -47,7 +47,7 @@ class DiffusionTask:
         """Make the denoiser in its state before the first step.
 
         Statistics of features, and of the condition vector, come from the initial weights where these have them, else
-        from the training split (``methods/pr-model.md`` section 3).
+        from the training split (docs/specification/pr-model.md#data-and-features).
 
         Args:
             model: Keys of :class:`DenoiserConfiguration` and of :class:`Objective`.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
 
 TEXT_GUIDANCE = 2.5
-"""``methods/mdm.md``, "Classifier-free guidance"; ``methods/pr-model.md`` section 5."""
+"""docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation."""
 IN_TRAINING = Path("the network in training")
 """In place of a weights file, for messages of a validation."""
 

@@ -1,4 +1,7 @@
-"""Training of denoisers: on text alone, or on text, initial state and goal (``methods/pr-model.md`` section 4)."""
+"""Training of denoisers: on text alone, or on text, initial state and goal.
+
+Source: docs/specification/pr-model.md#training.
+"""
 
 from __future__ import annotations
 

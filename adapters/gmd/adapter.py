@@ -1,7 +1,7 @@
 """GMD: guided motion diffusion, a trajectory of the root towards keyframes and then a body that follows it.
 
-One of the study's compared methods (*Prime and Reach*, table 2; ``methods/gmd.md``). Goals enter at sampling alone, by
-gradients through the networks and by imputation; the networks know text only.
+One of the study's compared methods (*Prime and Reach*, table 2; docs/specification/gmd.md). Goals enter at sampling
+alone, by gradients through the networks and by imputation; the networks know text only.
 """
 
 from __future__ import annotations

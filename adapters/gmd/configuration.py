@@ -11,7 +11,7 @@ GROUPS = 8
 
 
 class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Sizes, conditions and data of the motion and the trajectory network (``methods/gmd.md``).
+    """Sizes, conditions and data of the motion and the trajectory network (docs/specification/gmd.md#networks).
 
     The defaults are those of the released models, but for the text encoder, whose vectors are averaged over the word
     pieces to one vector a caption.
@@ -39,7 +39,10 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     padding_step: int = 8
     """Motions that are longer than ``padded_frames`` are padded to the next multiple of this."""
     uniform_skeleton: bool = False
-    """Whether the features are those of bodies rescaled to HumanML3D's skeleton (``methods/pr-model.md`` section 3)."""
+    """Whether the features are those of bodies rescaled to HumanML3D's skeleton.
+
+    Source: docs/specification/pr-model.md#data-and-features.
+    """
 
     def __post_init__(self) -> None:
         for name in ("motion_widths", "trajectory_widths"):

@@ -1,7 +1,7 @@
 """The features of GMD: HumanML3D's with an absolute root, and the random projection that emphasises it.
 
-``methods/gmd.md``, "Representation". Column 0 holds half the heading (radians), columns 1 and 2 the pelvis' x and z
-(metres, canonical frame), all at the frame itself; the other 260 columns are those of ``formats/humanml3d.md``.
+docs/specification/gmd.md#representation. Column 0 holds half the heading (radians), columns 1 and 2 the pelvis' x and z
+(metres, canonical frame), all at the frame itself; the other 260 columns are those of docs/specification/humanml3d.md.
 """
 
 from __future__ import annotations

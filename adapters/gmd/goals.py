@@ -1,4 +1,7 @@
-"""From a batch of conditions to what the two stages of sampling must meet (``methods/gmd.md``, "For P&R")."""
+"""From a batch of conditions to what the two stages of sampling must meet.
+
+Source: docs/specification/gmd.md#for-the-benchmark.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guided, imputed sampling steps of both stages (``methods/gmd.md``, "Sampling").
+"""The guided, imputed sampling steps of both stages (docs/specification/gmd.md#sampling).
 
 A step goes from x_t to x_{t-1}: the network's clean estimate, the posterior mean, the mean moved against the gradient
 of the goal **through the network** (so that a goal of one frame moves all others), noise, and imputation.

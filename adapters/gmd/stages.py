@@ -1,6 +1,6 @@
 """Both stages of sampling: the root's trajectory towards its keyframes, then the body that follows it.
 
-``methods/gmd.md``, "Sampling". Limits that the page gives as steps of 1000 are fractions of the schedule here.
+docs/specification/gmd.md#sampling. Limits that the page gives as steps of 1000 are fractions of the schedule here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Training of both networks of GMD in one run (``methods/gmd.md``, "Training")."""
+"""Training of both networks of GMD in one run (docs/specification/gmd.md#training)."""
 
 from __future__ import annotations
 

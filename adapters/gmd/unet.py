@@ -1,4 +1,4 @@
-"""The one-dimensional U-Net over time that both stages of GMD are made of (``methods/gmd.md``, "Networks")."""
+"""The one-dimensional U-Net over time that both stages of GMD are made of (docs/specification/gmd.md#networks)."""
 
 from __future__ import annotations
 

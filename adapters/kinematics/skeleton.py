@@ -1,4 +1,6 @@
-"""Rotations fitted to joints, and joints moved by rotations (after ``formats/humanml3d.md`` section 2, step 7).
+"""Rotations fitted to joints, and joints moved by rotations.
+
+Source: docs/specification/humanml3d.md#forward-conversion, step 7.
 
 The fit is analytical and exact: every bone keeps its direction, whatever its length. It differs from that of HumanML3D
 in three points, so that a method may add small rotations to it frame by frame: the root has a full orientation (from

@@ -30,6 +30,6 @@ class World:
 
 
 DART = World(axes=(0, 2, 1), signs=(-1.0, 1.0, 1.0))
-"""``methods/dart.md``: (x, y, z) with Y up is (-x, z, y) here, and the other way round."""
+"""docs/specification/dart.md#noise-optimisation: (x, y, z) with Y up is (-x, z, y) here, and the other way round."""
 WANDR = World(axes=(0, 2, 1), signs=(1.0, -1.0, 1.0))
-"""``methods/wandr.md``: (x, y, z) here is (x, z, -y) with Y up."""
+"""docs/specification/wandr.md#inference: (x, y, z) here is (x, z, -y) with Y up."""

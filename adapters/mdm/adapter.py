@@ -1,4 +1,4 @@
-"""MDM: text to motion by diffusion, blind to where the body stands and to any goal (``methods/mdm.md``).
+"""MDM: text to motion by diffusion, blind to where the body stands and to any goal (docs/specification/mdm.md).
 
 The study's baseline of text alone (*Prime and Reach*, table 2), and the prior of the other diffusion methods.
 """

@@ -1,7 +1,7 @@
 """P&R: motions that look at a goal and reach it, by diffusion with initial state and goal as conditions.
 
-The study's own method (*Prime and Reach*, section 4; ``methods/pr-model.md``): one model for goal poses, one for object
-locations, and an optimisation of the starting noise towards initial pose and goal.
+The study's own method (*Prime and Reach*, section 4; docs/specification/pr-model.md): one model for goal poses, one for
+object locations, and an optimisation of the starting noise towards initial pose and goal.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
 
-_GUIDANCE = 1.0  # methods/pr-model.md, section 5: with a goal the conditional estimate alone
+_GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
 

@@ -1,7 +1,7 @@
 """WANDR: a body that walks and reaches, frame by frame, by what its wrist, pelvis and heading intend.
 
-``methods/wandr.md``; its page is ``docs/methods/wandr.md``. This folder and one line among the entry points are all
-there is of it.
+docs/specification/wandr.md; its page is ``docs/methods/wandr.md``. This folder and one line among the entry points are
+all there is of it.
 """
 
 from __future__ import annotations

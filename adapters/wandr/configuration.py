@@ -6,7 +6,7 @@ import msgspec
 
 
 class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Sizes of encoder and decoder; the defaults are those of the original (``methods/wandr.md``).
+    """Sizes of encoder and decoder; the defaults are those of the original (docs/specification/wandr.md#network).
 
     Raises:
         ValueError: for sizes that are not possible.

@@ -1,4 +1,7 @@
-"""What a body intends: where its right wrist, pelvis and heading should go, and how soon (``methods/wandr.md``)."""
+"""What a body intends: where its right wrist, pelvis and heading should go, and how soon.
+
+Source: docs/specification/wandr.md#intention-features.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What training minimises (``methods/wandr.md``, "Training")."""
+"""What training minimises (docs/specification/wandr.md#training)."""
 
 from __future__ import annotations
 

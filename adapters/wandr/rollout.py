@@ -1,4 +1,4 @@
-"""Frame after frame from a first state: intentions, a draw, a change (``methods/wandr.md``, "Inference")."""
+"""Frame after frame from a first state: intentions, a draw, a change (docs/specification/wandr.md#inference)."""
 
 from __future__ import annotations
 

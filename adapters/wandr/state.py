@@ -1,4 +1,6 @@
-"""Body states, the changes between them, and how both are seen without the yaw (``methods/wandr.md``).
+"""Body states, the changes between them, and how both are seen without the yaw.
+
+Source: docs/specification/wandr.md#state-and-delta.
 
 World with Z up, metres; a body of yaw 0 has its left side on +x and faces -y. Rotations are six numbers, by rows.
 """

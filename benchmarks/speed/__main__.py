@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from benchmarks.speed import bench_curation, bench_metrics, bench_reading, bench_remote, bench_trajectory
+import importlib.util
+
+from benchmarks.speed import bench_curation, bench_meshes, bench_metrics, bench_reading, bench_remote, bench_trajectory
 
 
 def main() -> None:
-    """Reading, long trajectories, curation, metrics, methods as programs."""
+    """Reading, long trajectories, curation, meshes, metrics, methods as programs."""
     bench_reading.main()
     bench_trajectory.main()
     bench_curation.main()
+    if importlib.util.find_spec("open3d") is None:
+        print("rays and closest points on meshes: not timed, pip install 'prbench[open3d]'")
+    else:
+        bench_meshes.main()
     bench_metrics.main()
     bench_remote.main()
 

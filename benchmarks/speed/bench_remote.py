@@ -15,10 +15,10 @@ import numpy as np
 
 from benchmarks.speed.timing import Row, print_rows
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
-from prbench.evaluation.motions import generate_checked
-from prbench.evaluation.remote.adapter import RemoteAdapter
-from prbench.evaluation.remote.messages import batch_of, motions_payload, read_message, write_message
-from prbench.evaluation.remote.program import Program
+from prbench.methods.motions import generate_checked
+from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.messages import batch_of, motions_payload, read_message, write_message
+from prbench.methods.remote.program import Program
 from prbench.skeleton import N_JOINTS
 
 

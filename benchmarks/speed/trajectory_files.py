@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.aria_mps import sense_mps

@@ -13,7 +13,7 @@ from prbench.cli.arguments import command, positive
 from prbench.cli.columns import print_columns
 
 if TYPE_CHECKING:
-    from prbench.evaluation.installed import InstalledAdapter
+    from prbench.methods.installed import InstalledAdapter
 
 _EXAMPLE = "prbench adapters list"
 
@@ -52,7 +52,7 @@ def _add_list(group: argparse._SubParsersAction) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from prbench.evaluation.installed import list_adapters, no_such_method
+    from prbench.methods.installed import list_adapters, no_such_method
 
     found = list_adapters()
     known = {adapter.name for adapter in found}
@@ -74,7 +74,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 def _remark(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
     """What keeps a method from being used, as far as metadata tell."""
-    from prbench.evaluation.installed import offered_twice
+    from prbench.methods.installed import offered_twice
 
     if adapter.problem:
         return f"! {adapter.problem}"

@@ -12,7 +12,7 @@ from prbench.cli.progress import progress
 from prbench.shown import clean
 
 if TYPE_CHECKING:
-    from prbench.evaluation.conformance import Finding, Report
+    from prbench.checking.conformance import Finding, Report
 
 _COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
 _FAILED = 5  # as for every other breach of the adapter contract
@@ -50,7 +50,7 @@ def add_parser(group: argparse._SubParsersAction) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from prbench.evaluation.conformance import CheckRequest, check
+    from prbench.checking.conformance import CheckRequest, check
     from prbench.locks import sole_writer
     from prbench.storage import write_json
 
@@ -124,7 +124,7 @@ def _sentences(finding: Finding) -> str:
 
 
 def _summary(report: Report) -> str:
-    from prbench.evaluation.conformance import Outcome
+    from prbench.checking.conformance import Outcome
 
     counts = ", ".join(f"{len(report.of(outcome))} {outcome.value}" for outcome in Outcome)
     verdict = "does not keep the contract" if report.failed else "keeps the contract"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from prbench.cli.columns import print_columns
 
 if TYPE_CHECKING:
-    from prbench.evaluation.describe import Description
+    from prbench.methods.describe import Description
 
 
 def print_details(names: Sequence[str], *, time_limit: float, as_json: bool) -> None:
@@ -21,7 +21,7 @@ def print_details(names: Sequence[str], *, time_limit: float, as_json: bool) -> 
         as_json: Print JSON instead of a table.
     """
     from prbench.evaluation.controls import CONTROLS
-    from prbench.evaluation.describe import describe_adapters
+    from prbench.methods.describe import describe_adapters
     from prbench.training.installed import list_tasks
 
     described = describe_adapters(names or None, time_limit=time_limit)

@@ -63,13 +63,8 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         "--occlusion",
         choices=["off", "mark", "require"],
         default="off",
-        help="where a dataset has meshes: mark events primed through one, or let unobstructed looks alone prime",
-    )
-    parser.add_argument(
-        "--ray-caster",
-        choices=["numpy", "open3d"],
-        default="numpy",
-        help="what tests looks against meshes (default: numpy; open3d is quicker on large ones)",
+        help="where a dataset has meshes: mark events primed through one, or let unobstructed looks alone prime"
+        " (needs the extra open3d)",
     )
     parser.add_argument(
         "--minimum-movement",
@@ -160,7 +155,6 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
             minimum_movement=arguments.minimum_movement,
             priming=arguments.priming,
             occlusion=arguments.occlusion,
-            ray_caster=arguments.ray_caster,
         ),
         recordings=arguments.recordings,
         limit=arguments.limit,

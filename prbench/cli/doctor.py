@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from prbench.cli.arguments import add_data, command, positive
 
 if TYPE_CHECKING:
-    from prbench.evaluation.doctor.examine_file import DoctorReport
+    from prbench.checking.doctor.examine_file import DoctorReport
 
 SOMETHING_IS_WRONG = 1
 """Exit code when a fault is certain; suspicions alone leave 0."""
@@ -44,7 +44,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
-    from prbench.evaluation.doctor.examine_file import DoctorRequest, examine_file
+    from prbench.checking.doctor.examine_file import DoctorRequest, examine_file
     from prbench.locks import sole_writer
     from prbench.storage import write_json
 

@@ -56,7 +56,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 
 def _export(arguments: argparse.Namespace) -> int:
     from prbench.contract import Condition
-    from prbench.evaluation.offline import ExportRequest, export_conditions
+    from prbench.submitted.offline import ExportRequest, export_conditions
 
     report = export_conditions(
         ExportRequest(

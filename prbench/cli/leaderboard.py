@@ -11,7 +11,7 @@ from prbench.cli.arguments import add_workers, command
 from prbench.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from prbench.evaluation.verification import RunChecker
+    from prbench.submitted.verification import RunChecker
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
 
@@ -109,7 +109,7 @@ def _described(path: Path, datasets: list[str]) -> list[str]:
 def _checker(arguments: argparse.Namespace) -> RunChecker:
     """Scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
-    from prbench.evaluation.verification import RunChecker
+    from prbench.submitted.verification import RunChecker
     from prbench.workflows.tables_of_runs import table_finder
 
     return RunChecker(table_finder(arguments.data), engine_for(arguments.workers))

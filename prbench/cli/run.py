@@ -144,7 +144,7 @@ def _require_no_minutes(arguments: argparse.Namespace) -> None:
 
 def _tell_claims(method: str) -> None:
     """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
-    from prbench.evaluation.installed import list_adapters
+    from prbench.methods.installed import list_adapters
 
     for adapter in list_adapters():
         if adapter.name == method and adapter.problem:
@@ -181,8 +181,8 @@ def _tell_crashes(report: RunReport) -> None:
 
 
 def _tell_isolation(method: str) -> None:
-    from prbench.evaluation.isolation import available_fence
-    from prbench.evaluation.programs import runs_in_container
+    from prbench.methods.isolation import available_fence
+    from prbench.methods.programs import runs_in_container
 
     in_container = "isolated in its container, which shows what its TOML file mounts; tables in there are covered."
     print(in_container if runs_in_container(method) else available_fence().notice, file=sys.stderr)

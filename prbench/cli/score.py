@@ -50,7 +50,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 def _score(arguments: argparse.Namespace) -> int:
     from prbench.contract import Condition
     from prbench.engine import engine_for
-    from prbench.evaluation.score_predictions import UNSTATED, ScoreRequest, score_predictions
+    from prbench.submitted.score_predictions import UNSTATED, ScoreRequest, score_predictions
 
     request = ScoreRequest(
         predictions=arguments.predictions,

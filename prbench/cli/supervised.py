@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 from prbench.errors import AdapterError
-from prbench.evaluation.remote.faults import exit_story
+from prbench.methods.remote.faults import exit_story
 from prbench.workers import end_with_parent
 
 Command = Callable[[Sequence[str]], int]
@@ -27,7 +27,7 @@ def calls_foreign_code(chosen: argparse.Namespace) -> bool:
     """Return True for a command that calls an installed method of another package in this process."""
     if not getattr(chosen, "runs_a_method", False) or chosen.isolate:
         return False
-    from prbench.evaluation.installed import list_adapters
+    from prbench.methods.installed import list_adapters
 
     claims = (adapter for adapter in list_adapters() if adapter.name == chosen.method)
     return any(not adapter.built_in and not adapter.problem for adapter in claims)

@@ -38,6 +38,12 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     add_limit(parser, default="4")
     parser.add_argument("--sample", type=int, default=0, metavar="K", help="of runs with several samples (default 0)")
+    parser.add_argument(
+        "--scene",
+        type=Path,
+        metavar="DIR",
+        help="your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d)",
+    )
     add_permission(parser)
 
 
@@ -52,6 +58,7 @@ def _view(arguments: argparse.Namespace) -> int:
         limit=arguments.limit,
         sample=arguments.sample,
         permitted=tuple(arguments.permission),
+        scene=arguments.scene,
     )
     with progress(f"drawing {request.out.name}") as show:
         report = view(request, show)

@@ -18,7 +18,7 @@ from prbench.storage import text_digest
 CORPUS_MODULES = {
     "nymeria": "prbench.corpora.nymeria",
     "humanml3d": "prbench.corpora.humanml3d",
-    "synthetic": "prbench.corpora.synthetic",
+    "synthetic": "prbench.synthetic.corpus",
 }
 
 

@@ -1,4 +1,7 @@
-"""From a primed event to a clip: frames on the grid that ends at the event, in the world frame (design, section 2)."""
+"""From a primed event to a clip: frames on the grid that ends at the event, in the world frame.
+
+Source: docs/specification/curation.md#clip.
+"""
 
 from __future__ import annotations
 
@@ -156,7 +159,7 @@ def _gaze_at(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Rays between neighbouring valid samples; invalid where these are too far apart (blinks, losses).
 
-    Slow trackers are allowed 1.5 of their own period (``formats/aria-mps.md`` section 5).
+    Slow trackers are allowed 1.5 of their own period (docs/specification/aria-mps.md#eye-gaze).
     """
     period = float(np.median(np.diff(gaze.times))) if len(gaze.times) > 1 else 0.0
     valid = covered(gaze.times, gaze.valid, times, max_gap=max(max_gap, 1.5 * period))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.masks import runs
 from prbench.curation.rest import Departure
 from prbench.errors import UsageError
 from prbench.manifests import InHandRule
+from prbench.meshes import TriangleMesh
 from prbench.recording import HandStream, ObjectTrack, Recording
 from prbench.recording.streams import Side
 from prbench.timelines import covered, interpolate
@@ -37,7 +37,7 @@ def require_surfaces(recording: Recording, rule: InHandRule) -> None:
     Raises:
         UsageError: saying how to get them.
     """
-    if rule.target == "surface" and all(track.surface_points is None for track in recording.objects):
+    if rule.target == "surface" and all(track.surface is None for track in recording.objects):
         raise UsageError(
             f"{recording.recording_id}: the in-hand rule measures distances to the objects' surfaces, and the recording"
             " was read without them. Add `--option meshes=true`."
@@ -54,7 +54,7 @@ def contact_distance(
 ) -> Float[np.ndarray, " n"]:
     """Distance of the hand's nearest contact point to the object at given poses, metres; inf where unmeasured.
 
-    Distances to a surface are those to its nearest sample point, and an object without surface stands in with its box.
+    An object without surface stands in with its box where the rule asks for surfaces.
     Where no point is within ``rule.distance`` of the box, the distance to the box is given: the surface is not nearer.
 
     Args:
@@ -64,13 +64,16 @@ def contact_distance(
         times: Seconds, any order.
         position: Position of the object at ``times``.
         rotation: Its orientation, w x y z.
+
+    Raises:
+        MissingExtraError: if the rule asks for a surface, and Open3D is not installed.
     """
     measured = covered(hand.times, hand.valid, times, max_gap=LONGEST_HAND_GAP)
     if not measured.any():
         return np.full(len(times), np.inf)
     surface = None
-    if rule.target == "surface" and track.surface_points is not None:
-        surface = KDTree(track.surface_points)
+    if rule.target == "surface" and track.surface is not None:
+        surface = TriangleMesh(track.surface.vertices, track.surface.faces)
     sampled = hand.times[hand.valid], hand.points[hand.valid]
     rows = max(1, _VERTICES_AT_ONCE // hand.points.shape[1])
     nearest = [
@@ -118,7 +121,7 @@ def _nearest(
     rule: InHandRule,
     position: Float[np.ndarray, "n 3"],
     rotation: Float[np.ndarray, "n 4"],
-    surface: KDTree | None,
+    surface: TriangleMesh | None,
 ) -> Float[np.ndarray, " n"]:
     """Distance of the nearest of ``k`` points to the object, metres."""
     offset = points - position[:, None]
@@ -129,5 +132,5 @@ def _nearest(
     distance = np.linalg.norm(np.maximum(np.maximum(track.box_min - local, local - track.box_max), 0.0), axis=-1)
     if surface is not None:
         near = distance < rule.distance
-        distance[near] = surface.query(local[near])[0]
+        distance[near] = surface.distance(local[near])
     return distance.min(axis=1)

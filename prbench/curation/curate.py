@@ -53,7 +53,7 @@ def curate_recording(
     *,
     split: str | None = None,
 ) -> CuratedRecording:
-    """Find the events of a recording, prime, clip and filter them (design, section 2).
+    """Find the events of a recording, prime, clip and filter them (docs/specification/curation.md).
 
     Args:
         recording: What a reader yields.
@@ -72,7 +72,7 @@ def curate_recording(
     if options.priming == "published":
         _require_published_priming(recording)
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
-    surroundings = Surroundings(recording, options.ray_caster) if options.occlusion != "off" else None
+    surroundings = Surroundings(recording) if options.occlusion != "off" else None
     stories = [_follow(recording, event, rays, surroundings, protocol, options, split) for event in events]
     lacks = _missing_parts(recording, rule, found=bool(events))
     remarks += occlusion_remarks(recording, options.occlusion, [s.prime.through for s in stories if s.prime])

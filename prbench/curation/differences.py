@@ -1,7 +1,8 @@
 """What changed between two builds: which events and sequences appeared, vanished or moved, and what decided.
 
-Events of the two builds are paired by recording, object and action, nearest in time first (design, section 2). What is
-the same event is compared column by column, with its sequence, and so are the recordings.
+Events of the two builds are paired by recording, object and action, nearest in time first
+(docs/specification/curation.md#audit-trail). What is the same event is compared column by column, with its sequence,
+and so are the recordings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Pick and put events: found by in-hand segmentation or annotated, each with its place (design, section 2)."""
+"""Pick and put events: found by in-hand segmentation or annotated, each with its place.
+
+Source: docs/specification/curation.md#events.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""In-hand segmentation: when somebody's hand holds an object, by the manifest's rule (``formats/adt.md`` section 5)."""
+"""In-hand segmentation: when somebody's hand holds an object, by the manifest's rule.
+
+Source: docs/specification/curation.md#in-hand-segmentation.
+"""
 
 from __future__ import annotations
 

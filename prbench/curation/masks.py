@@ -22,7 +22,7 @@ def held_segments(
     minimum_duration: float,
     join_gap: float,
 ) -> Int[np.ndarray, "k 2"]:
-    """Holdings from raw per-sample evidence (``methods/synthetic-recordings.md`` section 10).
+    """Holdings from raw per-sample evidence (docs/specification/curation.md#in-hand-segmentation).
 
     Neighbouring runs of ``held`` that are at most ``join_gap`` apart are one piece; pieces shorter than
     ``minimum_duration`` are dropped (debounce); two that are left are joined where every sample between them is

@@ -10,32 +10,25 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.ray_casters import CASTERS, RayCaster
-from prbench.rays import slab_test
+from prbench.meshes import TriangleMesh
 from prbench.recording import ObjectTrack, Occluder, Recording
 
 OcclusionMode = Literal["off", "mark", "require"]
 """``mark``: primes stay what they are, those through a mesh are told; ``require``: only unobstructed looks prime."""
-RayCasterName = Literal["numpy", "open3d"]
 
 MARGIN = 0.02
 """Metres before the place within which a mesh is no obstacle: what the place lies on or in (choice)."""
 
 
-@dataclass(frozen=True)
-class _Mesh:
-    name: str
-    object_id: str | None
-    low: Float[np.ndarray, "3"]
-    high: Float[np.ndarray, "3"]
-    caster: RayCaster
-
-
 class Surroundings:
-    """Every mesh of a recording, with the tracks of those that move."""
+    """Every mesh of a recording, with the tracks of those that move.
 
-    def __init__(self, recording: Recording, caster: RayCasterName) -> None:
-        self._meshes = [_prepared(occluder, caster) for occluder in recording.occluders]
+    Raises:
+        MissingExtraError: if the recording has meshes, and Open3D is not installed.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._meshes = [(occluder, TriangleMesh(occluder.vertices, occluder.faces)) for occluder in recording.occluders]
         self._tracks: Mapping[str, ObjectTrack] = {track.object_id: track for track in recording.objects}
 
     def obstacles(
@@ -57,23 +50,24 @@ class Surroundings:
             but: Id of the object that is looked at, which does not hide itself.
         """
         nearest, names = reach - MARGIN, np.full(len(times), "", dtype=object)
-        for mesh in self._meshes:
-            if mesh.object_id == but:
+        for occluder, mesh in self._meshes:
+            if occluder.object_id == but:
                 continue
-            distance = _distance(mesh, *self._in_frame_of(mesh, times, origins, directions), nearest)
+            local_origins, local_directions = self._in_frame_of(occluder, times, origins, directions)
+            distance = mesh.first_hit(local_origins, local_directions, nearest)
             closer = distance < nearest
             nearest = np.where(closer, distance, nearest)
-            names[closer] = mesh.name
+            names[closer] = occluder.name
         return tuple(names)
 
     def _in_frame_of(
         self,
-        mesh: _Mesh,
+        occluder: Occluder,
         times: Float[np.ndarray, " n"],
         origins: Float[np.ndarray, "n 3"],
         directions: Float[np.ndarray, "n 3"],
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        track = None if mesh.object_id is None else self._tracks.get(mesh.object_id)
+        track = None if occluder.object_id is None else self._tracks.get(occluder.object_id)
         if track is None:
             return origins, directions
         position, rotation = track.pose_at(times)
@@ -113,29 +107,3 @@ def occlusion_remarks(recording: Recording, mode: OcclusionMode, through: Sequen
         return ("no meshes, so no look was tested for occlusion",)
     marked = sum(bool(name) for name in through)
     return (f"{marked} of {len(through)} primed events are primed through a mesh",) if marked else ()
-
-
-def _prepared(occluder: Occluder, caster: RayCasterName) -> _Mesh:
-    return _Mesh(
-        occluder.name,
-        occluder.object_id,
-        occluder.vertices.min(axis=0),
-        occluder.vertices.max(axis=0),
-        CASTERS[caster](occluder.vertices, occluder.faces),
-    )
-
-
-def _distance(
-    mesh: _Mesh,
-    origins: Float[np.ndarray, "n 3"],
-    directions: Float[np.ndarray, "n 3"],
-    reach: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Distance to the mesh's first triangle; objects far from the way are left out by their box alone."""
-    distance = np.full(len(origins), np.inf)
-    thin = 1e-6  # a flat mesh has a flat box, which no ray hits
-    box = slab_test(origins, directions, mesh.low[None] - thin, mesh.high[None] + thin)
-    candidates = np.flatnonzero(box.hit[:, 0] & (box.near[:, 0] < reach))
-    rays = origins[candidates], directions[candidates], reach[candidates]
-    distance[candidates] = mesh.caster.first_hit(*rays)
-    return distance

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from prbench.curation.filters import MEASURES
-from prbench.curation.occlusion import OcclusionMode, RayCasterName
+from prbench.curation.occlusion import OcclusionMode
 from prbench.curation.priming import RAY_ORIGINS
-from prbench.curation.ray_casters import require_caster
 from prbench.errors import UsageError
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
+from prbench.meshes import import_open3d
 
 PrimingSource = Literal["rule", "published"]
 
@@ -29,16 +29,12 @@ class CurationOptions:
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
     """What to do with looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
-    ray_caster: RayCasterName = "numpy"
-    """What tests rays against meshes."""
 
     def __post_init__(self) -> None:
-        for name, value, kind in (
-            ("treatment of occlusion", self.occlusion, OcclusionMode),
-            ("ray caster", self.ray_caster, RayCasterName),
-        ):
-            if value not in get_args(kind):
-                raise UsageError(f"unknown {name} '{value}'; known ones: {', '.join(get_args(kind))}.")
+        if self.occlusion not in get_args(OcclusionMode):
+            raise UsageError(
+                f"unknown treatment of occlusion '{self.occlusion}'; known ones: {', '.join(get_args(OcclusionMode))}."
+            )
         if self.occlusion != "off" and self.priming == "published":
             raise UsageError("--occlusion asks about gaze, --priming published takes no gaze: choose one of them.")
         if self.priming not in get_args(PrimingSource):
@@ -65,11 +61,13 @@ class CurationOptions:
 
         Raises:
             UsageError: for an in-hand rule that the manifest does not list, or published priming of a dataset without.
-            MissingExtraError: for a ray caster that is not installed.
+            MissingExtraError: if looks or hands are to be compared with meshes, and Open3D is not installed.
         """
-        self.in_hand_rule(manifest)
+        rule = self.in_hand_rule(manifest)
         if self.occlusion != "off":
-            require_caster(self.ray_caster)
+            import_open3d(f"--occlusion {self.occlusion}")
+        if rule is not None and rule.target == "surface":
+            import_open3d(f"the in-hand rule '{self.in_hand or 'default'}'")
         if self.priming == "published" and not manifest.publishes_priming:
             raise UsageError(
                 f"{manifest.name} publishes no priming of its own, so --priming published is impossible;"
@@ -86,7 +84,7 @@ class CurationOptions:
             "minimum_movement": self.minimum_movement,
             "priming": self.priming,
             "occlusion": self.occlusion,
-        } | ({"ray_caster": self.ray_caster} if self.occlusion != "off" else {})
+        }
 
 
 DEFAULTS = CurationOptions()

@@ -41,7 +41,7 @@ def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray
     Args:
         recording: The recording.
         origin: ``eye`` = central pupil frame, where the direction is defined; ``camera`` = the scene camera's centre,
-            as the paper words it (5.8 cm away on Aria glasses, ``formats/aria-mps.md`` section 9).
+            as the paper words it (5.8 cm away on Aria glasses, docs/specification/aria-mps.md#open-choices).
     """
     gaze, camera = recording.gaze, recording.camera
     times, origins = gaze.times[gaze.valid], gaze.origin[gaze.valid]

@@ -1,4 +1,7 @@
-"""Which split a recording belongs to: its own name decides, so a partial copy never moves one (design, section 2)."""
+"""Which split a recording belongs to: its own name decides, so a partial copy never moves one.
+
+Source: docs/specification/curation.md#splits.
+"""
 
 from __future__ import annotations
 

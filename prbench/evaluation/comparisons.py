@@ -1,4 +1,7 @@
-"""Whether two methods differ, judged on the same sequences and recording by recording (design, section 3)."""
+"""Whether two methods differ, judged on the same sequences and recording by recording.
+
+Source: docs/specification/protocol.md#comparisons.
+"""
 
 from __future__ import annotations
 

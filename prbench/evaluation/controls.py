@@ -19,9 +19,9 @@ from jaxtyping import Float, Int
 
 from prbench.contract import Motions
 from prbench.evaluation.conditions import ConditionSource
-from prbench.evaluation.method_names import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.scripted import ScriptedStart, scripted_motions
+from prbench.methods.names import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.representation import decode, encode
 from prbench.sequences.chunk import SequenceChunk
 from prbench.skeleton import N_JOINTS
@@ -54,7 +54,7 @@ def control_motions(
     """The motions of a control for each planned batch, in order.
 
     Args:
-        name: One of :data:`~prbench.evaluation.method_names.METHOD_CONTROLS`.
+        name: One of :data:`~prbench.methods.names.METHOD_CONTROLS`.
         selection: The chosen sequences.
         source: Their conditions; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.evaluation.planning.plan_batches`.

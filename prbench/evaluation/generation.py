@@ -11,9 +11,9 @@ import msgspec
 import psutil
 
 from prbench.contract import ConditionBatch, Motions
-from prbench.evaluation.methods import MethodSpec
-from prbench.evaluation.motions import generate_checked
-from prbench.evaluation.threads import computing_threads
+from prbench.methods.methods import MethodSpec
+from prbench.methods.motions import generate_checked
+from prbench.methods.threads import computing_threads
 from prbench.runs.cost import BatchCost
 from prbench.runs.predictions import PredictionRows, write_part
 

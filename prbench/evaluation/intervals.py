@@ -1,4 +1,6 @@
-"""Confidence intervals that know that sequences of one recording are not independent (design, section 3).
+"""Confidence intervals that know that sequences of one recording are not independent.
+
+Source: docs/specification/protocol.md#intervals.
 
 Every estimate is the mean over sequences (of the mean over samples, where a sequence has several), and every interval
 is that of this estimator: its spread is measured by leaving out, or drawing anew, whole recordings.

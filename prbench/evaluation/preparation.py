@@ -14,18 +14,18 @@ from jaxtyping import Float, Int
 
 import prbench
 from prbench.errors import AdapterError, UsageError
-from prbench.evaluation.adapters import find_adapter, require_condition
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
-from prbench.evaluation.declared import Declared
-from prbench.evaluation.methods import LoadedMethod, MethodSpec, forget_loaded_methods, method_spec
-from prbench.evaluation.native_rate import native_frames
 from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select, select_sequences
-from prbench.evaluation.remote.adapter import RemoteAdapter
 from prbench.evaluation.request import RunRequest
-from prbench.evaluation.weights import require_weights, used_weights, weights_digest
 from prbench.locks import in_turn
 from prbench.manifests import load_protocol
+from prbench.methods.adapters import find_adapter, require_condition
+from prbench.methods.declared import Declared
+from prbench.methods.methods import LoadedMethod, MethodSpec, forget_loaded_methods, method_spec
+from prbench.methods.native_rate import native_frames
+from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.weights import require_weights, used_weights, weights_digest
 from prbench.runs.record import (
     BUILT_IN,
     CONTROL,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import UsageError
-from prbench.evaluation.method_names import METHOD_CONTROLS, SHUFFLED_GOAL
-from prbench.evaluation.programs.reference import short_name
+from prbench.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.methods.programs.reference import short_name
 from prbench.paths import turn_into_paths
 
 DEFAULT_BATCH_SIZE = 64

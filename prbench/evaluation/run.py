@@ -19,15 +19,15 @@ from prbench.errors import AdapterError, MemoryFullError
 from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
-from prbench.evaluation.methods import forget_loaded_methods, unload_method
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
+from prbench.evaluation.stored_results import require_scores, require_summary
 from prbench.evaluation.summarise import ScoredSet, summarise
-from prbench.evaluation.verification import require_scores, require_summary
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
+from prbench.methods.methods import forget_loaded_methods, unload_method
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.record import PACKAGE

@@ -14,13 +14,13 @@ from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.engine import Engine
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
-from prbench.evaluation.coordinates import coordinate_problem, impossible_frames
 from prbench.evaluation.lengths import length_problem
-from prbench.evaluation.native_rate import at_table_rate, native_frames
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
+from prbench.methods.coordinates import coordinate_problem, impossible_frames
+from prbench.methods.native_rate import at_table_rate, native_frames
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from prbench.contract import Motions
 from prbench.skeleton import WRISTS, Joint, head_forward
 
-_ARRIVAL = 2.0  # s, the lead of every sequence before its prime time (design, section 2)
+_ARRIVAL = 2.0  # s, the lead of every sequence before its prime time (docs/specification/curation.md#clip)
 _TURN_DURATION = 1.0  # s
 _SHORTEST_REACH = 0.5  # s
 _STAND_OFF = 0.45  # m between pelvis and goal on the ground: about an arm's length with a bent elbow

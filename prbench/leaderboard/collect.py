@@ -9,12 +9,12 @@ from pathlib import Path
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
-from prbench.evaluation.method_names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
-from prbench.evaluation.verification import CheckedSummary, RunChecker
+from prbench.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import MethodRecord, RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
+from prbench.submitted.verification import CheckedSummary, RunChecker
 
 
 @dataclass(frozen=True)

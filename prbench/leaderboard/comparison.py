@@ -11,10 +11,10 @@ import pyarrow.compute as pc
 
 from prbench.errors import RunError
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
-from prbench.evaluation.verification import RunChecker, recording_key
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.scores import read_scores
+from prbench.submitted.verification import RunChecker, recording_key
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class RunComparison:
 def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
-    Signs are flipped by recording, and p-values corrected after Holm for everything compared here (design, section 3).
+    Signs are flipped by recording, and p-values corrected after Holm for everything compared here
+    (docs/specification/protocol.md#comparisons).
 
     Args:
         first: A finished run folder.

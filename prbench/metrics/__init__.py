@@ -1,6 +1,6 @@
 """The six metrics of the study and their variants: pure functions over ragged batches, one value a sequence.
 
-Definitions: ``methods/metrics.md``; *Prime and Reach*, section 5.2. Constants come from the protocol.
+Definitions: docs/specification/metrics.md; *Prime and Reach*, section 5.2. Constants come from the protocol.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class MotionBatch:
 
 
 def require_equal_lengths(predicted: MotionBatch, recorded: MotionBatch) -> None:
-    """Refuse motions that are not frame by frame comparable (methods/metrics.md, section 0).
+    """Refuse motions that are not frame by frame comparable (docs/specification/metrics.md#length-contract).
 
     Raises:
         ValueError: naming the first sequence whose length differs.

@@ -21,8 +21,8 @@ def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bo
         motion: Metres, any frame.
 
     Returns:
-        The change (methods/metrics.md, section 9), and which sequences have a bone of zero length in frame 0. Such a
-        bone has no relative change and is left out.
+        The change (docs/specification/metrics.md#bone-length-change), and which sequences have a bone of zero length in
+        frame 0. Such a bone has no relative change and is left out.
     """
     parents, children = np.transpose(BONES)
     squared = motion.columns[children]

@@ -29,7 +29,7 @@ class ToeSteps:
 
 
 def foot_skating(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Float[np.ndarray, " n"]:
-    """Share of frame transitions in which a toe slides over the floor (methods/metrics.md, section 6).
+    """Share of frame transitions in which a toe slides over the floor (docs/specification/metrics.md#foot-skating).
 
     A toe slides if it stays below ``foot_height`` while both its horizontal speed and the moving average of that speed
     exceed ``foot_speed``. Heights are absolute: the floor is Y = 0.

@@ -12,7 +12,7 @@ from prbench.metrics.targets import ScoringPair
 
 
 def goal_mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:
-    """Mean per-joint position error at the last frame, metres (methods/metrics.md, section 4).
+    """Mean per-joint position error at the last frame, metres (docs/specification/metrics.md#goal-mpjpe).
 
     Global positions, no alignment, pelvis included. Each motion's own last frame counts.
 

@@ -15,7 +15,9 @@ from prbench.skeleton import Joint
 def location_error(
     predicted: MotionBatch, recorded: MotionBatch, constants: MetricConstants, *, horizontal: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """1 where the final pelvis is ``location_error_distance`` or more from the recorded one (methods/metrics.md, 3).
+    """1 where the final pelvis is ``location_error_distance`` or more from the recorded one.
+
+    Source: docs/specification/metrics.md#location-error.
 
     Args:
         predicted: Canonical frame, metres.

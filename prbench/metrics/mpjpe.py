@@ -13,7 +13,7 @@ from prbench.skeleton import N_JOINTS
 
 
 def mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:
-    """Mean per-joint position error of each sequence, metres (methods/metrics.md, section 5).
+    """Mean per-joint position error of each sequence, metres (docs/specification/metrics.md#mpjpe).
 
     Mean over all frames and joints of the distance between predicted and recorded joint. Global positions, no
     alignment, first frame and pelvis included. Average it over sequences, never over pooled frames.

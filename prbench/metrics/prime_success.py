@@ -19,7 +19,7 @@ Variant = Literal["equation", "onset"]
 def prime_success(
     motion: MotionBatch, targets: ScoringTargets, constants: MetricConstants, *, variant: Variant = "equation"
 ) -> Float[np.ndarray, " n"]:
-    """1 where the head primes the goal (*Prime and Reach*, eq. 3; methods/metrics.md, section 1).
+    """1 where the head primes the goal (*Prime and Reach*, eq. 3; docs/specification/metrics.md#prime-success).
 
     There must be a frame t within ``prime_window`` of the recorded prime time such that the head-forward ray stays
     within ``prime_distance`` of the goal for ``prime_duration`` from t on, and the head decelerates at t:

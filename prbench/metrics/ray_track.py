@@ -17,7 +17,7 @@ _TIME_TOLERANCE = 1e-9  # seconds
 
 @dataclass(frozen=True, eq=False)
 class CandidateFrames:
-    """The frames of each sequence at which priming may begin (methods/metrics.md, section 1).
+    """The frames of each sequence at which priming may begin (docs/specification/metrics.md#prime-success).
 
     Frames around the prime time, of which frames 0 and 1 (whose head direction has no acceleration) and the last
     ``hold`` frames (whose stay on the target cannot be seen to its end) are left out.

@@ -15,7 +15,7 @@ from prbench.skeleton import WRISTS
 def reach_success(
     predicted: MotionBatch, goal_location: Float[np.ndarray, "n 3"], constants: MetricConstants, *, final: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """1 where either wrist comes within ``reach_distance`` of the goal (methods/metrics.md, section 2).
+    """1 where either wrist comes within ``reach_distance`` of the goal (docs/specification/metrics.md#reach-success).
 
     Args:
         predicted: Canonical frame, metres.

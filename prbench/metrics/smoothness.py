@@ -9,7 +9,9 @@ from prbench.metrics.batch import MotionBatch, sum_rows
 
 
 def jitter(motion: MotionBatch, fps: float) -> Float[np.ndarray, " n"]:
-    """Mean over frames and joints of the third difference's norm times fps³, m/s³ (methods/metrics.md, section 9).
+    """Mean over frames and joints of the third difference's norm times fps³, m/s³.
+
+    Source: docs/specification/metrics.md#jitter-and-largest-jerk.
 
     Raises:
         ValueError: if a sequence has fewer than four frames.
@@ -19,7 +21,9 @@ def jitter(motion: MotionBatch, fps: float) -> Float[np.ndarray, " n"]:
 
 
 def max_jerk(motion: MotionBatch) -> Float[np.ndarray, " n"]:
-    """Largest norm of the third difference over frames and joints, m/frame³ (methods/metrics.md, section 9).
+    """Largest norm of the third difference over frames and joints, m/frame³.
+
+    Source: docs/specification/metrics.md#jitter-and-largest-jerk.
 
     Raises:
         ValueError: if a sequence has fewer than four frames.

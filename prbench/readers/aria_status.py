@@ -1,4 +1,7 @@
-"""``summary.json`` of the Aria Machine Perception Services: what its operators say of a stream (section 7)."""
+"""``summary.json`` of the Aria Machine Perception Services: what its operators say of a stream.
+
+Source: docs/specification/aria-mps.md#summaries.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""``synthetic.json``: what marks a folder of native files as invented (``methods/synthetic-recordings.md`` section 14).
+"""``synthetic.json``: what marks a folder of native files as invented.
+
+Source: docs/specification/synthetic-recordings.md#native-layouts.
 
 Nothing else of the truth is ever read: the folder ``truth/`` beside it is for checking results only.
 """

@@ -132,16 +132,16 @@ class ObjectTrack:
     box_max: Float[np.ndarray, "3"]
     movable: bool
     """Whether the dataset tracks it; only such objects can be picked up."""
-    surface_points: Float[np.ndarray, "k 3"] | None = None
-    """Points all over its surface, in its own frame; only where a reader is asked for meshes."""
+    surface: Occluder | None = None
+    """Its mesh, in its own frame; only where a reader is asked for meshes."""
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)
         name = f"object {quoted(self.name)} ({quoted(self.object_id)})"
         _check_poses(name, self)
         require_near(f"box of {name}", np.stack([self.box_min, self.box_max]), farthest=LARGEST_OBJECT)
-        if self.surface_points is not None:
-            require_near(f"surface of {name}", self.surface_points, farthest=LARGEST_OBJECT)
+        if self.surface is not None:
+            require_near(f"surface of {name}", self.surface.vertices, farthest=LARGEST_OBJECT)
 
     def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
         """Position and rotation interpolated between valid samples, end values held beyond them."""
@@ -230,7 +230,7 @@ class Recording:
     pose_source: str
     """Where the body comes from (``adt-optitrack``, ``egoallo``, …); ``none`` without a body."""
     head_tilt_deg: float
-    """Rest tilt of that body's neck-head bone, degrees (``formats/humanml3d.md`` section 8)."""
+    """Rest tilt of that body's neck-head bone, degrees (docs/specification/humanml3d.md#head-forward-vector)."""
     span: tuple[float, float]
     """First and last instant with ground truth, seconds."""
     gaze: GazeStream

@@ -1,4 +1,7 @@
-"""Entries of ``target_information.json``, whichever of five shapes the file has (formats/pr-release.md, section 3)."""
+"""Entries of ``target_information.json``, whichever of five shapes the file has.
+
+Source: docs/specification/pr-release.md#tolerant-parser.
+"""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _FITTING = 0.8  # share of them that must have the form: a few broken entries do
 
 @dataclass(frozen=True)
 class FieldRule:
-    """How one canonical field is recognised (formats/pr-release.md, section 3)."""
+    """How one canonical field is recognised (docs/specification/pr-release.md#tolerant-parser)."""
 
     canonical: str
     aliases: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""From measurements to conclusions: unit, frames, skeleton (formats/pr-release.md, section 2)."""
+"""From measurements to conclusions: unit, frames, skeleton (docs/specification/pr-release.md#what-is-unknown)."""
 
 from __future__ import annotations
 

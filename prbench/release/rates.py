@@ -1,4 +1,7 @@
-"""Frame rate of a release, and whether its primed frames count from 0 or 1 (formats/pr-release.md, section 2)."""
+"""Frame rate of a release, and whether its primed frames count from 0 or 1.
+
+Source: docs/specification/pr-release.md#what-is-unknown.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""22 joints to the 263 features of HumanML3D and back (``formats/humanml3d.md``).
+"""22 joints to the 263 features of HumanML3D and back (docs/specification/humanml3d.md).
 
 This is the NumPy side, which checks what it is given; the differentiable torch side is
 :mod:`prbench.representation.tensors`.

@@ -1,4 +1,7 @@
-"""What may not go into the features: silent garbage in the original, a named frame here (section 5 of the page)."""
+"""What may not go into the features: silent garbage in the original, a named frame here.
+
+Source: docs/specification/humanml3d.md#edge-effects.
+"""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ def canonicalise(
 ) -> Float[np.ndarray, "frames 22 3"]:
     """The motion with its first pelvis over the origin, facing +Z, and its lowest joint at Y = 0.
 
-    Steps 2 to 4 of ``formats/humanml3d.md`` section 2; :func:`prbench.skeleton.canonical_frame` is the transform. A
-    body that faces exactly -Z is turned by half a turn.
+    Steps 2 to 4 of docs/specification/humanml3d.md#forward-conversion; :func:`prbench.skeleton.canonical_frame` is the
+    transform. A body that faces exactly -Z is turned by half a turn.
 
     Args:
         joints: (frames, 22, 3), any frame with Y up, metres.
@@ -62,7 +62,8 @@ def at_20_fps(
 ) -> Float[np.ndarray, "kept 22 3"]:
     """The motion at 20 frames a second, linearly interpolated on a grid that ends on its last frame.
 
-    The event of a sequence is its last frame, so that frame is kept exactly (``formats/humanml3d.md`` section 6).
+    The event of a sequence is its last frame, so that frame is kept exactly
+    (docs/specification/humanml3d.md#down-sampling-to-20-fps).
 
     Args:
         joints: Uniformly sampled positions, any frame, metres.

@@ -1,4 +1,4 @@
-"""Features to joints in NumPy, from positions or from rotations (``formats/humanml3d.md`` section 3)."""
+"""Features to joints in NumPy, from positions or from rotations (docs/specification/humanml3d.md#inverse)."""
 
 from __future__ import annotations
 

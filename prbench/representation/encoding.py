@@ -1,4 +1,4 @@
-"""Joints to features in NumPy (``formats/humanml3d.md`` section 2, steps 5 to 8)."""
+"""Joints to features in NumPy (docs/specification/humanml3d.md#forward-conversion, steps 5 to 8)."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def encode(
     """The features of a canonical motion, with its own bone lengths.
 
     Row t holds frame t and the step to frame t + 1. Without ``next_joints`` the last frame has no step and is lost, as
-    in the original; with it there are as many rows as frames (``methods/pr-model.md`` section 3). The heading is
-    smoothed over two seconds on either side, so encode the final clip and never cut features.
+    in the original; with it there are as many rows as frames (docs/specification/pr-model.md#data-and-features). The
+    heading is smoothed over two seconds on either side, so encode the final clip and never cut features.
 
     Args:
         joints: (frames, 22, 3), canonical frame (:func:`prbench.representation.canonicalise`), metres, 20 fps.

@@ -1,4 +1,6 @@
-"""The 263 numbers of a frame, and the constants of the skeleton behind them (``formats/humanml3d.md`` sections 1, 2).
+"""The 263 numbers of a frame, and the constants of the skeleton behind them.
+
+Sources: docs/specification/humanml3d.md#skeleton and docs/specification/humanml3d.md#forward-conversion.
 
 A row describes frame t and the step from t to t + 1, both seen from the body's own heading. Metres, radians, frames.
 """

@@ -1,4 +1,4 @@
-"""Mean and standard deviation of features, as HumanML3D has them (``formats/humanml3d.md`` section 4)."""
+"""Mean and standard deviation of features, as HumanML3D has them (docs/specification/humanml3d.md#normalisation)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Joints to features and back in torch: batched, padded, differentiable (``formats/humanml3d.md`` sections 2 and 3).
+"""Joints to features and back in torch: batched, padded, differentiable.
+
+Sources: docs/specification/humanml3d.md#forward-conversion and docs/specification/humanml3d.md#inverse.
 
 Nothing here checks its input, because a look at the values would stall the device; check it once with
 :func:`prbench.representation.check_joints` before it becomes a tensor. Work is done in the precision that comes in, at
@@ -68,7 +70,7 @@ def encode(
     """As many rows of features as frames, from canonical joints of any bone lengths.
 
     Every row is computed with its own true length, so neither padding nor batch mates change it. The last valid row
-    holds the step to ``next_joints`` (``methods/pr-model.md`` section 3).
+    holds the step to ``next_joints`` (docs/specification/pr-model.md#data-and-features).
 
     Args:
         joints: Canonical frame, metres, 20 fps; frames from ``n_frames[i]`` on are padding and may hold anything.

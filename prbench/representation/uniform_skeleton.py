@@ -1,4 +1,7 @@
-"""Every body on one skeleton, as HumanML3D has it, and back (``formats/humanml3d.md`` section 2, step 1)."""
+"""Every body on one skeleton, as HumanML3D has it, and back.
+
+Source: docs/specification/humanml3d.md#forward-conversion, step 1.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,8 @@ class UniformSkeleton:
     """To and from the skeleton of a model that learnt from HumanML3D, for a batch of bodies.
 
     Conditions go in with :meth:`poses` and :meth:`locations`, generated motion comes out with :meth:`own_scale`
-    (``methods/pr-model.md`` section 3). Lengths scale about the canonical origin; bone proportions stay the model's.
+    (docs/specification/pr-model.md#data-and-features). Lengths scale about the canonical origin; bone proportions stay
+    the model's.
     """
 
     scale: Float[np.ndarray, " batch"]

@@ -1,4 +1,4 @@
-"""The columns of predictions and scores (design, section 3)."""
+"""The columns of predictions and scores (docs/specification/protocol.md#run-folder)."""
 
 from __future__ import annotations
 

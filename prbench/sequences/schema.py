@@ -1,4 +1,7 @@
-"""The columns of a built dataset: sequences, events and recordings (design, section 2)."""
+"""The columns of a built dataset: sequences, events and recordings.
+
+Source: docs/specification/sequence-table.md#schema-version.
+"""
 
 from __future__ import annotations
 

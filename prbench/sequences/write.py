@@ -1,4 +1,7 @@
-"""Write tables as Parquet in the encoding of the design: byte-stream split, zstd 1, row groups of 256 rows."""
+"""Write tables as Parquet: byte-stream split, zstd 1, row groups of 256 rows.
+
+Source: docs/specification/sequence-table.md#encoding.
+"""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import prbench
+from prbench.corpora.humanml3d.format import MIRROR_PREFIX
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.formats.humanml3d import MIRROR_PREFIX
 from prbench.locks import sole_writer
 from prbench.storage import atomic_folder, write_json
 from prbench.synthetic import GENERATOR_VERSION

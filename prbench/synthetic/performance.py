@@ -17,7 +17,7 @@ Side = Literal["left", "right"]
 
 @dataclass(frozen=True)
 class PersonStyle:
-    """Who acts: body size and habits (``methods/synthetic-recordings.md`` section 2)."""
+    """Who acts: body size and habits (docs/specification/synthetic-recordings.md#person)."""
 
     participant_id: str
     stature: float
@@ -47,12 +47,16 @@ class ObjectMotion:
 
 @dataclass(frozen=True)
 class TrueEvent:
-    """One pick or put, or one provocation, with its exact instants (section 6 and 10 of the page)."""
+    """One pick or put, or one provocation, with its exact instants.
+
+    Sources: docs/specification/synthetic-recordings.md#event-truth and
+    docs/specification/synthetic-recordings.md#truth-record.
+    """
 
     event_id: str
     action: Literal["pick", "put"]
     tag: str
-    """``plain``, ``near``, ``unprimed`` or the provocation of section 7."""
+    """``plain``, ``near``, ``unprimed`` or a provocation (docs/specification/synthetic-recordings.md#provocations)."""
     object_id: str
     object_name: str
     hand: Side

@@ -1,6 +1,6 @@
 """Numbers that a believable human motion keeps to, measured on performances.
 
-Source of the limits: ``methods/synthetic-recordings.md`` section 12.
+Source of the limits: docs/specification/synthetic-recordings.md#plausibility.
 """
 
 from __future__ import annotations

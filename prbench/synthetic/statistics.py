@@ -1,7 +1,7 @@
 """How the sequences of synthetic performances compare with what the study reports of the real datasets.
 
-Targets and tolerance: ``methods/synthetic-recordings.md`` section 9. Measured on true gaze, without sensors; what
-curation measures through sensors differs a little.
+Targets and tolerance: docs/specification/synthetic-recordings.md#statistics. Measured on true gaze, without sensors;
+what curation measures through sensors differs a little.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The truth record of synthetic recordings as Parquet (``methods/synthetic-recordings.md`` section 10).
+"""The truth record of synthetic recordings as Parquet (docs/specification/synthetic-recordings.md#truth-record).
 
 It lies in ``truth/`` beside the native files. Readers and curation never open it; only comparisons do. Times are
 seconds from the recording's first frame: add ``clock_offset_s`` of its stream to get the times of the native files.

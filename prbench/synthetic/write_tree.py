@@ -1,7 +1,9 @@
 """A whole synthetic tree on disk: native files, their mark, and the truth beside them.
 
-Source: ``methods/synthetic-recordings.md`` sections 10, 11 and 14. Recording i depends on seed, preset and world alone,
-so neither the number of recordings nor the number of workers changes a byte of it.
+Sources: docs/specification/synthetic-recordings.md#truth-record,
+docs/specification/synthetic-recordings.md#determinism-splits-sizes and
+docs/specification/synthetic-recordings.md#native-layouts. Recording i depends on seed, preset and world alone, so
+neither the number of recordings nor the number of workers changes a byte of it.
 """
 
 from __future__ import annotations

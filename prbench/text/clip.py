@@ -1,4 +1,6 @@
-"""CLIP's text encoder (ViT-B/32), which MDM and GMD were released with, through transformers (``methods/mdm.md``).
+"""CLIP's text encoder (ViT-B/32), which MDM and GMD were released with, through transformers.
+
+Source: docs/specification/mdm.md#network.
 
 A text has **one** vector, so it is one token: the mean over its tokens is that vector. It is what OpenAI's
 ``encode_text`` gives: the state of the last layer at the end-of-text piece (the one with the highest id), after the

@@ -1,4 +1,4 @@
-"""DistilBERT (base, uncased), the paper's text encoder, through transformers (``methods/mdm.md``).
+"""DistilBERT (base, uncased), the paper's text encoder, through transformers (docs/specification/mdm.md#network).
 
 The vectors are the last hidden states of all word pieces, the two special ones included. Weights are read from
 safetensors files only, and no code of a repository is run. Nothing is imported or loaded before the first text.

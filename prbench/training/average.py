@@ -1,4 +1,7 @@
-"""The exponential moving average of the weights, which is what is validated and saved (``methods/mdm.md``)."""
+"""The exponential moving average of the weights, which is what is validated and saved.
+
+Source: docs/specification/mdm.md#training.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mean and standard deviation of the vector that conditions the P&R model (``methods/pr-model.md`` section 2)."""
+"""Mean and standard deviation of the vector that conditions the P&R model (docs/specification/pr-model.md#network)."""
 
 from __future__ import annotations
 

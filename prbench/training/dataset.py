@@ -29,7 +29,7 @@ class MotionItem:
     """One motion as it is trained on. Canonical frame of its first frame, metres; arrays may be read-only views."""
 
     features: Float[np.ndarray, "n 263"]
-    """Raw features, one row a frame, not standardised (``formats/humanml3d.md`` section 2)."""
+    """Raw features, one row a frame, not standardised (docs/specification/humanml3d.md#forward-conversion)."""
     joints: Float[np.ndarray, "n 22 3"]
     n_frames: int
     text: str
@@ -70,7 +70,7 @@ class SequenceDataset(Dataset[MotionItem]):
         max_frames: The longest item; longer rows are cut.
         crop: What is kept of a longer row: its ``end`` with the goal, or a part at a ``random`` start. Either way it is
             encoded anew in the canonical frame of its first kept frame, and the frame before that is its predecessor
-            (``methods/pr-model.md`` section 4).
+            (docs/specification/pr-model.md#training).
         mode: Of the representation: ``continuous``, or ``reference`` with the original's quirks.
         mirrored: Whether each row comes a second time as a mirror shows it. Corpora that bring mirrored copies of their
             own are not mirrored again.
@@ -151,7 +151,7 @@ class SequenceDataset(Dataset[MotionItem]):
         return tuple(sorted({text for store in self._stores for row in range(len(store)) for text in store.texts(row)}))
 
     def statistics(self) -> Statistics:
-        """Mean and block-wise standard deviation of the raw features (``formats/humanml3d.md`` section 4).
+        """Mean and block-wise standard deviation of the raw features (docs/specification/humanml3d.md#normalisation).
 
         Over every frame of every row; of a row that is cut at random, over the part that epoch 0 shows.
         """
@@ -161,7 +161,7 @@ class SequenceDataset(Dataset[MotionItem]):
         return accumulator.result()
 
     def condition_statistics(self, goal: Goal) -> ConditionStatistics:
-        """Mean and standard deviation of the condition vector (``methods/pr-model.md`` section 2).
+        """Mean and standard deviation of the condition vector (docs/specification/pr-model.md#network).
 
         Raises:
             TableError: if goal locations are asked for and a row has none.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from prbench.contract import ENTRY_POINT_GROUP as METHODS
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
-from prbench.evaluation.installed import entry_points_of, list_adapters
+from prbench.methods.installed import entry_points_of, list_adapters
 
 if TYPE_CHECKING:
     from prbench.training.task import TrainingTask

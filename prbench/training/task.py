@@ -30,8 +30,8 @@ class TrainingData:
     """What a task may look at before the first step: the training split, as it will be fed.
 
     A task takes normalisation statistics from ``train.statistics()`` and ``train.condition_statistics(goal)``, both
-    made once and kept; a fine-tuned model keeps those of its initial weights instead (``methods/pr-model.md``
-    section 4).
+    made once and kept; a fine-tuned model keeps those of its initial weights instead
+    (docs/specification/pr-model.md#training).
     """
 
     train: SequenceDataset

@@ -1,6 +1,6 @@
 """Filmstrips, top views and curves of synthetic performances, to be looked at.
 
-Source: ``methods/synthetic-recordings.md`` section 12. matplotlib is imported when something is drawn.
+Source: docs/specification/synthetic-recordings.md#plausibility. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from pathlib import Path
 from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
-from prbench.formats import gimo
 from prbench.locks import sole_writer
 from prbench.readers import RecordingFiles, reader_for
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.segments import row_of
 from prbench.shown import csv_text
 from prbench.storage import atomic_path

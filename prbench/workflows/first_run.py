@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import prbench
 from prbench.contract import Condition
 from prbench.engine import Engine
-from prbench.evaluation.cache import cache_folder
 from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
-from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import digest_of, load_manifest, load_protocol
+from prbench.methods.cache import cache_folder
+from prbench.methods.installed import list_adapters
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION

@@ -1,4 +1,7 @@
-"""Found events against true ones, as ``methods/synthetic-recordings.md`` section 10 compares a curation run."""
+"""Found events against true ones: how a curation run is compared with the truth.
+
+Source: docs/specification/synthetic-recordings.md#truth-record.
+"""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""
 World = Literal["default", "large"]
 LARGE_RECORDINGS = 480
-"""Recordings a preset of size ``large`` (``methods/synthetic-recordings.md`` section 14)."""
+"""Recordings a preset of size ``large`` (docs/specification/synthetic-recordings.md#determinism-splits-sizes)."""
 _IN_PROCESS = InProcess()
 
 
@@ -39,7 +39,8 @@ class Staging:
     n_events: int = 10
     noise: float = 1.0
     provocations: tuple[tuple[str, float], ...] | None = None
-    """Share of the movements for each tag of section 7; None = the default 10 % together, () = none."""
+    """Share of the movements for each tag (docs/specification/synthetic-recordings.md#provocations); None =
+    the default 10 % together, () = none."""
 
     def perform(self, index: int) -> Performance:
         """Act out one recording."""

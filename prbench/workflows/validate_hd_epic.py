@@ -1,7 +1,7 @@
 """HD-EPIC's own priming results beside the rule's, and why our number of sequences differs from the study's.
 
 The dataset publishes priming (``priming_info.json``), the study counts 18,134 sequences. What the two have in common is
-told here with what is known and what is a guess (``formats/hd-epic.md`` section 6).
+told here with what is known and what is a guess (docs/specification/hd-epic.md#events-and-priming).
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class SensorLevel:
     name: str
     noise: float
     provoked: bool
-    """Whether the provocations of section 7 are on, at their default share."""
+    """Whether provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
 
 
 LEVELS = (
@@ -183,7 +183,10 @@ class Limit:
 
 
 def limits(level: SensorLevel, result: Verification, *, preset: str = "adt") -> list[Limit]:
-    """What ``methods/synthetic-recordings.md`` section 10 asserts at this level; periods are those of the dataset."""
+    """The limits asserted at this level; periods are those of the dataset.
+
+    Source: docs/specification/synthetic-recordings.md#truth-record.
+    """
     rates = load_manifest(preset).rates_hz
     objects, gaze = (1.0 / rates.get(stream, 30.0) for stream in ("objects", "gaze"))
     if level.noise == 0:

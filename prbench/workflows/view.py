@@ -8,18 +8,19 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH
-from prbench.evaluation.verification import RunChecker
 from prbench.paths import turn_into_paths
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.sequences.lookup import find_sequence_id
 from prbench.sequences.table import smallest_by_hash
+from prbench.submitted.verification import RunChecker
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.file_kind import file_kind
 from prbench.viewing.replay.read import read_scenes
 from prbench.viewing.replay.run_motions import RunMotions, run_labels
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.write import write_view
+from prbench.workflows.surroundings import Surroundings
 from prbench.workflows.tables_of_runs import require_in_run, tables_of_runs
 
 DEFAULT_LIMIT = 4
@@ -54,9 +55,11 @@ class ViewRequest:
     """Of runs that drew several motions."""
     permitted: Collection[str] = ()
     """Datasets for which the user has permission to pass recorded motion on."""
+    scene: Path | None = None
+    """The user's copy of the dataset, for drawing what stood around; None draws the motions alone."""
 
     def __post_init__(self) -> None:
-        turn_into_paths(self, "out", "runs", "data")
+        turn_into_paths(self, "out", "runs", "data", "scene")
         if not self.runs and not self.data:
             raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
         if self.sequences and self.limit is not None:
@@ -88,7 +91,7 @@ def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
         RunError: if a run has no predictions, was made on another table, or its scores are not those of its motions.
         TableError: if a table cannot be found or read.
         RedistributionError: if nothing is left that the licence lets be shown.
-        MissingExtraError: if MP4 or HTML is asked for without the extra `view`.
+        MissingExtraError: if MP4 or HTML is asked for without the extra `view`, or a scene without the extra `open3d`.
         StorageError: if the file cannot be written.
     """
     kind = file_kind(request.out)
@@ -111,7 +114,8 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     scenes: list[Scene] = []
     for part, ids in zip(shown, _chosen(request, shown), strict=True):
         if ids:
-            scenes += read_scenes(part.table, ids, part.generated, permitted=request.permitted)
+            around = None if request.scene is None else Surroundings(part.table.info.dataset, request.scene).around
+            scenes += read_scenes(part.table, ids, part.generated, permitted=request.permitted, around=around)
     return tuple(scenes)
 
 

@@ -10,11 +10,11 @@ from typing import ClassVar
 
 import pytest
 
-from prbench.evaluation.conformance.cases import write_sequences
-from prbench.evaluation.conformance.people import invented_sequences
-from prbench.evaluation.conformance.suite import AdapterConformance
+from prbench.checking.conformance.cases import write_sequences
+from prbench.checking.conformance.people import invented_sequences
+from prbench.checking.conformance.suite import AdapterConformance
 
-pytestmark = pytest.mark.filterwarnings("ignore::prbench.evaluation.conformance.suite.ConformanceWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::prbench.checking.conformance.suite.ConformanceWarning")
 
 
 @pytest.fixture(scope="module")

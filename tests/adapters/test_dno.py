@@ -119,7 +119,10 @@ def test_the_modes_are_those_of_the_page(prior, tmp_path):
 
 
 def test_a_prior_of_one_skeleton_moves_bodies_of_their_own_size(tmp_path):
-    """Goals and poses are put on the prior's skeleton and the motion is scaled back (methods/pr-model.md section 3)."""
+    """Goals and poses are put on the prior's skeleton and the motion is scaled back.
+
+    Source: docs/specification/pr-model.md#data-and-features.
+    """
     path = tiny.write(tmp_path / "uniform.safetensors", uniform_skeleton=True)
     adapter, given = dno.load(path, options=QUICK, device="cpu"), batch(n_frames=(9,))
     bodies = ModelBodies.of(given, adapter.model.configuration)

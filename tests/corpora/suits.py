@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from prbench.formats.nymeria import SEGMENTS, Suit
+from prbench.corpora.nymeria.format import Suit
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.manifests import load_manifest
 from tests.fakes import STANDING
 
@@ -18,15 +19,15 @@ START_US = 5_000_000
 def walking_suit(n: int = 1200, *, speed: float = 0.8) -> Suit:
     """A standing body that glides along +X of the suit's world at a constant speed, facing where it goes."""
     mapping = load_manifest("nymeria").body.joint_mapping
-    body = np.zeros((len(SEGMENTS), 3))
+    body = np.zeros((len(XSENS_SEGMENTS), 3))
     for joint, segment in enumerate(mapping):
-        body[SEGMENTS.index(segment)] = STANDING[joint]
+        body[XSENS_SEGMENTS.index(segment)] = STANDING[joint]
     body[0] = STANDING[[1, 2]].mean(axis=0)
     native = np.stack([body[:, 2], body[:, 0], body[:, 1]], axis=-1)  # forward, left, up
     ticks = np.arange(n)
     position = np.repeat(native[None], n, axis=0)
     position[..., 0] += (speed * ticks / 240.0)[:, None]
-    rotation = np.tile([1.0, 0.0, 0.0, 0.0], (n, len(SEGMENTS), 1))
+    rotation = np.tile([1.0, 0.0, 0.0, 0.0], (n, len(XSENS_SEGMENTS), 1))
     return Suit(START_US + np.rint(ticks * 1e6 / 240).astype(np.int64), position, rotation, native)
 
 

@@ -17,9 +17,9 @@ from prbench.corpora.nymeria.clock import (
     offset_by_starts,
     offset_from_file,
 )
+from prbench.corpora.nymeria.format import Narration
 from prbench.corpora.nymeria.suit import clean_suit
 from prbench.errors import InputFileError
-from prbench.formats.nymeria import Narration
 from prbench.randomness import named_generator
 from tests.corpora.suits import START_US, THRESHOLDS, walking_suit
 

@@ -9,9 +9,9 @@ from prbench.corpora.cutting import cut_motion
 from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset
+from prbench.corpora.nymeria.format import Narration
 from prbench.corpora.options import ClipLimits
 from prbench.corpora.sources import Belonging
-from prbench.formats.nymeria import Narration
 from prbench.skeleton import Joint, transform_points
 from tests.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion

@@ -9,9 +9,10 @@ import pytest
 
 from prbench.axes import y_up
 from prbench.corpora.nymeria.body import measured_head_tilt, suit_motion
+from prbench.corpora.nymeria.format import Suit
 from prbench.corpora.nymeria.suit import clean_suit, read_suit
 from prbench.errors import InputFileError
-from prbench.formats.nymeria import SEGMENTS, Suit
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.manifests import load_manifest
 from prbench.skeleton import Joint
 from tests.corpora.suits import THRESHOLDS, walking_suit, write_arrays
@@ -29,8 +30,8 @@ def moved(suit: Suit, mapping=MANIFEST.body.joint_mapping):
 
 
 def test_the_published_index_lists_are_the_mappings_by_name():
-    default = [SEGMENTS.index(name) for name in MANIFEST.body.joint_mapping]
-    named = [SEGMENTS.index(name) for name in MANIFEST.body.other_mappings["named"]]
+    default = [XSENS_SEGMENTS.index(name) for name in MANIFEST.body.joint_mapping]
+    named = [XSENS_SEGMENTS.index(name) for name in MANIFEST.body.other_mappings["named"]]
     assert default == [1, 19, 15, 2, 20, 16, 3, 21, 17, 4, 22, 18, 5, 11, 7, 6, 12, 8, 13, 9, 14, 10]
     assert named == [0, 19, 15, 1, 20, 16, 2, 21, 17, 3, 22, 18, 5, 11, 7, 6, 12, 8, 13, 9, 14, 10]
 
@@ -169,7 +170,7 @@ def test_the_head_tilt_is_measured_on_the_calibration_pose():
 def test_bones_that_change_are_reported():
     suit = walking_suit(600)
     position = suit.position.copy()
-    position[:, SEGMENTS.index("L_Hand"), 2] -= np.linspace(0.0, 0.02, 600)
+    position[:, XSENS_SEGMENTS.index("L_Hand"), 2] -= np.linspace(0.0, 0.02, 600)
     report = moved(replace(suit, position=position))
     assert "bones change their length" in report.messages[0]
     assert float(dict(report.measured)["bone_length_change_mm"]) > 5.0

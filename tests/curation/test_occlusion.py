@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import sys
 
 import numpy as np
 import pytest
-import trimesh
 
 from prbench.curation import CurationOptions, curate_recording
 from prbench.curation.occlusion import MARGIN, Surroundings
-from prbench.curation.ray_casters import CASTERS
-from prbench.curation.triangle_tree import TriangleTree
 from prbench.errors import MissingExtraError, UsageError
 from prbench.manifests import load_manifest
 from prbench.recording import Occluder, Recording
@@ -21,8 +17,8 @@ from tests.curation.scenes import EYE, LOOK_A, LOOK_B, MANIFEST, PLACE_A, PLACE_
 
 TWO_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)])
 MARK, REQUIRE = CurationOptions(occlusion="mark"), CurationOptions(occlusion="require")
-FAR = np.full(400, np.inf)
-HAS_OPEN3D = importlib.util.find_spec("open3d") is not None
+
+pytestmark = pytest.mark.usefixtures("open3d_or_slow_loop")
 
 
 def pane(x: tuple[float, float], y: tuple[float, float], z: float) -> np.ndarray:
@@ -131,14 +127,14 @@ def test_a_turned_object_turns_its_mesh() -> None:
     on_end = np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])  # 90 degrees about z
     for rotation, hidden in ((upright, False), (on_end, True)):
         body = dataclasses.replace(track(times, np.array([[0.0, 0.0, 1.0]]), object_id="7"), rotation=rotation)
-        around = Surroundings(scene(objects=(body,), occluders=(board,)), "numpy")
+        around = Surroundings(scene(objects=(body,), occluders=(board,)))
         above = np.array([[0.0, 0.5, 0.0]]), np.array([[0.0, 0.0, 1.0]])
         assert around.obstacles(times, *above, np.array([2.0]), but="1") == (("board",) if hidden else ("",))
 
 
 def test_the_nearest_of_several_meshes_is_named_and_what_lies_behind_the_place_is_none() -> None:
     panes = [wall(pane((-1, 1), (-1, 1), z), name=str(z)) for z in (3.0, 1.0, 2.0)]
-    around = Surroundings(scene(occluders=tuple(panes)), "numpy")
+    around = Surroundings(scene(occluders=tuple(panes)))
     ahead = np.zeros((4, 3)), np.tile((0.0, 0.0, 1.0), (4, 1))
     reach = np.array([0.5, 1.5, 1.0 + 0.9 * MARGIN, 1.0 + 1.1 * MARGIN])
     assert around.obstacles(np.zeros(4), *ahead, reach, but="") == ("", "1.0", "", "1.0")
@@ -152,43 +148,14 @@ def test_without_meshes_that_is_said() -> None:
     assert [row.outcome for row in curated.events] == ["sequence", "sequence"]
 
 
-def _crowd(n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Random triangles and rays."""
-    generator = np.random.default_rng(5)
-    vertices = generator.normal(size=(90, 3))
-    faces = np.arange(90).reshape(-1, 3)
-    direction = generator.normal(size=(n, 3))
-    return vertices, faces, generator.normal(size=(n, 3)) * 2, direction / np.linalg.norm(direction, axis=1)[:, None]
-
-
-def test_distances_are_those_of_a_slow_loop() -> None:
-    """An independent oracle: each ray and triangle as a system of three equations."""
-    vertices, faces, origins, directions = _crowd(120)
-    expected = np.full(len(origins), np.inf)
-    for ray, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
-        for a, b, c in vertices[faces]:
-            along, u, v = np.linalg.solve(np.column_stack([-direction, b - a, c - a]), origin - a)
-            if along > 0 and u >= 0 and v >= 0 and u + v <= 1:
-                expected[ray] = min(expected[ray], along)
-    assert 10 < np.isfinite(expected).sum() < 110
-    assert TriangleTree(vertices, faces).first_hit(origins, directions, FAR[: len(origins)]) == pytest.approx(
-        expected, abs=1e-9
-    )
-
-
-@pytest.mark.skipif(not HAS_OPEN3D, reason="Open3D is not installed (extra open3d)")
-def test_both_ray_casters_agree() -> None:
-    vertices, faces, origins, directions = _crowd()
-    one, other = (caster(vertices, faces).first_hit(origins, directions, FAR) for caster in CASTERS.values())
-    assert one == pytest.approx(other, abs=1e-5)
-
-
-def test_a_missing_ray_caster_is_told_before_anything_is_read(monkeypatch) -> None:
+def test_without_open3d_that_is_told_before_anything_is_read(monkeypatch) -> None:
+    monkeypatch.undo()  # of the fixture, which lets the slow loop answer
     monkeypatch.setitem(sys.modules, "open3d", None)
-    options = CurationOptions(occlusion="mark", ray_caster="open3d")
-    with pytest.raises(MissingExtraError, match=r"pip install 'prbench\[open3d\]'"):
-        options.require_fits(load_manifest("mogaze"))
-    CurationOptions(ray_caster="open3d").require_fits(load_manifest("mogaze"))  # nothing is cast
+    with pytest.raises(MissingExtraError, match=r"--occlusion mark needs .*pip install 'prbench\[open3d\]'"):
+        MARK.require_fits(load_manifest("mogaze"))
+    with pytest.raises(MissingExtraError, match=r"'surface' needs .*pip install 'prbench\[open3d\]'"):
+        CurationOptions(in_hand="surface").require_fits(load_manifest("hot3d"))
+    CurationOptions().require_fits(load_manifest("mogaze"))  # nothing is asked about meshes
 
 
 def test_occlusion_and_published_priming_exclude_each_other() -> None:
@@ -198,25 +165,5 @@ def test_occlusion_and_published_priming_exclude_each_other() -> None:
 
 def test_the_choice_stands_in_the_description_of_a_dataset() -> None:
     described = REQUIRE.described(load_manifest("mogaze"), PROTOCOL)
-    assert (described["occlusion"], described["ray_caster"]) == ("require", "numpy")
+    assert described["occlusion"] == "require"
     assert CurationOptions().described(load_manifest("mogaze"), PROTOCOL)["occlusion"] == "off"
-
-
-def test_a_large_mesh_is_met_at_its_surface() -> None:
-    sphere = trimesh.creation.icosphere(subdivisions=5)  # 20,480 triangles
-    generator = np.random.default_rng(2)
-    origins = generator.normal(size=(700, 3))
-    origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
-    tree = TriangleTree(np.array(sphere.vertices), np.array(sphere.faces))
-    inwards = -origins / 3
-    assert tree.first_hit(origins, inwards, np.full(700, np.inf)) == pytest.approx(2.0, abs=2e-3)
-    assert np.isinf(tree.first_hit(origins, inwards, np.full(700, 1.9))).all(), "out of reach"
-    assert np.isinf(tree.first_hit(origins, -inwards, np.full(700, np.inf))).all(), "behind the eye"
-    assert tree.first_hit(origins * 0, inwards, np.full(700, np.inf)) == pytest.approx(1.0, abs=2e-3), "from within"
-
-
-def test_a_ray_along_an_axis_and_one_through_a_common_edge() -> None:
-    tree = TriangleTree(pane((-1.0, 1.0), (-1.0, 1.0), 2.0), TWO_TRIANGLES)
-    ahead = np.tile((0.0, 0.0, 1.0), (3, 1))
-    origins = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 0.0), (1.1, 0.0, 0.0)])  # the diagonal, a corner, beside
-    assert tree.first_hit(origins, ahead, np.full(3, np.inf)).tolist() == [2.0, 2.0, np.inf]

@@ -15,11 +15,11 @@ import pytest
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.evaluation.method_names import NAME_FORM
-from prbench.evaluation.motions import generate_checked
-from prbench.evaluation.remote import answers, messages, process
-from prbench.evaluation.remote.adapter import RemoteAdapter
-from prbench.evaluation.remote.program import Program
+from prbench.methods.motions import generate_checked
+from prbench.methods.names import NAME_FORM
+from prbench.methods.remote import answers, messages, process
+from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.program import Program
 from prbench.skeleton import PARENTS, Joint
 from tests.docs.exchange import PAGE, Exchange, batch, decoded, page_with
 from tests.docs.interpreters import javascript

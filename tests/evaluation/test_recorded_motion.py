@@ -8,13 +8,13 @@ import pytest
 from prbench.evaluation.planning import select
 from prbench.evaluation.recorded_motion import is_recorded_motion
 from prbench.evaluation.run import run_method
-from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
 from prbench.metrics import MotionBatch
 from prbench.randomness import named_generator
 from prbench.runs import DatasetSummary, read_scores
+from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 from tests.evaluation.test_run import request
-from tests.evaluation.test_score_predictions import write
 from tests.fakes import STANDING, fake_sequence
+from tests.submitted.test_score_predictions import write
 
 
 def reaching(seed: int, n_frames: int = 90) -> np.ndarray:

@@ -17,9 +17,9 @@ from prbench.contract import Condition
 from prbench.errors import RunError
 from prbench.evaluation.run import run_method
 from prbench.runs.cost import RunCost
-from tests.evaluation.conftest import adapter_source
 from tests.evaluation.test_run import reproducible_bytes, request
 from tests.fakes import fake_dataset
+from tests.method_fixtures import adapter_source
 
 PROGRAM = """
 import sys

@@ -20,8 +20,8 @@ from prbench.metrics import METRICS
 from prbench.randomness import noise_seed
 from prbench.runs import Predictions, RunFolder, read_scores
 from prbench.sequences import SequenceTable
-from tests.evaluation.conftest import adapter_source
 from tests.fakes import fake_dataset
+from tests.method_fixtures import adapter_source
 
 
 def reproducible_bytes(folder) -> dict[str, bytes]:

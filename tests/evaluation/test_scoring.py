@@ -13,9 +13,9 @@ from prbench.manifests import load_protocol
 from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets
 from prbench.metrics import score as score_by_hand
 from prbench.runs import Predictions, read_scores
-from tests.evaluation.conftest import adapter_source
 from tests.evaluation.test_run import request
 from tests.fakes import fake_sequence
+from tests.method_fixtures import adapter_source
 
 SIDES = {"left": 0, "right": 1, None: -1}
 

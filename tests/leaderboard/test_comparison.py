@@ -8,8 +8,8 @@ from prbench.cli import main
 from prbench.errors import RunError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
-from prbench.evaluation.verification import recording_key
 from prbench.leaderboard import compare_runs
+from prbench.submitted.verification import recording_key
 from tests.fakes import fake_dataset
 
 

@@ -13,12 +13,12 @@ import msgspec
 import pytest
 
 from prbench.errors import RunError, UsageError
-from prbench.evaluation.verification import CheckedSummary
 from prbench.leaderboard import collect_runs, export, make_leaderboard
 from prbench.metrics import METRICS
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
+from prbench.submitted.verification import CheckedSummary
 from tests.runs.test_record import METHOD, RECORD, SUMMARY, TABLE
 
 UNITS = {info.id: info.unit for info in METRICS}

@@ -153,7 +153,7 @@ def test_agree_with_slow_references(seed: int) -> None:
 
 
 def slow_slides_and_contacts(joints: np.ndarray) -> tuple[list[bool], list[bool]]:
-    """The definition of methods/metrics.md, section 6, transition by transition."""
+    """The definition of docs/specification/metrics.md#foot-skating, transition by transition."""
     steps = range(len(joints) - 1)
     speed = [[FPS * np.hypot(*(joints[t + 1, j] - joints[t, j])[[0, 2]]) for t in steps] for j in TOES]
     low = [[joints[t, j, 1] < 0.05 and joints[t + 1, j, 1] < 0.05 for t in steps] for j in TOES]

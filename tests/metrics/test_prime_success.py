@@ -145,7 +145,7 @@ def test_success_grows_with_distance_and_window(seed: int) -> None:
 
 
 def slow_prime_success(joints, goal, tilt, prime_time, fps, constants, variant) -> float:
-    """The definition of methods/metrics.md, section 1, frame by frame."""
+    """The definition of docs/specification/metrics.md#prime-success, frame by frame."""
     n, hold = len(joints), int(np.ceil(constants.prime_duration * fps - 1e-9))
     forward, bad = head_forward(joints, tilt)
     offset = goal - joints[:, Joint.HEAD]

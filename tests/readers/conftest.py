@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.synthetic.layouts import adt as layout
 from prbench.synthetic.sensors.suit import suit_joints
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from prbench.formats.egoallo import EgoAlloOutput
+from prbench.readers.egoallo.format import EgoAlloOutput
 from prbench.recording import PoseStream
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 

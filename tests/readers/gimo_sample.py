@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import gimo
-from prbench.formats.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.manifests import load_manifest
+from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import find_segments

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from prbench.formats import hd_epic
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.write_tree import synthesize_tree
 

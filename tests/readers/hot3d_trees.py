@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import hot3d
-from prbench.formats.aria_mps import MpsReadings, trajectory_rows
+from prbench.readers.aria_mps.format import MpsReadings, trajectory_rows
+from prbench.readers.hot3d import format as hot3d
 from prbench.storage import write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts import hot3d as layout

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps import ZippedFile
+from prbench.readers.aria_mps import format as mps
 
 WORLD, OTHER_WORLD = "ea7288b8-b6a0-012d-8156-257aba6bd796", "short"
 COLUMNS = (

@@ -10,14 +10,14 @@ import pytest
 
 from prbench.curation.events import find_events
 from prbench.errors import InputFileError, UsageError
-from prbench.formats import adt
 from prbench.manifests import load_manifest
 from prbench.readers import reader_for
+from prbench.readers.adt import format as adt
+from prbench.readers.adt.for_egoallo import glasses_z_up, prepared_trajectory
+from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.egoallo import poses_folder
+from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
-from prbench.recording.adt_for_egoallo import glasses_z_up, prepared_trajectory
-from prbench.recording.from_adt import recording_from_adt
-from prbench.recording.from_egoallo import body_from_outputs
 from prbench.skeleton import Joint
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.layouts.adt import estimated_outputs, write

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
-from prbench.formats.aria_mps import device_from_cpf
 from prbench.readers.adt import find_recordings, read_readings, read_recording
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps.format import device_from_cpf
 from prbench.recording import Recording
 from prbench.recording.body_quality import hold_neighbours
 from prbench.skeleton import Joint

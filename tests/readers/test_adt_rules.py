@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
 from prbench.readers.adt import find_recordings, read_readings, read_recording
+from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import read_trajectory
 from prbench.recording import Recording
 from prbench.synthetic.layouts import adt as layout

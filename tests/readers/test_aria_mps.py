@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.formats.aria_mps import device_from_cpf, gaze_directions_cpf
 from prbench.readers.aria_mps import AriaTrajectory, read_first_calibration, read_gaze_angles, read_trajectory
+from prbench.readers.aria_mps.format import device_from_cpf, gaze_directions_cpf
+from prbench.readers.aria_mps.streams import gaze_in_world, part_poses
 from prbench.recording import PoseStream
-from prbench.recording.from_aria import gaze_in_world, part_poses
 from prbench.timelines import interpolate, slerp
 
 
@@ -104,7 +104,7 @@ def test_calibration_tells_the_size(samples, reference_values) -> None:
 
 
 def test_nominal_rgb_camera_is_close_to_a_calibrated_one(samples) -> None:
-    from prbench.formats.aria_mps import cpf_from_rgb
+    from prbench.readers.aria_mps.format import cpf_from_rgb
 
     calibration = read_first_calibration(samples / "mps/mps_sample/trajectory/online_calibration.jsonl")
     nominal = device_from_cpf("DVT-S") @ cpf_from_rgb()

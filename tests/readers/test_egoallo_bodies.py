@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.formats.egoallo import EgoAlloBody
 from prbench.readers.egoallo import NO_OUTPUTS, find_outputs, poses_folder, read_bodies
+from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
 from tests.readers.egoallo_files import model, output, rewrite, times_ns, walk, write

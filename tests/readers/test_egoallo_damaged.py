@@ -1,4 +1,4 @@
-"""Every damage of formats/egoallo.md section 5, refused with file, key, expected, found and remedy."""
+"""Every damage of docs/specification/egoallo.md#bad-input, refused with file, key, expected, found and remedy."""
 
 from __future__ import annotations
 

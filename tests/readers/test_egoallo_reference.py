@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.formats.egoallo import EgoAlloOutput, forward_kinematics
+from prbench.readers.egoallo.format import EgoAlloOutput, forward_kinematics
 from prbench.readers.egoallo.joints import read_window
 from prbench.readers.egoallo.model import read_smplh_rest
 from prbench.readers.egoallo.outputs import read_output

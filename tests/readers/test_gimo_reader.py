@@ -14,11 +14,11 @@ from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.manifests import load_manifest
 from prbench.readers import reader_for
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments
-from prbench.recording.from_gimo import recording_from_gimo
+from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.skeleton import Joint, transform_points
 from prbench.synthetic.layouts.gimo import write_events
 from prbench.synthetic.layouts.tensor_pickles import pickled_tensors

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from torch import nn
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import SmplxModel, read_pose_decoder, read_smplx_model
 from prbench.readers.gimo.route_mesh import joints_from_meshes, read_obj
 from prbench.readers.gimo.route_smplx import joints_from_parameters

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.gimo import READER
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import overlapping, read_segments
 from prbench.readers.gimo.events import events_of, hints_in_both_splits, read_events, require_one_split
 

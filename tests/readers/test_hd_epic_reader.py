@@ -1,4 +1,8 @@
-"""Finding and reading HD-EPIC in the shapes that users have it in (``formats/hd-epic.md`` sections 1, 2 and 7)."""
+"""Finding and reading HD-EPIC in the shapes that users have it in.
+
+Sources: docs/specification/hd-epic.md#folder-tree, docs/specification/hd-epic.md#clock and
+docs/specification/hd-epic.md#pitfalls-and-bad-input.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +14,10 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, RecordingUnusable, UsageError
-from prbench.formats import hd_epic
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic import annotations
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.intermediate import read_frames
 from prbench.readers.hd_epic.video_clock import read_video_clock
 from tests.comparing import differences

@@ -7,10 +7,10 @@ import pytest
 
 from prbench.curation import curate_recording
 from prbench.curation.options import CurationOptions
-from prbench.formats import hd_epic
 from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.readers.hd_epic import HdEpicOptions, read_readings
+from prbench.readers.hd_epic import format as hd_epic
 
 VIDEO = "P99-20240101-120000"
 START = 150.0  # device time of the first frame, seconds

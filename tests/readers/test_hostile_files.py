@@ -14,12 +14,12 @@ import pytest
 from prbench.corpora.humanml3d.motion import read_joints
 from prbench.curation import build_dataset
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
-from prbench.formats import umetrack
 from prbench.readers import reader_for
-from prbench.readers.bvh import read_bvh
 from prbench.readers.discover import discover
+from prbench.readers.gimo.bvh import read_bvh
 from prbench.readers.gimo.dataset_csv import read_segments
 from prbench.readers.gimo.ply import read_vertices
+from prbench.readers.hot3d import umetrack
 from prbench.readers.hot3d.hands_umetrack import read_profile
 from prbench.readers.integrity import damage
 from prbench.readers.mogaze.arrays import dataset, numbers, opened

@@ -13,13 +13,14 @@ import pytest
 
 from prbench.axes import z_up
 from prbench.errors import InputFileError
-from prbench.formats import hot3d, mano
 from prbench.readers import Reader, reader_for
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import mano
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.errors import Switches
 from prbench.synthetic.sensors.hot3d import sense
-from tests.formats.test_mano import invented_model
+from tests.readers.hot3d.test_mano import invented_model
 from tests.readers.hot3d_trees import first_seconds, write_tree
 
 

@@ -1,4 +1,7 @@
-"""Finding and reading HOT3D: where recordings lie, which can be used, what is refused (formats/hot3d.md section 7)."""
+"""Finding and reading HOT3D: where recordings lie, which can be used, what is refused.
+
+Source: docs/specification/hot3d.md#pitfalls-and-bad-input.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ import pytest
 from prbench.curation import BuildOptions, build_dataset
 from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError, PrbenchError, RecordingUnusable
-from prbench.formats import hot3d
 from prbench.readers import reader_for
 from prbench.readers.hot3d import READER, Hot3dOptions, find_recordings, read_readings
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.masks import read_mask
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
@@ -264,15 +267,13 @@ def test_meshes_are_an_option(readings, folder, tree) -> None:
     recording = reader.read(reader.find(tree)[0])
     track, mesh = recording.objects[0], readings.objects[0].mesh
     assert mesh is not None
-    assert track.surface_points is not None
-    assert (track.surface_points.min(axis=0), track.surface_points.max(axis=0)) == (
-        pytest.approx(mesh.vertices.min(axis=0)),
-        pytest.approx(mesh.vertices.max(axis=0)),
-    )
+    assert track.surface is not None
+    np.testing.assert_array_equal(track.surface.vertices, mesh.vertices)
+    np.testing.assert_array_equal(track.surface.faces, mesh.faces)
     assert {occluder.object_id for occluder in recording.occluders} == {entry.object_id for entry in readings.objects}
     plain = _read(tree)
     assert plain.occluders == ()
-    assert all(track.surface_points is None for track in plain.objects)
+    assert all(track.surface is None for track in plain.objects)
 
 
 def test_a_trajectory_that_is_not_z_up_is_refused(folder, tree) -> None:

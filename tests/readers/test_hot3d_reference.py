@@ -12,17 +12,17 @@ from scipy.spatial.transform import Rotation
 
 from prbench.axes import z_up
 from prbench.curation.contact import contact_distance
-from prbench.formats import hot3d, umetrack
 from prbench.manifests import load_manifest
 from prbench.rays import slab_test
 from prbench.readers import reader_for
 from prbench.readers.aria_mps import read_gaze_angles
-from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
+from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings, umetrack
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d.hand_streams import umetrack_points
 from prbench.readers.hot3d.hands_mano import read_mano_rows
 from prbench.readers.hot3d.meshes import read_glb
+from prbench.readers.hot3d.to_recording import match_clocks, object_track, recording_from_hot3d
 from prbench.recording import ObjectTrack, Recording
-from prbench.recording.from_hot3d import match_clocks, object_track, recording_from_hot3d
-from prbench.recording.hot3d_hands import umetrack_points
 
 SIDES = {"Left": 0, "Right": 1}
 

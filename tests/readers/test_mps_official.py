@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps import (
     find_mps_files,
     read_first_calibration,
@@ -17,9 +16,10 @@ from prbench.readers.aria_mps import (
     read_trajectory,
     read_wrists,
 )
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.aria_mps.wanted import NearGaze
-from prbench.recording.from_mps import mps_streams
 
 official = pytest.importorskip(
     "projectaria_tools.core.mps",

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps import (
     UNREADABLE,
     ZippedFile,
@@ -23,6 +22,7 @@ from prbench.readers.aria_mps import (
     read_mps,
     read_wrists,
 )
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.found import RecordingFiles
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.people import perform

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
 from prbench.readers.aria_mps import Source, check_trajectory, read_trajectory
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.line_search import NotSearchable
 from prbench.readers.aria_mps.sparse_rows import search_rows
 from prbench.readers.aria_mps.trajectory import COLUMNS, read_near

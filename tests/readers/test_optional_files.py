@@ -10,8 +10,8 @@ from prbench.curation import build_dataset
 from prbench.curation.options import NO_OPTIONS
 from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.found import input_file, is_present
+from prbench.readers.gimo import format as gimo
 from tests.readers import gimo_sample
 from tests.readers.hd_epic_copies import write_copy
 

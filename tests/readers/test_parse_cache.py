@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
-from prbench.formats import aria_mps as mps
 from prbench.readers import digests, parse_cache
 from prbench.readers.aria_mps import ZippedFile, trajectory
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.aria_mps.wanted import NearGaze, NearTimes
 from prbench.readers.digests import remembered_digest

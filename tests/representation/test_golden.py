@@ -1,4 +1,4 @@
-"""Golden motions of the original conversion, at the page's tolerances (``formats/humanml3d.md`` section 5)."""
+"""Golden motions of the original conversion, at the page's tolerances (docs/specification/humanml3d.md#tolerances)."""
 
 from __future__ import annotations
 

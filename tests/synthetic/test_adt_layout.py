@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prbench.formats import adt
 from prbench.readers.adt import find_recordings, read_readings, read_recording
+from prbench.readers.adt import format as adt
 from prbench.synthetic.layouts import adt as layout
 from prbench.synthetic.layouts.adt import LAYOUT
 from prbench.synthetic.sensors.adt import sense

@@ -10,14 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.formats.aria_mps import AriaTrajectory, device_from_cpf
-from prbench.formats.egoallo import EgoAlloBody
 from prbench.manifests import load_manifest
+from prbench.readers.aria_mps.format import AriaTrajectory, device_from_cpf
 from prbench.readers.egoallo import find_outputs, read_bodies
+from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.egoallo.model import read_smplh_rest
+from prbench.readers.egoallo.to_recording import body_from_outputs, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
-from prbench.recording.from_egoallo import body_from_outputs, body_stream
 from prbench.skeleton import Joint, bone_lengths, head_forward, invert_rigid
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.people import perform

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.formats import gimo
 from prbench.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.gimo import GimoOptions, read_readings
+from prbench.readers.gimo import format as gimo
 from prbench.skeleton import WRISTS
 from prbench.synthetic.layouts.gimo import LAYOUT
 from prbench.synthetic.people import perform

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.formats import aria_mps as mps
-from prbench.formats import hd_epic
 from prbench.readers import reader_for
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.synthetic.layouts.hd_epic import LAYOUT
 from prbench.synthetic.people import perform
 from prbench.synthetic.people.perform import name_of_recording

@@ -12,11 +12,11 @@ import pytest
 import trimesh
 
 from prbench.curation.in_hand import find_holdings
-from prbench.formats import hot3d
 from prbench.manifests import load_manifest
 from prbench.readers.hot3d import READER, find_recordings, read_readings
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.meshes import read_glb
-from prbench.recording.from_hot3d import recording_from_hot3d
+from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.glb import glb_bytes
 from prbench.synthetic.layouts.hot3d import LAYOUT
@@ -180,6 +180,7 @@ def _shape(value: Any) -> Any:
     return float if isinstance(value, float) else type(value)
 
 
+@pytest.mark.usefixtures("open3d_or_slow_loop")
 def test_the_surface_rule_finds_what_the_origin_rule_finds(tree) -> None:
     (found,) = READER.find(tree)
     recording = recording_from_hot3d(read_readings(found), load_manifest("hot3d"), dataset="hot3d", meshes=True)

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import hot3d, umetrack
-from prbench.readers.hot3d import READER, read_readings
+from prbench.readers.hot3d import READER, read_readings, umetrack
+from prbench.readers.hot3d import format as hot3d
 from prbench.synthetic.write_tree import synthesize_tree
 
 pytest.importorskip("projectaria_tools", reason="the official reader is not installed")

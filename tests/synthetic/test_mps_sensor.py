@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.aria_gaze import gaze_bias

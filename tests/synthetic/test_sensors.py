@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.skeleton import Joint, bone_lengths
 from prbench.synthetic.layouts.adt import LAYOUT
 from prbench.synthetic.recordings import synthetic_recording

@@ -11,7 +11,7 @@ from prbench.cli.main import main
 from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
 from prbench.errors import StorageError, UsageError
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.workflows.candidates import COLUMNS, write_candidates
 from tests.readers import gimo_sample as sample
 

@@ -117,6 +117,7 @@ def test_a_dataset_without_sequences_can_be_explained(tmp_path: Path) -> None:
     assert explain_event(tmp_path / "adt", "cup/pick").event.outcome == "not_primed"
 
 
+@pytest.mark.usefixtures("open3d_or_slow_loop")
 def test_looks_through_a_wall_are_told_where_that_decided(tmp_path: Path) -> None:
     build_from_sources(
         [BehindAWall("room_c")], tmp_path / "adt", options=BuildOptions(CurationOptions(occlusion="require"))

@@ -10,8 +10,8 @@ import pytest
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.engine import InProcess
-from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
+from prbench.methods.installed import list_adapters
 from prbench.workflows import first_run
 from tests.fakes import fake_dataset
 from tests.test_locks import holder

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.formats.adt import Z_UP_FROM_SCENE
 from prbench.readers.adt import find_recordings
+from prbench.readers.adt.format import Z_UP_FROM_SCENE
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.layouts.adt import write
 from prbench.synthetic.people import perform

@@ -1,8 +1,9 @@
 """Curation of synthetic HD-EPIC finds what was acted out, and its table resembles the published row.
 
-At default noise one limit of ``methods/synthetic-recordings.md`` section 10 is out of reach, priming recall ≥ 0.97: the
-dataset has general gaze only, whose bias (1.8 degrees an axis, 3 cm at 1 m) and the points' 2 cm an axis meet a near
-miss of 5 cm. Measured on 20 recordings: 0.94; 0.96 with personalized gaze, 0.99 with exact points, 1.00 with both.
+At default noise one limit of docs/specification/synthetic-recordings.md#truth-record is out of reach, priming recall ≥
+0.97: the dataset has general gaze only, whose bias (1.8 degrees an axis, 3 cm at 1 m) and the points' 2 cm an axis meet
+a near miss of 5 cm. Measured on 20 recordings: 0.94; 0.96 with personalized gaze, 0.99 with exact points, 1.00 with
+both.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Curation finds what was acted out at HOT3D's table (methods/synthetic-recordings.md sections 9 and 10)."""
+"""Curation finds what was acted out at HOT3D's table.
+
+Sources: docs/specification/synthetic-recordings.md#statistics and
+docs/specification/synthetic-recordings.md#truth-record.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curation finds what was acted out (methods/synthetic-recordings.md section 10)."""
+"""Curation finds what was acted out (docs/specification/synthetic-recordings.md#truth-record)."""
 
 from __future__ import annotations
 

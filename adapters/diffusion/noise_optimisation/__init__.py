@@ -1,4 +1,7 @@
-"""Noise optimisation through a frozen diffusion model (``methods/dno.md``, ``methods/pr-model.md`` section 6)."""
+"""Noise optimisation through a frozen diffusion model.
+
+Sources: docs/specification/dno.md#the-solver, docs/specification/pr-model.md#latent-noise-optimisation.
+"""
 
 from prbench_adapters.diffusion.noise_optimisation.entry import optimise_noise
 from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised, optimise_batch

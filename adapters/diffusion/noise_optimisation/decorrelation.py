@@ -1,4 +1,7 @@
-"""The decorrelation loss: keeps optimised noise looking like white noise (``methods/dno.md``, decorrelation loss)."""
+"""The decorrelation loss: keeps optimised noise looking like white noise.
+
+Source: docs/specification/dno.md#decorrelation-loss.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The learning rate of noise optimisation: a linear warm-up times half a cosine (``methods/dno.md``)."""
+"""The learning rate of noise optimisation: a linear warm-up times half a cosine.
+
+Source: docs/specification/dno.md#the-optimiser.
+"""
 
 from __future__ import annotations
 

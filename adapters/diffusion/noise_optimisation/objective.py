@@ -66,7 +66,10 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class PrimeAndReach:
-    """L_init + L_goal + alpha L_jerk (*Prime and Reach*, section 4.2; ``methods/pr-model.md`` section 6)."""
+    """L_init + L_goal + alpha L_jerk.
+
+    Source: *Prime and Reach*, section 4.2; docs/specification/pr-model.md#latent-noise-optimisation.
+    """
 
     jerk_weight: float = 0.5
     hand: Hand = "right"
@@ -89,7 +92,9 @@ class PrimeAndReach:
 
 @dataclass(frozen=True)
 class Keyframes:
-    """DNO's criterion: mean absolute error over the coordinates that are asked for (``methods/dno.md``).
+    """DNO's criterion: mean absolute error over the coordinates that are asked for.
+
+    Source: docs/specification/dno.md#the-optimiser.
 
     Asked for are the first frame (with ``initial_frames=2`` also the second, continued at the initial velocity) and in
     the last frame all joints or one wrist; every coordinate weighs the same, as in the published solver.
@@ -188,7 +193,10 @@ def jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float
 
 
 def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> PerSequence:
-    """The largest of :func:`jerk_lengths` (``methods/pr-model.md`` section 6.4), 0 for fewer than four frames."""
+    """The largest of :func:`jerk_lengths`, 0 for fewer than four frames.
+
+    Source: docs/specification/pr-model.md#latent-noise-optimisation.
+    """
     lengths = jerk_lengths(joints, n_frames).flatten(1)
     return lengths.amax(dim=1) if lengths.shape[1] else joints.new_zeros(len(joints))
 

@@ -1,4 +1,6 @@
-"""The solver: noise is moved until the motion decoded from it meets its objective (``methods/dno.md``).
+"""The solver: noise is moved until the motion decoded from it meets its objective.
+
+Source: docs/specification/dno.md#the-optimiser.
 
 Nothing couples the sequences of a batch: each has its own gradient length, its own random stream and its own end.
 """

@@ -23,7 +23,8 @@ _FAST_PASSES, _FAST_STEPS = 400, 4
 class OptimisationSettings:
     """Settings of one noise optimisation; the defaults are the paper's mode with DNO's solver.
 
-    Sources: ``methods/pr-model.md`` section 6 (*Prime and Reach*, sections 4.2 and 5.1) and ``methods/dno.md``.
+    Sources: docs/specification/pr-model.md#latent-noise-optimisation (*Prime and Reach*, sections 4.2 and 5.1) and
+    docs/specification/dno.md#inference-for-the-benchmark.
     """
 
     ddim_steps: int = 50
@@ -85,7 +86,10 @@ def paper(diffusion_steps: int) -> OptimisationSettings:
 
 
 def dno_paper(diffusion_steps: int) -> OptimisationSettings:
-    """The baseline with the same budget: S = 400; K = T up to 50 steps, else 10 (``methods/dno.md``)."""
+    """The baseline with the same budget: S = 400; K = T up to 50 steps, else 10.
+
+    Source: docs/specification/dno.md#inference-for-the-benchmark.
+    """
     return replace(paper(diffusion_steps), ddim_steps=diffusion_steps if diffusion_steps <= 50 else 10)
 
 

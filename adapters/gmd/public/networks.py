@@ -19,7 +19,7 @@ _PADDING_STEP = 8
 
 
 def configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
-    """What the released networks are: sizes from their arrays, the rest from ``methods/gmd.md``.
+    """What the released networks are: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
 
     Raises:
         InputFileError: if the files hold no such networks.

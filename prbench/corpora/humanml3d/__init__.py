@@ -1,4 +1,4 @@
-"""HumanML3D, the official folder (``formats/humanml3d.md``)."""
+"""HumanML3D, the official folder (docs/specification/humanml3d.md#text-files)."""
 
 from prbench.corpora.humanml3d.source import CORPUS
 

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.corpora.cutting import cut_motion
+from prbench.corpora.humanml3d import format as layout
 from prbench.corpora.humanml3d.texts import TextLine
 from prbench.corpora.options import ClipLimits
 from prbench.corpora.sources import Belonging
-from prbench.formats import humanml3d as layout
 from prbench.manifests import Manifest
 from prbench.sequences.corpus import Annotation, Caption, Clip
 

@@ -10,13 +10,13 @@ from typing import Literal
 
 from prbench.boundary import foreign_input
 from prbench.bounded import read_text
+from prbench.corpora.humanml3d import format as layout
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.motion import read_joints
 from prbench.corpora.humanml3d.texts import read_texts
 from prbench.corpora.options import ClipLimits, CorpusOptions
 from prbench.corpora.sources import Belonging, Cost, ReadRecording
 from prbench.errors import InputFileError, UsageError
-from prbench.formats import humanml3d as layout
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.readers.options import ReaderOptions, parse_options

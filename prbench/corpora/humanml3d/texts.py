@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.bounded import read_text
+from prbench.corpora.humanml3d.format import TEXT_SEPARATOR
 from prbench.errors import InputFileError
-from prbench.formats.humanml3d import TEXT_SEPARATOR
 from prbench.limits import HARMLESS_SIZE
 
 

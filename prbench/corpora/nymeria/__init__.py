@@ -1,4 +1,4 @@
-"""Nymeria and NymeriaPlus: suit motion and narrations (``formats/nymeria.md``)."""
+"""Nymeria and NymeriaPlus: suit motion and narrations (docs/specification/nymeria.md)."""
 
 from prbench.corpora.nymeria.source import CORPUS
 

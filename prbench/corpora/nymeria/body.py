@@ -1,4 +1,7 @@
-"""Segments of the suit as the 22 joints, Y up, with what was measured on the way (``formats/nymeria.md`` section 3)."""
+"""Segments of the suit as the 22 joints, Y up, with what was measured on the way.
+
+Source: docs/specification/nymeria.md#the-22-joints.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.axes import y_up
+from prbench.corpora.nymeria.format import SUIT_RATE, Suit
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
-from prbench.formats.nymeria import SEGMENTS, SUIT_RATE, Suit
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.skeleton import Joint, bone_lengths
 
 _SPEED_STEP = 24  # frames; a tenth of a second
@@ -62,7 +66,7 @@ def suit_motion(
     Raises:
         InputFileError: if the body walks backwards, which means that left and right are swapped.
     """
-    rows = [SEGMENTS.index(name) for name in mapping]
+    rows = [XSENS_SEGMENTS.index(name) for name in mapping]
     pieces = tuple(
         MotionPiece(piece.start, SUIT_RATE, y_up(clean.suit.position[piece.first : piece.stop, rows]))
         for piece in clean.pieces
@@ -85,7 +89,9 @@ def measured_head_tilt(suit: Suit) -> float | None:
     if suit.tpose is None:
         return None
     tpose = y_up(suit.tpose)
-    left, right, neck, head = (tpose[SEGMENTS.index(name)] for name in ("L_UpperLeg", "R_UpperLeg", "Neck", "Head"))
+    left, right, neck, head = (
+        tpose[XSENS_SEGMENTS.index(name)] for name in ("L_UpperLeg", "R_UpperLeg", "Neck", "Head")
+    )
     across = left - right
     forward = np.array([-across[2], 0.0, across[0]])  # across x up
     size = float(np.linalg.norm(forward))
@@ -96,7 +102,7 @@ def measured_head_tilt(suit: Suit) -> float | None:
 
 
 def _l5_above_hips(tpose: np.ndarray) -> float:
-    left, right, spine = (tpose[SEGMENTS.index(name), 2] for name in ("L_UpperLeg", "R_UpperLeg", "L5"))
+    left, right, spine = (tpose[XSENS_SEGMENTS.index(name), 2] for name in ("L_UpperLeg", "R_UpperLeg", "L5"))
     return float(spine - 0.5 * (left + right))
 
 

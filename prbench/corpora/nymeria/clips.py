@@ -10,9 +10,9 @@ import numpy as np
 from prbench.corpora.cutting import CutMotion, cut_motion
 from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
 from prbench.corpora.nymeria.clock import ClockOffset
+from prbench.corpora.nymeria.format import Narration
 from prbench.corpora.options import ClipLimits
 from prbench.corpora.sources import Belonging
-from prbench.formats.nymeria import Narration
 from prbench.sequences.corpus import Annotation, Caption, Clip
 
 _ROUNDING = 1e-6

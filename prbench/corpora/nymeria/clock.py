@@ -1,6 +1,6 @@
 """From the glasses' clock, on which texts are timed, to the suit's: three ways, the first that works.
 
-The offset is constant within a recording and differs between recordings (``formats/nymeria.md`` section 4).
+The offset is constant within a recording and differs between recordings (docs/specification/nymeria.md#narrations).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from prbench.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
-from prbench.formats.aria_mps import LONGEST_POSE_STEP
-from prbench.formats.nymeria import SUIT_RATE, Narration
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.storage import read_json
 from prbench.timelines import slerp
 

@@ -1,12 +1,15 @@
-"""Which sequences lie below a folder, however the download groups were unpacked (``formats/nymeria.md`` section 1)."""
+"""Which sequences lie below a folder, however the download groups were unpacked.
+
+Source: docs/specification/nymeria.md#folder-tree.
+"""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
+from prbench.corpora.nymeria import format as nymeria
 from prbench.errors import InputFileError
-from prbench.formats import nymeria
 from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
 from prbench.readers.found import input_file
 from prbench.readers.synthetic_tree import require_marked

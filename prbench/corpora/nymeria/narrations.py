@@ -1,4 +1,4 @@
-"""Narration files: rows of times and answers, or a clear no (``formats/nymeria.md`` section 4)."""
+"""Narration files: rows of times and answers, or a clear no (docs/specification/nymeria.md#narrations)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import csv
 from pathlib import Path
 
 from prbench.bounded import require_size
+from prbench.corpora.nymeria import format as nymeria
+from prbench.corpora.nymeria.format import Narration
 from prbench.errors import InputFileError
-from prbench.formats import nymeria
-from prbench.formats.nymeria import Narration
 
 _LONGEST_DURATION = 1000.0  # where every duration is longer, the unit is no second
 
@@ -20,7 +20,7 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
 
     Args:
         path: CSV, with or without byte order mark.
-        kind: Key of :data:`prbench.formats.nymeria.NARRATION_FILES`.
+        kind: Key of :data:`prbench.corpora.nymeria.format.NARRATION_FILES`.
 
     Raises:
         InputFileError: if a time column or every answer column is missing, a time is no number, a line is cut, or the

@@ -1,4 +1,7 @@
-"""The SMPL fit of the Plus release, posed with the user's own body model (``formats/nymeria.md`` section 3)."""
+"""The SMPL fit of the Plus release, posed with the user's own body model.
+
+Source: docs/specification/nymeria.md#the-22-joints.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
+from prbench.corpora.nymeria.format import SUIT_RATE
 from prbench.errors import InputFileError
-from prbench.formats.nymeria import SUIT_RATE
 from prbench.numpy_files import Archive
 from prbench.representation.converters import SmplParameters, read_rest_joints, smpl_joints
 from prbench.skeleton import PARENTS

@@ -12,10 +12,12 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.boundary import foreign_input
+from prbench.corpora.nymeria import format as nymeria
 from prbench.corpora.nymeria.body import BodyMotion, suit_motion
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_by_starts, offset_from_file
 from prbench.corpora.nymeria.find import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences
+from prbench.corpora.nymeria.format import Narration, NymeriaRecording
 from prbench.corpora.nymeria.narrations import read_narrations
 from prbench.corpora.nymeria.smpl import read_smpl_fit, smpl_motion
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
@@ -23,8 +25,6 @@ from prbench.corpora.options import ClipLimits, CorpusOptions
 from prbench.corpora.sources import Belonging, Cost, ReadRecording
 from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
-from prbench.formats import nymeria
-from prbench.formats.nymeria import Narration, NymeriaRecording
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import RecordingFiles, described_options, require_one_origin
 from prbench.readers.aria_mps.trajectory import read_near

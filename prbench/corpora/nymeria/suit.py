@@ -1,4 +1,7 @@
-"""The suit's file: read by key, checked, cleaned, and cut where its clock jumps (``formats/nymeria.md`` section 2)."""
+"""The suit's file: read by key, checked, cleaned, and cut where its clock jumps.
+
+Source: docs/specification/nymeria.md#the-suits-file.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
 from prbench.errors import InputFileError
-from prbench.formats import nymeria
-from prbench.formats.nymeria import N_SEGMENTS, SUIT_RATE, Suit
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.numpy_files import Archive
 
 _DOWNLOAD = "The file may be truncated or another version; download it again."
@@ -97,7 +100,7 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
     missing = _missing_rotations(suit.rotation, thresholds["smallest_quaternion"])
     pelvis, head = (
         _filled(suit.rotation[:, segment], missing[:, segment])
-        for segment in (nymeria.SEGMENTS.index(name) for name in ("Pelvis", "Head"))
+        for segment in (XSENS_SEGMENTS.index(name) for name in ("Pelvis", "Head"))
     )
     filled = int(missing.sum())
     finite = np.asarray(np.isfinite(suit.position).all(axis=(1, 2)))
@@ -185,7 +188,7 @@ def _pieces(suit: Suit, finite: np.ndarray, jumps: np.ndarray, shortest: float) 
 
 
 def _require_upright(suit: Suit, pieces: tuple[Piece, ...], path: Path | str) -> None:
-    head, feet = nymeria.SEGMENTS.index("Head"), [nymeria.SEGMENTS.index(name) for name in ("R_Foot", "L_Foot")]
+    head, feet = XSENS_SEGMENTS.index("Head"), [XSENS_SEGMENTS.index(name) for name in ("R_Foot", "L_Foot")]
     part = np.concatenate([suit.position[piece.first : piece.stop : 24] for piece in pieces])
     height = float(np.median(part[:, head, 2] - part[:, feet, 2].mean(axis=1)))
     if not height > 0.0:

@@ -18,7 +18,10 @@ assert N_FEATURES - MOVEMENT_FEATURES == 4
 
 
 class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Defaults are those of the text-to-motion paper (``methods/text-to-motion-eval.md``)."""
+    """Defaults are those of the text-to-motion paper.
+
+    Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+    """
 
     movement_width: int = 512
     """Channels of the movement encoder, and numbers of a snippet."""

@@ -1,4 +1,7 @@
-"""Multimodal distance, diversity and multimodality (``methods/text-to-motion-eval.md``). Euclidean, float64."""
+"""Multimodal distance, diversity and multimodality. Euclidean, float64.
+
+Source: docs/specification/text-to-motion-eval.md#metrics.
+"""
 
 from __future__ import annotations
 

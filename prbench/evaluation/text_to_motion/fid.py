@@ -1,4 +1,4 @@
-"""Fréchet distance between two sets of motion embeddings (``methods/text-to-motion-eval.md``)."""
+"""Fréchet distance between two sets of motion embeddings (docs/specification/text-to-motion-eval.md#metrics)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The networks of the text–motion matching evaluator (``methods/text-to-motion-eval.md``).
+"""The networks of the text–motion matching evaluator (docs/specification/text-to-motion-eval.md#feature-extractor).
 
 Frames are axis 1. Recurrent inputs are packed to their true lengths, so padding leaves no trace.
 """

@@ -1,4 +1,4 @@
-"""R-precision: whether a text finds its own motion among 32 (``methods/text-to-motion-eval.md``)."""
+"""R-precision: whether a text finds its own motion among 32 (docs/specification/text-to-motion-eval.md#metrics)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mean of a metric over repetitions, with its interval (``methods/text-to-motion-eval.md``)."""
+"""The mean of a metric over repetitions, with its interval (docs/specification/text-to-motion-eval.md#metrics)."""
 
 from __future__ import annotations
 

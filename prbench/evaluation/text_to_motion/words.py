@@ -1,8 +1,9 @@
 """GloVe word vectors with word classes, as the public text-to-motion evaluator reads captions.
 
-The vectors and the five word lists are a user's own files (``methods/text-to-motion-eval.md``): a folder with
-``words.txt`` (one word a line), ``vectors.npy`` (words, 300) in the same order, and for each list a text file such as
-``Loc_VIP.txt`` (one word a line). Nothing is unpickled.
+The vectors and the five word lists are a user's own files
+(docs/specification/text-to-motion-eval.md#feature-extractor): a folder with ``words.txt`` (one word a line),
+``vectors.npy`` (words, 300) in the same order, and for each list a text file such as ``Loc_VIP.txt`` (one word a line).
+Nothing is unpickled.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reader of Aria Digital Twin, layouts v1.x and v2.0 (``formats/adt.md``)."""
+"""Reader of Aria Digital Twin, layouts v1.x and v2.0 (docs/specification/adt.md)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from prbench.manifests import load_manifest
 from prbench.readers.adt.layouts import find_recordings
 from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.readings import read_readings
+from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.found import RecordingFiles
 from prbench.recording import Recording
-from prbench.recording.from_adt import recording_from_adt
 
 __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from prbench.formats import adt
-from prbench.formats.aria_mps import TIME_COLUMN
+from prbench.readers.adt import format as adt
 from prbench.readers.adt.layouts import GAZE, OBJECTS, SKELETON_PREFIX, TRAJECTORY
+from prbench.readers.aria_mps.format import TIME_COLUMN
 from prbench.readers.egoallo.ends import body_extent
 from prbench.readers.extents import Extent
 from prbench.readers.file_ends import csv_extent, json_extent

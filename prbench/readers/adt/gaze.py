@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats.aria_mps import GazeAngles
 from prbench.readers.aria_mps import read_gaze_angles
+from prbench.readers.aria_mps.format import GazeAngles
 
 _BEHIND = np.pi / 2  # radians; no eye looks there
 _TOO_MANY = 0.2  # share of rows

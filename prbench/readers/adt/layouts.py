@@ -8,10 +8,10 @@ import msgspec
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.formats import adt
-from prbench.formats.aria_mps import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE
+from prbench.readers.adt import format as adt
 from prbench.readers.adt.options import AdtOptions
 from prbench.readers.aria_mps import find_gaze_file
+from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in

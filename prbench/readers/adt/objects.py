@@ -1,4 +1,4 @@
-"""Objects of an ADT recording: names, boxes and poses (``formats/adt.md`` section 3)."""
+"""Objects of an ADT recording: names, boxes and poses (docs/specification/adt.md#files)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.readers.files import column_vectors, decode_json, read_columns, require_increasing, require_poses
 
 

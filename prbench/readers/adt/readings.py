@@ -1,12 +1,13 @@
-"""The files of one ADT recording → :class:`prbench.formats.adt.AdtReadings`."""
+"""The files of one ADT recording → :class:`prbench.readers.adt.format.AdtReadings`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.readers.adt import layouts
+from prbench.readers.adt.for_egoallo import glasses_z_up
 from prbench.readers.adt.gaze import read_gaze
 from prbench.readers.adt.objects import read_objects
 from prbench.readers.adt.options import AdtOptions
@@ -21,7 +22,6 @@ from prbench.readers.aria_status import read_warnings
 from prbench.readers.egoallo import read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
-from prbench.recording.adt_for_egoallo import glasses_z_up
 
 _DEFAULTS = AdtOptions()
 

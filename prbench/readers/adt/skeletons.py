@@ -1,4 +1,4 @@
-"""Tracked people of an ADT recording (``formats/adt.md`` sections 3 and 4).
+"""Tracked people of an ADT recording (docs/specification/adt.md#files and docs/specification/adt.md#joints).
 
 A skeleton file has about 26 MB a minute. Only joints and times are taken out of it, and the joints go as text to
 Arrow's CSV parser: half the time, and a fraction of the memory, of decoding lists of lists and making an array of them.
@@ -16,7 +16,7 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.readers.adt.layouts import ASSOCIATION, SKELETON_PREFIX
 from prbench.readers.files import decode_json, require_increasing
 from prbench.readers.found import RecordingFiles

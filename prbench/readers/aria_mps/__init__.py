@@ -1,15 +1,15 @@
-"""Files of the Aria Machine Perception Services, shared by the Aria datasets (``formats/aria-mps.md``).
+"""Files of the Aria Machine Perception Services, shared by the Aria datasets (docs/specification/aria-mps.md).
 
 A dataset's ``find`` adds :func:`find_mps_files` to a recording's files; its ``read`` calls :func:`read_mps` and gives
-what comes back to :func:`prbench.recording.from_mps.mps_streams`.
+what comes back to :func:`prbench.readers.aria_mps.to_recording.mps_streams`.
 """
 
 from __future__ import annotations
 
-from prbench.formats.aria_mps import AriaTrajectory
 from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
 from prbench.readers.aria_mps.check import TrajectoryCheck, check_trajectory
 from prbench.readers.aria_mps.find import UNREADABLE, find_gaze_file, find_mps_files
+from prbench.readers.aria_mps.format import AriaTrajectory
 from prbench.readers.aria_mps.gaze import read_gaze_angles
 from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
 from prbench.readers.aria_mps.readings import read_mps

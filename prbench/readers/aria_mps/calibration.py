@@ -1,4 +1,7 @@
-"""Online calibration of the Machine Perception Services: where the cameras sit on the glasses (section 4)."""
+"""Online calibration of the Machine Perception Services: where the cameras sit on the glasses.
+
+Source: docs/specification/aria-mps.md#device-frame-and-cameras.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
 from prbench.limits import LONGEST_LINE
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import require_poses
 from prbench.readers.zipped import Source, opened, shown
 

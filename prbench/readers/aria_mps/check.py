@@ -12,7 +12,7 @@ import pyarrow.csv
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.trajectory import COLUMNS, has_world
 from prbench.readers.files import (
     arrow_types,

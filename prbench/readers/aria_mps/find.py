@@ -1,4 +1,7 @@
-"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives (section 1)."""
+"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives.
+
+Source: docs/specification/aria-mps.md#folder-tree.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.found import InputFile, input_file, is_present
 from prbench.readers.zipped import archive_members
 

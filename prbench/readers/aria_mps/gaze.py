@@ -1,13 +1,13 @@
-"""Eye gaze files of the Machine Perception Services, three schemas (section 5)."""
+"""Eye gaze files of the Machine Perception Services, three schemas (docs/specification/aria-mps.md#eye-gaze)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
 from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE
 from prbench.ranges import require_column
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import read_columns, read_header, require_increasing
 from prbench.readers.zipped import Source, shown
 
@@ -15,7 +15,7 @@ _LIKE_DEGREES = "Such angles look like degrees, or are damaged; use the file as 
 
 
 def read_gaze_angles(path: Source) -> mps.GazeAngles:
-    """Read one gaze file of any of the three schemas, told apart by columns (section 5).
+    """Read one gaze file of any of the three schemas, told apart by columns (docs/specification/aria-mps.md#eye-gaze).
 
     Two yaws (schema B) become one; bounds that a schema lacks are NaN, and so is a missing depth.
 

@@ -1,4 +1,7 @@
-"""Hand files of the Machine Perception Services: wrists and palms in the device frame (section 6)."""
+"""Hand files of the Machine Perception Services: wrists and palms in the device frame.
+
+Source: docs/specification/aria-mps.md#hands.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pyarrow as pa
 
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import column_vectors, read_columns, require_increasing
 from prbench.readers.zipped import Source
 

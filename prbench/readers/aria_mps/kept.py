@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pyarrow as pa
 
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.parse_cache import keep_parsed, load_parsed
 from prbench.readers.zipped import Source
 

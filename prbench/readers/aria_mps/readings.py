@@ -1,9 +1,9 @@
-"""The files of one recording → :class:`prbench.formats.aria_mps.MpsReadings`."""
+"""The files of one recording → :class:`prbench.readers.aria_mps.format.MpsReadings`."""
 
 from __future__ import annotations
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
 from prbench.readers.aria_mps.find import UNREADABLE, is_personalized
 from prbench.readers.aria_mps.gaze import read_gaze_angles
@@ -21,7 +21,7 @@ _REQUIRED = {
 
 
 def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
-    """Read trajectory, gaze, hands and calibration of one recording (files of the roles of ``formats.aria_mps``).
+    """Read trajectory, gaze, hands and calibration of one recording, from files of this format's roles.
 
     A stream whose own summary reports an ERROR is refused: hands and calibration are then left out with a message,
     without trajectory or gaze there is no recording.

@@ -1,4 +1,7 @@
-"""Closed-loop trajectories: poses of the glasses in one world (section 3)."""
+"""Closed-loop trajectories: poses of the glasses in one world.
+
+Source: docs/specification/aria-mps.md#closed-loop-trajectory.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import pyarrow.compute as pc
 from jaxtyping import Bool, Int
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.kept import keep_trajectory, load_trajectory
 from prbench.readers.aria_mps.line_search import NotSearchable
 from prbench.readers.aria_mps.sparse_rows import search_rows
@@ -28,8 +31,8 @@ def read_trajectory(source: Source, *, near_us: Int[np.ndarray, " m"] | None = N
 
     Args:
         source: The file, plain or in an archive.
-        near_us: Keep the rows on both sides of these times only (:func:`prbench.formats.aria_mps.rows_around`); all
-            rows if None.
+        near_us: Keep the rows on both sides of these times only
+            (:func:`prbench.readers.aria_mps.format.rows_around`); all rows if None.
 
     Raises:
         InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int
 
-from prbench.formats.aria_mps import POSE_RATE, grid_times_us, rows_around, wanted_times_us
+from prbench.readers.aria_mps.format import POSE_RATE, grid_times_us, rows_around, wanted_times_us
 
 
 @runtime_checkable

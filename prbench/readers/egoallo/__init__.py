@@ -1,7 +1,7 @@
-"""EgoAllo's output files as bodies, shared by the datasets without motion capture (``formats/egoallo.md``).
+"""EgoAllo's output files as bodies, shared by the datasets without motion capture (docs/specification/egoallo.md).
 
 A dataset's ``find`` adds :func:`find_outputs` to a recording's files; its ``read`` calls :func:`read_bodies` with the
-head poses of the recording and gives what comes back to :func:`prbench.recording.from_egoallo.body_stream`.
+head poses of the recording and gives what comes back to :func:`prbench.readers.egoallo.to_recording.body_stream`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether an output belongs to the recording it lies with (``formats/egoallo.md`` section 5)."""
+"""Whether an output belongs to the recording it lies with (docs/specification/egoallo.md#bad-input)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.formats import egoallo as ego
-from prbench.formats.aria_mps import LONGEST_POSE_STEP
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.outputs import JointsOnly, read_output
 from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.belonging import require_belongs
 from prbench.readers.egoallo.joints import read_window
 from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS, joined_windows
 from prbench.readers.found import RecordingFiles
-from prbench.recording.from_egoallo import NO_OUTPUTS, joined_windows
 from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint
 

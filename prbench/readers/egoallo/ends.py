@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import egoallo as ego
 from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.places import OUTPUT_ROLE
 from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.found import RecordingFiles

@@ -14,12 +14,12 @@ from jaxtyping import Float
 
 from prbench.bounded import read_whole, require_regular
 from prbench.errors import InputFileError, StorageError
-from prbench.formats import egoallo as ego
 from prbench.locks import sole_file
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.model import HOW_TO_GET, model_digest, read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
+from prbench.readers.egoallo.to_recording import window_joints
 from prbench.readers.found import is_present
-from prbench.recording.from_egoallo import window_joints
 from prbench.storage import bytes_digest, cache_folder
 
 _GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
@@ -35,7 +35,8 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
         model: SMPL-H model; None is enough where the joints of exactly these bytes were computed before.
 
     Raises:
-        InputFileError: if the output is damaged (section 5), or the model is needed and missing or damaged.
+        InputFileError: if the output is damaged (docs/specification/egoallo.md#bad-input), or the model is needed and
+        missing or damaged.
     """
     content = _content(path)
     output = parse_output(path, content)

@@ -1,4 +1,4 @@
-"""The SMPL-H body model's rest joints (``formats/egoallo.md`` section 4). The file is licensed: users bring it."""
+"""The SMPL-H body model's rest joints (docs/specification/egoallo.md#joints). The file is licensed: users bring it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.formats import egoallo as ego
 from prbench.numpy_files import Archive
+from prbench.readers.egoallo import format as ego
 from prbench.storage import bytes_digest
 
 HOW_TO_GET = (

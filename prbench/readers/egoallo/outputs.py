@@ -1,4 +1,7 @@
-"""One output file of EgoAllo: read, checked, refused with key and remedy (``formats/egoallo.md`` sections 1 and 5)."""
+"""One output file of EgoAllo: read, checked, refused with key and remedy.
+
+Sources: docs/specification/egoallo.md#files and docs/specification/egoallo.md#bad-input.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ from jaxtyping import Float, Int
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
-from prbench.formats import egoallo as ego
 from prbench.numpy_files import Archive
+from prbench.readers.egoallo import format as ego
 
 _AGAIN = "Delete it and run `prbench poses egoallo` again."
 _SHAPES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.readers.found import InputFile, input_file, is_present
 
 OUTPUT_ROLE = "egoallo/"

@@ -1,4 +1,4 @@
-"""Reader of GIMO (``formats/gimo.md``): every segment of ``dataset.csv`` is a recording."""
+"""Reader of GIMO (docs/specification/gimo.md): every segment of ``dataset.csv`` is a recording."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import find_segments
+from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
-from prbench.recording.from_gimo import recording_from_gimo
 
 __all__ = ["READER", "GimoOptions", "GimoReader", "find_segments", "read_readings"]
 

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.numpy_files import Archive
 from prbench.readers.files import missing_file
+from prbench.readers.gimo import format as gimo
 from prbench.skeleton import N_JOINTS
 
 _REGRESSOR, _TEMPLATE, _FACES = "J_regressor", "v_template", "f"

@@ -1,4 +1,7 @@
-"""How the suit's frame and the scan come to lie in one room: files of transforms (``formats/gimo.md`` section 4)."""
+"""How the suit's frame and the scan come to lie in one room: files of transforms.
+
+Source: docs/specification/gimo.md#coordinate-chain.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,9 @@ from jaxtyping import Float
 
 from prbench.bounded import read_text
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.files import decode_json, missing_file
+from prbench.readers.gimo import format as gimo
 
 _ROTATION_TOLERANCE = 1e-3
 

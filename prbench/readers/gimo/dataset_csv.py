@@ -1,4 +1,4 @@
-"""``dataset.csv``: the segments of GIMO (``formats/gimo.md`` section 2)."""
+"""``dataset.csv``: the segments of GIMO (docs/specification/gimo.md#segment-table)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 from prbench.bounded import require_size
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.files import missing_file
+from prbench.readers.gimo import format as gimo
 
 _LAST_FRAME = 10**7
 """Frame number that no recording reaches: four days at 30 frames a second."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from prbench.formats import gimo
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments
 from prbench.recording import Recording
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import cast
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_lines
 
 SegmentKey = tuple[str, str, int, int]

@@ -1,4 +1,4 @@
-"""``eye_pc``: where the gaze meets the scan (``formats/gimo.md`` section 6)."""
+"""``eye_pc``: where the gaze meets the scan (docs/specification/gimo.md#gaze)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.ply import count_vertices, read_vertices
 
 

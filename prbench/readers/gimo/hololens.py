@@ -1,4 +1,4 @@
-"""Files of the HoloLens 2 stream recorder (``formats/gimo.md`` section 6)."""
+"""Files of the HoloLens 2 stream recorder (docs/specification/gimo.md#gaze)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 
 from prbench.bounded import read_text, require_size
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.files import missing_file, require_increasing
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.coordinates import read_matrix
 
 _WIDTH = 861

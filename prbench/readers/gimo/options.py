@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from prbench.readers.gimo.to_recording import GazeOrigin, Target
 from prbench.readers.options import ReaderOptions
-from prbench.recording.from_gimo import GazeOrigin, Target
 
 Route = Literal["smplx", "mesh", "bvh"]
 

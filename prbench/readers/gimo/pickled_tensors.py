@@ -1,8 +1,8 @@
 """Dictionaries of torch tensors, read without torch and without running what a pickle might hold.
 
-GIMO's poses are plain pickles (``formats/gimo.md`` section 3) in which every tensor carries its numbers as a file of
-``torch.save`` in its older form. Dictionaries that ``torch.save`` wrote itself, in either form, hold the same opcodes
-and names and are read too. Arrays are views of the file's bytes.
+GIMO's poses are plain pickles (docs/specification/gimo.md#fitted-poses) in which every tensor carries its numbers as a
+file of ``torch.save`` in its older form. Dictionaries that ``torch.save`` wrote itself, in either form, hold the same
+opcodes and names and are read too. Arrays are views of the file's bytes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""PLY files of the gaze: how many vertices they hold, and where the first ones are (``formats/gimo.md`` section 6)."""
+"""PLY files of the gaze: how many vertices they hold, and where the first ones are.
+
+Source: docs/specification/gimo.md#gaze.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``smplx_local``: the fitted SMPL-X parameters, one pickle a frame (``formats/gimo.md`` section 3)."""
+"""``smplx_local``: the fitted SMPL-X parameters, one pickle a frame (docs/specification/gimo.md#fitted-poses)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.pickled_tensors import load_tensors
 
 _SIZES = {"orient": 3, "trans": 3, "latent": gimo.N_LATENT}

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.manifests import Manifest
-from prbench.readers.bvh import read_bvh
 from prbench.readers.found import RecordingFiles
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments
 from prbench.readers.gimo.body_model import SMPLX_PAGE, VPOSER_PAGE, read_pose_decoder, read_smplx_model
+from prbench.readers.gimo.bvh import read_bvh
 from prbench.readers.gimo.coordinates import read_transform
 from prbench.readers.gimo.dataset_csv import Row, overlapping
 from prbench.readers.gimo.events import events_of, read_events

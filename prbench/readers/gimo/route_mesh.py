@@ -1,4 +1,6 @@
-"""Route B: joints from the posed meshes, with the regressor of SMPL-X (``formats/gimo.md`` section 5).
+"""Route B: joints from the posed meshes, with the regressor of SMPL-X.
+
+Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
 
 The exporter merged vertices, in another order on every frame; the order of the faces stayed. So the vertex that
 a corner of a face names in the model is the one that the same corner names in the mesh.
@@ -14,8 +16,8 @@ from jaxtyping import Float, Int
 
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.files import missing_file
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import SmplxModel
 
 

@@ -1,12 +1,15 @@
-"""Route A: exact joints from the fitted parameters, with VPoser v1 and SMPL-X neutral (``formats/gimo.md``, 5)."""
+"""Route A: exact joints from the fitted parameters, with VPoser v1 and SMPL-X neutral.
+
+Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import gimo
-from prbench.formats.egoallo import forward_kinematics
+from prbench.readers.egoallo.format import forward_kinematics
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
 
 

@@ -1,4 +1,4 @@
-"""Where the files of GIMO segments lie (``formats/gimo.md`` section 1)."""
+"""Where the files of GIMO segments lie (docs/specification/gimo.md#folder-tree)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal
 
 from prbench.errors import InputFileError
-from prbench.formats import gimo
 from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_segments
 from prbench.readers.gimo.events import (
     EventRow,

@@ -1,4 +1,4 @@
-"""Reader of HD-EPIC (``formats/hd-epic.md``)."""
+"""Reader of HD-EPIC (docs/specification/hd-epic.md)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.places import find_recordings
 from prbench.readers.hd_epic.readings import read_readings
+from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
-from prbench.recording.from_hd_epic import recording_from_hd_epic
 
 __all__ = ["READER", "HdEpicOptions", "HdEpicReader", "find_recordings", "read_readings"]
 

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.formats import hd_epic
 from prbench.limits import MOST_FRAMES
 from prbench.readers.files import decode_json, missing_file
+from prbench.readers.hd_epic import format as hd_epic
 
 _Frame = Annotated[int, msgspec.Meta(ge=-MOST_FRAMES, le=MOST_FRAMES)]
 """Number of a video frame; negative ones are marks."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from prbench.formats import aria_mps as mps
-from prbench.formats import hd_epic
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo.ends import body_extent
 from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.file_ends import can_be_looked_at, csv_extent, json_extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.places import FRAMES, TIME
 from prbench.recording import Recording
 

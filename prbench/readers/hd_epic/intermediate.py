@@ -1,4 +1,7 @@
-"""The intermediate data: poses and gaze a video frame, instead of MPS files (``formats/hd-epic.md`` section 5)."""
+"""The intermediate data: poses and gaze a video frame, instead of MPS files.
+
+Source: docs/specification/hd-epic.md#intermediate-data.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,9 @@ from jaxtyping import Float, Int
 
 from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
-from prbench.formats import hd_epic
-from prbench.formats.aria_mps import GlassesSize
+from prbench.readers.aria_mps.format import GlassesSize
 from prbench.readers.files import Nanoseconds, decode_json, missing_file
+from prbench.readers.hd_epic import format as hd_epic
 
 _NO_TIME = -1
 _SIZES: dict[str, GlassesSize] = {"DVT-S": "DVT-S", "DVT-L": "DVT-L"}

@@ -1,4 +1,4 @@
-"""Where the files of HD-EPIC videos lie, zipped or not (``formats/hd-epic.md`` section 1)."""
+"""Where the files of HD-EPIC videos lie, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
-from prbench.formats import hd_epic
 from prbench.readers.aria_mps import UNREADABLE, find_mps_files
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.slam_map import slam_number
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree

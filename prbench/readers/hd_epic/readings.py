@@ -1,4 +1,4 @@
-"""The files of one video → :class:`prbench.formats.hd_epic.HdEpicReadings`."""
+"""The files of one video → :class:`prbench.readers.hd_epic.format.HdEpicReadings`."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import aria_mps as mps
-from prbench.formats import hd_epic
-from prbench.formats.aria_mps import MpsReadings
 from prbench.readers.aria_mps import UNREADABLE, find_mps_files, read_mps
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic import places
 from prbench.readers.hd_epic.annotations import read_priming, read_tracks
 from prbench.readers.hd_epic.intermediate import read_frames
 from prbench.readers.hd_epic.options import HdEpicOptions
 from prbench.readers.hd_epic.slam_map import slam_number
+from prbench.readers.hd_epic.to_recording import source_head
 from prbench.readers.hd_epic.video_clock import read_video_clock
-from prbench.recording.from_hd_epic import source_head
 
 _UP = (0.0, 0.0, 1.0)
 

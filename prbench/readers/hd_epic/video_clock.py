@@ -1,4 +1,4 @@
-"""The clock of a video: which device time each of its frames has (``formats/hd-epic.md`` section 2)."""
+"""The clock of a video: which device time each of its frames has (docs/specification/hd-epic.md#clock)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError
-from prbench.formats import hd_epic
 from prbench.readers.files import decode_json, read_columns
+from prbench.readers.hd_epic import format as hd_epic
 
 
 class _Log(msgspec.Struct):

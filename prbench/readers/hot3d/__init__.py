@@ -1,4 +1,4 @@
-"""Reader of HOT3D's Aria recordings (``formats/hot3d.md``)."""
+"""Reader of HOT3D's Aria recordings (docs/specification/hot3d.md)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d.layout import find_recordings
 from prbench.readers.hot3d.options import Hot3dOptions
 from prbench.readers.hot3d.readings import read_readings
+from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.recording import Recording
-from prbench.recording.from_hot3d import recording_from_hot3d
 
 __all__ = ["READER", "Hot3dOptions", "Hot3dReader", "find_recordings", "read_readings"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from prbench.formats import hot3d
-from prbench.formats.aria_mps import GAZE, TIME_COLUMN, TRAJECTORY
+from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
 from prbench.readers.egoallo.ends import body_extent
 from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.file_ends import can_be_looked_at, csv_extent, json_extent
 from prbench.readers.found import InputFile, RecordingFiles
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.layout import HEADSET, MANO, MASK_PREFIX, OBJECTS, UMETRACK
 from prbench.recording import Recording
 

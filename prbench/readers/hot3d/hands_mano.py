@@ -1,4 +1,7 @@
-"""MANO hands: poses line by line, posed by the licensed model that the user brings (``formats/hot3d.md`` section 3)."""
+"""MANO hands: poses line by line, posed by the licensed model that the user brings.
+
+Source: docs/specification/hot3d.md#files.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ import msgspec
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import hot3d, mano
 from prbench.numpy_files import Archive
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import mano
 from prbench.readers.hot3d.hands_umetrack import hand_rows, read_lines
 from prbench.readers.hot3d.layout import MANO, MANO_MODEL_PREFIX
 

@@ -1,4 +1,4 @@
-"""UmeTrack hands: poses line by line, and the user's hand model (``formats/hot3d.md`` section 3)."""
+"""UmeTrack hands: poses line by line, and the user's hand model (docs/specification/hot3d.md#files)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
-from prbench.formats import hot3d, umetrack
 from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import umetrack
 
 _QUATERNION_TOLERANCE = 1e-3
 _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand

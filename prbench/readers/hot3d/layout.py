@@ -1,4 +1,7 @@
-"""Where the files of HOT3D recordings lie, and which recordings can be used (``formats/hot3d.md`` sections 1 and 2)."""
+"""Where the files of HOT3D recordings lie, and which recordings can be used.
+
+Sources: docs/specification/hot3d.md#folder-tree and docs/specification/hot3d.md#usable-recordings.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,11 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import InputFileError
-from prbench.formats import hot3d
 from prbench.readers.aria_mps import find_mps_files
 from prbench.readers.egoallo import find_outputs
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.options import Hot3dOptions
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, synthetic_tree_around
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.formats import hot3d
 from prbench.readers.files import read_columns
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.layout import MASK_PREFIX
 
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}

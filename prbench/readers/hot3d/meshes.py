@@ -9,8 +9,8 @@ import numpy as np
 
 from prbench.bounded import require_size
 from prbench.errors import InputFileError
-from prbench.formats.hot3d import ObjectMesh
 from prbench.readers.files import missing_file
+from prbench.readers.hot3d.format import ObjectMesh
 
 _METRES = 7
 """Decimals: float32 millimetres carry no more."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import InputFileError
-from prbench.formats import hot3d
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import layout
 from prbench.readers.hot3d.meshes import read_glb
 from prbench.readers.hot3d.poses import read_pose_rows

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError
-from prbench.formats import hot3d
 from prbench.readers.files import column_vectors, read_columns, require_increasing, require_poses
+from prbench.readers.hot3d import format as hot3d
 
 
 def read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:

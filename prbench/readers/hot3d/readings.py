@@ -1,15 +1,16 @@
-"""The files of one HOT3D recording → :class:`prbench.formats.hot3d.Hot3dReadings`."""
+"""The files of one HOT3D recording → :class:`prbench.readers.hot3d.format.Hot3dReadings`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from prbench.errors import InputFileError, RecordingUnusable
-from prbench.formats import hot3d
 from prbench.readers.aria_mps import read_mps
+from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import layout
 from prbench.readers.hot3d.hands_mano import read_mano_hands
 from prbench.readers.hot3d.hands_umetrack import read_profile, read_umetrack
@@ -17,7 +18,6 @@ from prbench.readers.hot3d.masks import read_masks
 from prbench.readers.hot3d.objects import read_objects
 from prbench.readers.hot3d.options import Hot3dOptions
 from prbench.readers.hot3d.poses import read_headset
-from prbench.recording.from_mps import mps_streams
 
 _DEFAULTS = Hot3dOptions()
 

@@ -1,4 +1,4 @@
-"""Reader of MoGaze (``formats/mogaze.md``)."""
+"""Reader of MoGaze (docs/specification/mogaze.md)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from prbench.manifests import load_manifest
 from prbench.readers.found import RecordingFiles
 from prbench.readers.mogaze.layouts import find_recordings
 from prbench.readers.mogaze.readings import read_readings
+from prbench.readers.mogaze.to_recording import JointMapping, recording_from_mogaze
 from prbench.readers.options import ReaderOptions
 from prbench.recording import Recording
-from prbench.recording.from_mogaze import JointMapping, recording_from_mogaze
 
 __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_readings"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import h5py
 
 from prbench.errors import InputFileError
-from prbench.formats import mogaze
 from prbench.readers.extents import Extent
 from prbench.readers.found import InputFile, RecordingFiles
+from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.arrays import opened
 from prbench.recording import Recording
 

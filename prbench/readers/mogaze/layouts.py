@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 from prbench.errors import InputFileError
-from prbench.formats import mogaze
 from prbench.manifests import load_manifest
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.scene import read_scene
 from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
 

@@ -1,4 +1,4 @@
-"""The content of the files of one MoGaze recording (``formats/mogaze.md`` section 2)."""
+"""The content of the files of one MoGaze recording (docs/specification/mogaze.md#files)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.formats import mogaze, mogaze_body
 from prbench.manifests import Manifest
 from prbench.readers.found import RecordingFiles
+from prbench.readers.mogaze import body as mogaze_body
+from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.arrays import (
     attribute,
     dataset,

@@ -1,4 +1,7 @@
-"""``scene.xml`` of MoGaze: names and meshes of the tracked bodies (``formats/mogaze.md`` sections 2 and 7)."""
+"""``scene.xml`` of MoGaze: names and meshes of the tracked bodies.
+
+Sources: docs/specification/mogaze.md#files and docs/specification/mogaze.md#objects.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,8 @@ from jaxtyping import Float, Int
 from prbench.boundary import foreign_input
 from prbench.bounded import require_size
 from prbench.errors import InputFileError
-from prbench.formats import mogaze
 from prbench.limits import HARMLESS_SIZE
+from prbench.readers.mogaze import format as mogaze
 
 _MOST_DIGITS = 19  # of the id of a body
 

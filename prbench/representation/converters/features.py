@@ -1,6 +1,6 @@
 """What a HumanML3D model puts out, as joints: statistics, layout, rows and frames.
 
-Sources: ``formats/humanml3d.md`` sections 3 and 4.
+Sources: docs/specification/humanml3d.md#inverse and docs/specification/humanml3d.md#normalisation.
 
 The steps, each a function: :func:`feature_rows`, :meth:`Statistics.restore`, :func:`motions_from_features`, and then
 :func:`prbench.representation.converters.placed_on`. No torch: tensors come as ``tensor.detach().cpu().numpy()``.
@@ -41,8 +41,8 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     """``Mean.npy`` and ``Std.npy`` of the generator.
 
     Use the pair that the model was *trained* with. Text-to-motion evaluators come with another one, whose root and
-    contact blocks are about 25 times smaller (``formats/humanml3d.md`` section 4); some models were trained with that
-    one. :func:`check_features` tells a wrong pair from the numbers.
+    contact blocks are about 25 times smaller (docs/specification/humanml3d.md#normalisation); some models were trained
+    with that one. :func:`check_features` tells a wrong pair from the numbers.
 
     Args:
         mean: 263 numbers.
@@ -173,7 +173,7 @@ def joints_from_features(
         features: Raw (restored with the model's statistics).
         n_frames: Frames wanted: as many as rows, one more, or fewer (rows behind are padding). None for all rows.
         root: ``absolute`` for models of the GMD family, whose first three columns hold heading (half angle) and place
-            of the pelvis instead of their steps (``methods/gmd.md``).
+            of the pelvis instead of their steps (docs/specification/gmd.md#representation).
         bones: ``positions`` decodes columns 4 to 66, as everybody does for evaluation; ``rotations`` decodes the
             rotations on ``offsets``, so bones keep their lengths, but errors add up along the limbs.
         offsets: With ``rotations``: the uniform skeleton, or the body of the initial pose

@@ -1,6 +1,6 @@
 """Everyday activities of procedural people, with true descriptions: what pre-training corpora are invented from.
 
-Source: ``methods/synthetic-recordings.md`` section 13.
+Source: docs/specification/synthetic-recordings.md#text.
 """
 
 from prbench.synthetic.activities.narrated import NarratedMotion, TrueNarration

@@ -1,7 +1,7 @@
 """The activities: what somebody does for some seconds, as commands on a stage.
 
 Each adds its movements and says when it begins and ends. Its words are chosen later, from what then happened
-(``methods/synthetic-recordings.md`` section 13).
+(docs/specification/synthetic-recordings.md#text).
 """
 
 from __future__ import annotations

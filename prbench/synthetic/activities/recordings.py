@@ -1,8 +1,9 @@
 """One recording of the corpus from its seed: somebody who does one thing after the other, or who primes and reaches.
 
 Every fourth recording is a prime-and-reach performance of the benchmark's presets, but of a seed of its own, so that no
-recording of a benchmark table is ever among what a method is pre-trained on (``methods/synthetic-recordings.md``
-sections 11 and 13).
+recording of a benchmark table is ever among what a method is pre-trained on
+(docs/specification/synthetic-recordings.md#determinism-splits-sizes and
+docs/specification/synthetic-recordings.md#text).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""What real copies of Aria Digital Twin suffer from (``formats/adt.md`` sections 2 to 4 and 7)."""
+"""What real copies of Aria Digital Twin suffer from.
+
+Sources: docs/specification/adt.md#frame-units-clock, docs/specification/adt.md#files, docs/specification/adt.md#joints
+and docs/specification/adt.md#pitfalls-and-bad-input.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from prbench.formats import adt
-from prbench.formats import aria_mps as mps
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps import format as mps
 from prbench.storage import write_json
 from prbench.synthetic.defects import Defect
 

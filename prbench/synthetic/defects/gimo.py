@@ -1,4 +1,4 @@
-"""What copies of GIMO suffer from (``formats/gimo.md`` section 8)."""
+"""What copies of GIMO suffer from (docs/specification/gimo.md#bad-input)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from prbench.formats import gimo
+from prbench.readers.gimo import format as gimo
 from prbench.synthetic.defects import Defect
 from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
 

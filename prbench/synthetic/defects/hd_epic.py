@@ -1,4 +1,4 @@
-"""What real copies of HD-EPIC suffer from (``formats/hd-epic.md`` section 7)."""
+"""What real copies of HD-EPIC suffer from (docs/specification/hd-epic.md#pitfalls-and-bad-input)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from prbench.formats import aria_mps as mps
-from prbench.formats import egoallo as ego
-from prbench.formats import hd_epic
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.egoallo import format as ego
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.storage import write_json
 from prbench.synthetic.defects import Defect
 

@@ -1,4 +1,4 @@
-"""What real copies of HOT3D suffer from (``formats/hot3d.md`` section 7)."""
+"""What real copies of HOT3D suffer from (docs/specification/hot3d.md#pitfalls-and-bad-input)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.formats import hot3d
-from prbench.formats.aria_mps import GAZE_FOLDER, SLAM_FOLDER, TRAJECTORY_FILE
-from prbench.formats.egoallo import OUTPUT_FOLDER
+from prbench.readers.aria_mps.format import GAZE_FOLDER, SLAM_FOLDER, TRAJECTORY_FILE
+from prbench.readers.egoallo.format import OUTPUT_FOLDER
+from prbench.readers.hot3d import format as hot3d
 from prbench.storage import read_json, write_json
 from prbench.synthetic.defects import Defect
 from prbench.synthetic.layouts.hot3d import LIBRARY

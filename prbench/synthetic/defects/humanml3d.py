@@ -1,4 +1,4 @@
-"""What real copies of HumanML3D suffer from (``formats/humanml3d.md``)."""
+"""What real copies of HumanML3D suffer from (docs/specification/humanml3d.md#text-files)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import humanml3d as layout
+from prbench.corpora.humanml3d import format as layout
 from prbench.storage import atomic_path
 from prbench.synthetic.defects import Defect
 

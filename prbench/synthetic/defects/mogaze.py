@@ -1,4 +1,4 @@
-"""What real copies of MoGaze suffer from (``formats/mogaze.md`` section 10)."""
+"""What real copies of MoGaze suffer from (docs/specification/mogaze.md#bad-input)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from prbench.formats import mogaze
-from prbench.formats.mogaze_body import STATE_COLUMNS
+from prbench.readers.mogaze import format as mogaze
+from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.synthetic.defects import Defect
 from prbench.synthetic.sensors.mogaze import GOGGLES_ID
 

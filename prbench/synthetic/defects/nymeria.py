@@ -1,4 +1,4 @@
-"""What real copies of Nymeria suffer from (``formats/nymeria.md`` section 7)."""
+"""What real copies of Nymeria suffer from (docs/specification/nymeria.md#bad-input)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import nymeria
+from prbench.corpora.nymeria import format as nymeria
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.storage import atomic_path
 from prbench.synthetic.defects import Defect
 
@@ -97,9 +98,9 @@ def _swapped(arrays: Arrays) -> None:
     for key, size in (("segment_tXYZ", 3), ("segment_qWXYZ", 4)):
         values = arrays[key].reshape(-1, nymeria.N_SEGMENTS, size)
         turned = values.copy()
-        for right, name in enumerate(nymeria.SEGMENTS):
+        for right, name in enumerate(XSENS_SEGMENTS):
             if name.startswith("R_"):
-                left = nymeria.SEGMENTS.index(f"L_{name[2:]}")
+                left = XSENS_SEGMENTS.index(f"L_{name[2:]}")
                 turned[:, right], turned[:, left] = values[:, left], values[:, right]
         arrays[key] = turned.reshape(len(values), -1)
 

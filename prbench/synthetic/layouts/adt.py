@@ -1,4 +1,4 @@
-"""Native files of Aria Digital Twin (``formats/adt.md``): layout v2.0, and v1.x for tests of the reader."""
+"""Native files of Aria Digital Twin (docs/specification/adt.md): layout v2.0, and v1.x for tests of the reader."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.formats import adt
-from prbench.formats import aria_mps as mps
-from prbench.formats import egoallo as ego
 from prbench.manifests import load_manifest
+from prbench.readers.adt import format as adt
+from prbench.readers.adt.for_egoallo import prepared_trajectory
+from prbench.readers.adt.to_recording import recording_from_adt
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.egoallo import format as ego
 from prbench.recording import Recording
-from prbench.recording.adt_for_egoallo import prepared_trajectory
-from prbench.recording.from_adt import recording_from_adt
 from prbench.storage import atomic_folder, write_bytes, write_json
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model

@@ -1,4 +1,4 @@
-"""Files of the Machine Perception Services (``formats/aria-mps.md``), as HOT3D and HD-EPIC hold them."""
+"""Files of the Machine Perception Services (docs/specification/aria-mps.md), as HOT3D and HD-EPIC hold them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.storage import atomic_path, write_json
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.sensors.aria_mps import GRAVITY

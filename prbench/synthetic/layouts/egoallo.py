@@ -1,4 +1,7 @@
-"""EgoAllo's output files and the invented body model as files (``formats/egoallo.md`` sections 1 and 4)."""
+"""EgoAllo's output files and the invented body model as files.
+
+Sources: docs/specification/egoallo.md#files and docs/specification/egoallo.md#joints.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.sensors.smplh import invented_smplh

@@ -1,4 +1,7 @@
-"""Native files of GIMO (``formats/gimo.md``), route C: fitted root and translation, and the suit's skeleton."""
+"""Native files of GIMO, route C: fitted root and translation, and the suit's skeleton.
+
+Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.formats import gimo
-from prbench.formats.bvh import BvhMotion
 from prbench.manifests import load_manifest
+from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.bvh import BvhMotion
+from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
-from prbench.recording.from_gimo import recording_from_gimo
 from prbench.skeleton import WRISTS, Joint
 from prbench.storage import atomic_folder, atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS

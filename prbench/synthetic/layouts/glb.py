@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from prbench.formats.hot3d import ObjectMesh
+from prbench.readers.hot3d.format import ObjectMesh
 
 _SCALE = 0.001
 _QUARTER_TURN = (0.0, -np.sqrt(0.5), 0.0, np.sqrt(0.5))  # x y z w, about the vertical

@@ -1,4 +1,4 @@
-"""Native files of HD-EPIC (``formats/hd-epic.md``): archives by video, annotations for all videos together."""
+"""Native files of HD-EPIC (docs/specification/hd-epic.md): archives by video, annotations for all videos together."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from prbench.formats import aria_mps as mps
-from prbench.formats import egoallo as ego
-from prbench.formats import hd_epic
 from prbench.manifests import load_manifest
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.to_recording import body_from_outputs
+from prbench.readers.hd_epic import format as hd_epic
+from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
-from prbench.recording.from_egoallo import body_from_outputs
-from prbench.recording.from_hd_epic import recording_from_hd_epic
 from prbench.storage import atomic_path, write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps

@@ -1,4 +1,4 @@
-"""Native files of HOT3D (``formats/hot3d.md``)."""
+"""Native files of HOT3D (docs/specification/hot3d.md)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.formats import egoallo as ego
-from prbench.formats import hot3d, umetrack
-from prbench.formats.umetrack import HandModel
 from prbench.manifests import load_manifest
+from prbench.readers.egoallo import format as ego
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import umetrack
+from prbench.readers.hot3d.to_recording import recording_from_hot3d
+from prbench.readers.hot3d.umetrack import HandModel
 from prbench.recording import Recording
-from prbench.recording.from_hot3d import recording_from_hot3d
 from prbench.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts.aria_mps import write_mps

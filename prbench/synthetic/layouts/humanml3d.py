@@ -1,4 +1,6 @@
-"""The official folder of HumanML3D (``formats/humanml3d.md``): joints, texts, mirrored copies, split lists.
+"""The official folder of HumanML3D: joints, texts, mirrored copies, split lists.
+
+Source: docs/specification/humanml3d.md#text-files.
 
 Features (``new_joint_vecs``) are not written: nothing reads them yet.
 """
@@ -12,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.formats import humanml3d as layout
+from prbench.corpora.humanml3d import format as layout
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.activities import NarratedMotion

@@ -1,4 +1,7 @@
-"""Native files of MoGaze (``formats/mogaze.md``): four HDF5 files a recording, and a scene with meshes for all."""
+"""Native files of MoGaze: four HDF5 files a recording, and a scene with meshes for all.
+
+Source: docs/specification/mogaze.md.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from prbench.formats import mogaze
-from prbench.formats.mogaze_body import STATE_COLUMNS
 from prbench.manifests import load_manifest
+from prbench.readers.mogaze import format as mogaze
+from prbench.readers.mogaze.body import STATE_COLUMNS
+from prbench.readers.mogaze.to_recording import recording_from_mogaze
 from prbench.recording import Recording
-from prbench.recording.from_mogaze import recording_from_mogaze
 from prbench.storage import atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.performance import Performance, TrueEvent

@@ -1,4 +1,4 @@
-"""Native files of Nymeria (``formats/nymeria.md``): suit, narrations, metadata, and the glasses' trajectory."""
+"""Native files of Nymeria (docs/specification/nymeria.md): suit, narrations, metadata, and the glasses' trajectory."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.formats import aria_mps as mps
-from prbench.formats import nymeria
-from prbench.formats.nymeria import Narration
+from prbench.corpora.nymeria import format as nymeria
+from prbench.corpora.nymeria.format import Narration
+from prbench.readers.aria_mps import format as mps
 from prbench.storage import atomic_path, write_bytes, write_json
 from prbench.synthetic.layouts.csv_files import split_columns, write_csv
 from prbench.synthetic.sensors.nymeria import GlassesPoses, NymeriaReadings

@@ -1,4 +1,4 @@
-"""Wrists, elbows and hands over time (``methods/synthetic-recordings.md`` section 4)."""
+"""Wrists, elbows and hands over time (docs/specification/synthetic-recordings.md#reaching-and-holding)."""
 
 from __future__ import annotations
 

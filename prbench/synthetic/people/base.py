@@ -1,4 +1,7 @@
-"""The path of the body over the floor: turn, walk, turn; or shuffle (``methods/synthetic-recordings.md`` section 3)."""
+"""The path of the body over the floor: turn, walk, turn; or shuffle.
+
+Source: docs/specification/synthetic-recordings.md#base-motion.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A second person who moves an object while the wearer does something else (section 7, ``bystander``)."""
+"""A second person who moves an object while the wearer does something else.
+
+Source: docs/specification/synthetic-recordings.md#provocations, ``bystander``.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Objects that stand still, are carried in a hand, and stand still again.
 
-Source: ``methods/synthetic-recordings.md`` sections 4, 6 and 7.
+Sources: docs/specification/synthetic-recordings.md#reaching-and-holding,
+docs/specification/synthetic-recordings.md#event-truth and docs/specification/synthetic-recordings.md#provocations.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The two idioms of which every movement is made: blends towards moving targets, and wobbles.
 
-Both are array operations over frames; source: ``methods/synthetic-recordings.md``, conventions.
+Both are array operations over frames; source: docs/specification/synthetic-recordings.md, conventions.
 """
 
 from __future__ import annotations

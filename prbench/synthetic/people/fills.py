@@ -1,6 +1,6 @@
 """Looks that are not at a goal: along the path, at the own hands, around the room, at other goals.
 
-Source: ``methods/synthetic-recordings.md`` section 5, points 5 and 6 of the schedule.
+Source: docs/specification/synthetic-recordings.md#eye-head-trunk, points 5 and 6 of the schedule.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """When a person looks where: one list of fixations that later drives eye, head and trunk.
 
-Source: ``methods/synthetic-recordings.md`` section 5, schedule of an event.
+Source: docs/specification/synthetic-recordings.md#eye-head-trunk, schedule of an event.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def _with_fills(goals: list[Look], drawer: FillDrawer, end: float) -> list[Look]
 
 
 class _Scheduler:
-    """The draws of section 5 for single events."""
+    """The draws of docs/specification/synthetic-recordings.md#eye-head-trunk for single events."""
 
     def __init__(
         self, plan: Plan, base: BasePath, eye: np.ndarray, times: np.ndarray, rng: np.random.Generator

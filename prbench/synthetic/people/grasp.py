@@ -1,6 +1,6 @@
 """How a hand takes hold of a box, and how the trunk leans and crouches for it.
 
-Source: ``methods/synthetic-recordings.md`` section 4.
+Source: docs/specification/synthetic-recordings.md#reaching-and-holding.
 """
 
 from __future__ import annotations

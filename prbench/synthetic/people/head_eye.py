@@ -1,4 +1,4 @@
-"""Head and eyes that follow one list of fixations (``methods/synthetic-recordings.md`` section 5)."""
+"""Head and eyes that follow one list of fixations (docs/specification/synthetic-recordings.md#eye-head-trunk)."""
 
 from __future__ import annotations
 

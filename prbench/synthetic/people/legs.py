@@ -1,4 +1,4 @@
-"""Pelvis height and legs over planted and swinging feet (``methods/synthetic-recordings.md`` section 3)."""
+"""Pelvis height and legs over planted and swinging feet (docs/specification/synthetic-recordings.md#base-motion)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """From a plan to joints: base, feet, trunk, head, arms, legs, in this order, refined until the wrists arrive.
 
-Source: ``methods/synthetic-recordings.md`` sections 3 to 5.
+Sources: docs/specification/synthetic-recordings.md#base-motion,
+docs/specification/synthetic-recordings.md#reaching-and-holding and
+docs/specification/synthetic-recordings.md#eye-head-trunk.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """One movement of a hand: when it starts, how long it takes, and what a provocation changes about it.
 
-Source: ``methods/synthetic-recordings.md`` sections 4 (timing), 6 and 7.
+Sources: docs/specification/synthetic-recordings.md#reaching-and-holding (timing),
+docs/specification/synthetic-recordings.md#event-truth and docs/specification/synthetic-recordings.md#provocations.
 """
 
 from __future__ import annotations

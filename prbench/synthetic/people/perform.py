@@ -1,6 +1,6 @@
 """One recording from its seed: world, person, plan, motion, gaze, truth.
 
-Source: ``methods/synthetic-recordings.md``.
+Source: docs/specification/synthetic-recordings.md.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ def perform(
         world: How many people and rooms exist: 24 and 12, or 400 and 200.
         n_events: Picks and puts.
         rate: Frames a second.
-        provocations: Share of the movements for each tag of section 7; None: 10 % together, {}: none.
+        provocations: Share of the movements for each tag of docs/specification/synthetic-recordings.md#provocations;
+        None: 10 % together, {}: none.
         bystander_objects: Objects that never move; 3 to 12, drawn with the room, if None.
         split_rule: See :func:`prbench.synthetic.people.population.cast`.
 

@@ -1,4 +1,4 @@
-"""People: bone lengths and habits (``methods/synthetic-recordings.md`` section 2)."""
+"""People: bone lengths and habits (docs/specification/synthetic-recordings.md#person)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Where to stand for a goal, and whether it can be reached from there.
 
-Source: ``methods/synthetic-recordings.md`` section 1 (standing place) and 3 (hot3d standing).
+Sources: docs/specification/synthetic-recordings.md#world (standing place) and
+docs/specification/synthetic-recordings.md#base-motion (hot3d standing).
 """
 
 from __future__ import annotations

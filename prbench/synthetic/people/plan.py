@@ -1,6 +1,8 @@
 """The form of a plan: every decision about body and objects of one recording.
 
-Source: ``methods/synthetic-recordings.md`` sections 1, 3, 4, 6 and 7. Made by :mod:`planner`; the gaze is planned in
+Sources: docs/specification/synthetic-recordings.md#world, docs/specification/synthetic-recordings.md#base-motion,
+docs/specification/synthetic-recordings.md#reaching-and-holding, docs/specification/synthetic-recordings.md#event-truth
+and docs/specification/synthetic-recordings.md#provocations. Made by :mod:`planner`; the gaze is planned in
 :mod:`gaze_plan`, the motion follows without further choices.
 """
 
@@ -27,7 +29,10 @@ Action = Literal["pick", "put", "hover", "pass_by", "touch", "nudge", "hinge"]
 
 @dataclass(frozen=True)
 class Twist:
-    """What a provocation changes about one reach (section 7); the default changes nothing."""
+    """What a provocation changes about one reach; the default changes nothing.
+
+    Source: docs/specification/synthetic-recordings.md#provocations.
+    """
 
     gap: float | None = None
     """Forced time from the first look to the event."""

@@ -1,6 +1,7 @@
 """Decides what happens in a recording: which objects go where, from which place, with which hand, and when.
 
-Source: ``methods/synthetic-recordings.md`` sections 1, 6 and 7.
+Sources: docs/specification/synthetic-recordings.md#world, docs/specification/synthetic-recordings.md#event-truth and
+docs/specification/synthetic-recordings.md#provocations.
 """
 
 from __future__ import annotations

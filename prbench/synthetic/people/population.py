@@ -1,7 +1,7 @@
 """Which room and which person a recording gets, and on which side of the split.
 
-Source: ``methods/synthetic-recordings.md`` section 11. The numbers of rooms and people belong to the world, so that
-recording i depends on (seed, preset, world, i) alone.
+Source: docs/specification/synthetic-recordings.md#determinism-splits-sizes. The numbers of rooms and people belong to
+the world, so that recording i depends on (seed, preset, world, i) alone.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Pelvis and trunk over time: leaning and crouching for reaches, walking, and following the head.
 
-Source: ``methods/synthetic-recordings.md`` sections 3, 4 and 5.
+Sources: docs/specification/synthetic-recordings.md#base-motion,
+docs/specification/synthetic-recordings.md#reaching-and-holding and
+docs/specification/synthetic-recordings.md#eye-head-trunk.
 """
 
 from __future__ import annotations

@@ -1,9 +1,13 @@
-"""What distinguishes the five imitated datasets (``methods/synthetic-recordings.md`` sections 1, 2, 3 and 9).
+"""What distinguishes the five imitated datasets.
 
-Most constants are those of the page. Tuned here, so that the means of section 9 are met within a third of their spread:
-the sizes of the free floor (hd-epic, adt, gimo), ``edge`` (mogaze, gimo), carry pose, gap and surface weights of
-mogaze, head gain of hot3d, the weights of the gaps of adt, and the speed of gimo (.70 on the page, for a cube as the
-goal; with the wrist alone as the goal primes come later).
+Sources: docs/specification/synthetic-recordings.md#world, docs/specification/synthetic-recordings.md#person,
+docs/specification/synthetic-recordings.md#base-motion and docs/specification/synthetic-recordings.md#statistics.
+
+Most constants are those of the page. Tuned here, so that the means of
+docs/specification/synthetic-recordings.md#statistics are met within a third of their spread: the sizes of the free
+floor (hd-epic, adt, gimo), ``edge`` (mogaze, gimo), carry pose, gap and surface weights of mogaze, head gain of hot3d,
+the weights of the gaps of adt, and the speed of gimo (.70 on the page, for a cube as the goal; with the wrist alone as
+the goal primes come later).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Movements that test one decision of curation each (``methods/synthetic-recordings.md`` section 7)."""
+"""Movements that test one decision of curation each (docs/specification/synthetic-recordings.md#provocations)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Moves fill fixations that would prime a goal before its time.
 
-Source: ``methods/synthetic-recordings.md`` section 5, point 6 of the schedule.
+Source: docs/specification/synthetic-recordings.md#eye-head-trunk, point 6 of the schedule.
 
 What remains after three rounds, looks at neighbouring goals above all, is a real prime, and the truth says so.
 """

@@ -1,6 +1,6 @@
 """Foot falls: when which foot steps where, and the way of the balls of the feet.
 
-Source: ``methods/synthetic-recordings.md`` section 3 (steps, ball of the foot, foot pitch).
+Source: docs/specification/synthetic-recordings.md#base-motion (steps, ball of the foot, foot pitch).
 """
 
 from __future__ import annotations

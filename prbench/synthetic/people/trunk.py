@@ -1,7 +1,8 @@
 """Forward kinematics of pelvis, spine, neck, hips and shoulders.
 
 Heading and lean are spread over the spine: the pelvis takes .4 of the lean, the three spine segments a third each of
-the rest (``methods/synthetic-recordings.md`` section 4). Everything broadcasts over leading axes (frames, grid cells).
+the rest (docs/specification/synthetic-recordings.md#reaching-and-holding). Everything broadcasts over leading axes
+(frames, grid cells).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """What truly happened: event times, boxes, and when noise-free gaze first met the goal.
 
-Source: ``methods/synthetic-recordings.md`` sections 6 and 10.
+Sources: docs/specification/synthetic-recordings.md#event-truth and
+docs/specification/synthetic-recordings.md#truth-record.
 """
 
 from __future__ import annotations

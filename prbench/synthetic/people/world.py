@@ -1,6 +1,6 @@
 """Rooms: furniture around a free floor, objects that never move, and spots to put things.
 
-Source: ``methods/synthetic-recordings.md`` section 1. The free floor of a room is a rectangle around the origin; the
+Source: docs/specification/synthetic-recordings.md#world. The free floor of a room is a rectangle around the origin; the
 front edges of the furniture lie on its border, so that straight walks are free of obstacles.
 """
 

@@ -1,4 +1,4 @@
-"""The sensors of Aria Digital Twin (``methods/synthetic-recordings.md`` section 8, rows "adt").
+"""The sensors of Aria Digital Twin (docs/specification/synthetic-recordings.md#sensors, rows "adt").
 
 Readings are rounded to the resolution of the written files (micrometres, microradians, 1e-9 for quaternions), so that
 files and memory hold the same numbers.
@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import adt
-from prbench.formats.aria_mps import device_from_cpf
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps.format import device_from_cpf
 from prbench.skeleton import invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import ObjectMotion, Performance

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.formats import hd_epic
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.skeleton import transform_points
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD

@@ -1,4 +1,7 @@
-"""Errors of the gaze of Aria glasses, for ADT and the Machine Perception Services alike (section 8)."""
+"""Errors of the gaze of Aria glasses, for ADT and the Machine Perception Services alike.
+
+Source: docs/specification/synthetic-recordings.md#sensors.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.formats.aria_mps import GazeKind, gaze_angles
+from prbench.readers.aria_mps.format import GazeKind, gaze_angles
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.timelines import interpolate, slerp

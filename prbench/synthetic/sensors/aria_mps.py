@@ -1,4 +1,4 @@
-"""What the Machine Perception Services would say of a performance (``methods/synthetic-recordings.md`` section 8).
+"""What the Machine Perception Services would say of a performance (docs/specification/synthetic-recordings.md#sensors).
 
 For HOT3D and HD-EPIC. Readings are rounded to the resolution of the written files, so that files and memory hold the
 same numbers. The native world is Z up: the performance's, with the axes renamed.
@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.formats import aria_mps as mps
+from prbench.readers.aria_mps import format as mps
 from prbench.skeleton import WRISTS, invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import Performance

@@ -1,4 +1,7 @@
-"""EgoAllo as a sensor (``methods/synthetic-recordings.md`` section 8, "EgoAllo-like body", and section 14).
+"""EgoAllo as a sensor.
+
+Sources: docs/specification/synthetic-recordings.md#sensors, "EgoAllo-like body", and
+docs/specification/synthetic-recordings.md#native-layouts.
 
 The head is exact, since it is what the estimate is made from. Elbows and knees wander, feet slip, wrists stay within
 2 cm (the real estimate is aligned to tracked wrists), and every window stands a little too high or too low. Bones keep
@@ -13,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import egoallo as ego
-from prbench.formats.aria_mps import AriaTrajectory, GlassesSize, device_from_cpf
+from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
+from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS, Joint
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.people.geometry import soft_limit, two_bone

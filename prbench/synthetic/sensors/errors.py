@@ -1,4 +1,8 @@
-"""Sensor errors: switches, and the random stream of each (``methods/synthetic-recordings.md`` sections 8 and 11)."""
+"""Sensor errors: switches, and the random stream of each.
+
+Sources: docs/specification/synthetic-recordings.md#sensors and
+docs/specification/synthetic-recordings.md#determinism-splits-sizes.
+"""
 
 from __future__ import annotations
 

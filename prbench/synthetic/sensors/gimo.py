@@ -1,6 +1,7 @@
 """The sensors of GIMO: an inertial suit with a fitted body, and HoloLens 2 gaze on a scanned room.
 
-Source: ``methods/synthetic-recordings.md`` sections 8 (rows "gimo") and 14. The learned pose decoder cannot be
+Sources: docs/specification/synthetic-recordings.md#sensors (rows "gimo") and
+docs/specification/synthetic-recordings.md#native-layouts. The learned pose decoder cannot be
 imitated, so the fitted parameters hold root and translation only, and limbs come from the suit's skeleton (route C).
 """
 
@@ -10,11 +11,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import gimo
-from prbench.formats.aria_mps import gaze_angles, gaze_directions_cpf
-from prbench.formats.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.randomness import named_generator
 from prbench.rays import slab_test
+from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
+from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.skeleton import PARENTS, Joint, invert_rigid, transform_points
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import Performance, TrueEvent

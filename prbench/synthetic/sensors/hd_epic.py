@@ -1,4 +1,4 @@
-"""The sensors and annotators of HD-EPIC (``methods/synthetic-recordings.md`` section 8, rows "hd-epic").
+"""The sensors and annotators of HD-EPIC (docs/specification/synthetic-recordings.md#sensors, rows "hd-epic").
 
 Poses, gaze and hands come from the Machine Perception Services, bodies from EgoAllo, places and times of events from
 people who looked at the video. Everything is rounded to the files' resolution, so that files and memory agree.
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.formats import hd_epic
-from prbench.formats.aria_mps import MpsReadings
-from prbench.formats.egoallo import EgoAlloOutput
+from prbench.readers.aria_mps.format import MpsReadings
+from prbench.readers.egoallo.format import EgoAlloOutput
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.annotated_masks import Sighting, masks_of

@@ -1,4 +1,7 @@
-"""The sensors of HOT3D (``methods/synthetic-recordings.md`` sections 8 and 14).
+"""The sensors of HOT3D.
+
+Sources: docs/specification/synthetic-recordings.md#sensors and
+docs/specification/synthetic-recordings.md#native-layouts.
 
 Readings are rounded to the resolution of the written files, so that files and memory hold the same numbers. The truth's
 clock is that of the ground truth; the glasses' device clock drifts against it.
@@ -14,8 +17,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import z_up
-from prbench.formats import hot3d
-from prbench.recording.from_egoallo import body_from_outputs
+from prbench.readers.egoallo.to_recording import body_from_outputs
+from prbench.readers.hot3d import format as hot3d
 from prbench.skeleton import Joint
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps

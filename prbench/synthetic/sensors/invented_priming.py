@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.formats import hd_epic
+from prbench.readers.hd_epic import format as hd_epic
 from prbench.skeleton import transform_points
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import sensor_generator

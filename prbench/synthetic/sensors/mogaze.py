@@ -1,4 +1,4 @@
-"""The sensors of MoGaze (``methods/synthetic-recordings.md`` section 8, rows "mogaze").
+"""The sensors of MoGaze (docs/specification/synthetic-recordings.md#sensors, rows "mogaze").
 
 The native files hold float64, so nothing is rounded and files and memory agree bit for bit. The readings have Z up.
 """
@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.formats import mogaze
-from prbench.formats.aria_mps import gaze_angles, gaze_directions_cpf
 from prbench.manifests import load_manifest
+from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
+from prbench.readers.mogaze import format as mogaze
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.synthetic.sensors.mogaze_body import solve_body

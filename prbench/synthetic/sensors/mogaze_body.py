@@ -3,7 +3,7 @@
 The model has fewer joints than the performance's spine, and every link hangs on its parent along fixed axes. So each
 link's frame is the segment's, tipped until the child lies where the model wants it. Everything is exact but the
 distance from pelvis to torso, which is fixed: where the back bends, the upper body is up to a centimetre further along
-the trunk (``methods/synthetic-recordings.md`` section 14).
+the trunk (docs/specification/synthetic-recordings.md#native-layouts).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.formats.mogaze_body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS
+from prbench.readers.mogaze.body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS
 from prbench.skeleton import Joint
 
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
@@ -41,7 +41,7 @@ class SolvedBody:
     """A joint state without noise."""
 
     state: Float[np.ndarray, "n 66"]
-    """Columns as in :data:`prbench.formats.mogaze_body.STATE_COLUMNS`."""
+    """Columns as in :data:`prbench.readers.mogaze.body.STATE_COLUMNS`."""
     fixed: dict[str, float]
     """The 60 scaling values, metres."""
 

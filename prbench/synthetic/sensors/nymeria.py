@@ -1,4 +1,4 @@
-"""What suit and glasses make of a narrated motion, each on its clock (``formats/nymeria.md``)."""
+"""What suit and glasses make of a narrated motion, each on its clock (docs/specification/nymeria.md#narrations)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.axes import Y_UP_FROM_Z_UP, z_up
-from prbench.formats import nymeria
-from prbench.formats.nymeria import SEGMENTS, SUIT_RATE, Narration, NymeriaRecording, Suit
+from prbench.corpora.nymeria import format as nymeria
+from prbench.corpora.nymeria.format import SUIT_RATE, Narration, NymeriaRecording, Suit
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.skeleton import PARENTS, Joint, bone_lengths
@@ -101,7 +102,7 @@ def answers_of(kind: str) -> tuple[str, ...]:
 
 def _positions(motion: NarratedMotion, rng: np.random.Generator, noise: float) -> Float[np.ndarray, "n 23 3"]:
     joints = motion.joints
-    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in SEGMENTS], axis=1)
+    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS], axis=1)
     points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
     drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
     points[..., [0, 2]] += drift[:, None]
@@ -109,7 +110,7 @@ def _positions(motion: NarratedMotion, rng: np.random.Generator, noise: float) -
 
 
 def _rotations(motion: NarratedMotion) -> Float[np.ndarray, "n 23 4"]:
-    joints = [int(_JOINT_OF_SEGMENT[name]) for name in SEGMENTS]
+    joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
     turned = matrix_of(motion.rotations[:, joints])
     return quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32)
 
@@ -145,6 +146,6 @@ def calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
     joints[0, 1] = 1.0
     for child in range(1, len(PARENTS)):
         joints[child] = joints[PARENTS[child]] + lengths[child] * np.array(directions[Joint(child)])
-    points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in SEGMENTS])
+    points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS])
     points[0] = 0.5 * (joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_HIP])
     return z_up(points)

@@ -1,7 +1,7 @@
 """An invented body model with SMPL-H's keys, and procedural people in its terms.
 
 Sixteen shape directions are the sixteen lengths in which people of all presets differ, so that rest joints are exact
-(``methods/synthetic-recordings.md`` section 14). Nothing of the licensed model is in it.
+(docs/specification/synthetic-recordings.md#native-layouts). Nothing of the licensed model is in it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.synthetic.performance import Performance
 

@@ -1,11 +1,14 @@
-"""The 51 joints and 57 markers of the optical suit, from 22 joints and finger bases (``formats/adt.md`` section 4)."""
+"""The 51 joints and 57 markers of the optical suit, from 22 joints and finger bases.
+
+Source: docs/specification/adt.md#joints.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.formats import adt
+from prbench.readers.adt import format as adt
 from prbench.skeleton import Joint
 
 _DIRECT = {

@@ -14,6 +14,7 @@ from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import bone_segments, draw_bodies, side_view, top_view
 from prbench.viewing.replay.captions import phase, verdict
 from prbench.viewing.replay.curves import mark_times
+from prbench.viewing.replay.dots import beside, draw_dots
 from prbench.viewing.replay.film_layout import curve_panels, fit_limits, side_panels, top_panel
 from prbench.viewing.replay.measures import gaze_distance, measure
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
@@ -87,11 +88,16 @@ class FilmStage:
                 figure_text(motion.label), fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2
             )
             panel.set_title(verdict(scene, motion), fontsize=7.5, color="0.35", loc="right", pad=3)
+            if scene.surroundings is not None:
+                near = beside(scene.surroundings, motion.joints[-1, Joint.PELVIS], axis, reach=np.inf)
+                draw_dots(panel, side_view(near, axis))
             self._add_goal(panel, lambda points: side_view(points, axis))
             self._add_body(panel, motion, lambda points: side_view(points, axis))
 
     def _build_top_view(self) -> None:
         scene, panel = self._scene, top_panel(self._figure)
+        if scene.surroundings is not None:
+            draw_dots(panel, top_view(scene.surroundings))
         self._add_goal(panel, top_view)
         for motion in scene.motions:
             path = top_view(motion.joints[:, Joint.PELVIS])

@@ -58,4 +58,7 @@ def key_handles(scene: Scene) -> list[Artist]:
         Line2D([], [], marker="*", linestyle="", markersize=9, label="at the event", **grey),
         Patch(facecolor="0.88", label=f"prime time ± {scene.thresholds.prime_window:g} s"),
     ]
+    if scene.surroundings is not None:
+        dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": palette.SURROUNDINGS}
+        handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
     return handles

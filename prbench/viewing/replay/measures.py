@@ -30,7 +30,11 @@ class Measures:
 
 
 def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
-    """Measure one motion (``formats/humanml3d.md`` section 8, ``methods/metrics.md`` sections 1 and 2)."""
+    """Measure one motion.
+
+    Sources: docs/specification/humanml3d.md#head-forward-vector, docs/specification/metrics.md#prime-success and
+    docs/specification/metrics.md#reach-success.
+    """
     head = motion.joints[:, Joint.HEAD]
     forward, _ = head_forward(motion.joints, head_tilt_deg)
     to_goal = goal.location - head

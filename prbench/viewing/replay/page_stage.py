@@ -164,6 +164,13 @@ def _add_still(
     way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
     server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
     server.scene.add_label(f"{name}/label", motion.label, position=tuple(floor[0]), anchor="top-center")
+    if scene.surroundings is not None and motion is scene.motions[0]:  # copies in every lane would overlap
+        server.scene.add_point_cloud(
+            f"{name}/surroundings",
+            (scene.surroundings + offset).astype(np.float32),
+            colors=palette.rgb(palette.SURROUNDINGS),
+            point_size=0.012,
+        )
     if scene.goal is not None:
         edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
         server.scene.add_line_segments(f"{name}/goal_box", edges, colors=palette.rgb(palette.GOAL_EDGE), thickness=0.01)

@@ -9,6 +9,7 @@ GAZE = "#e69f00"
 GOAL = "#56b4e9"
 GOAL_EDGE = "#1b6f9c"
 MARK = "#555555"
+SURROUNDINGS = "#b8b8b8"
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -11,6 +11,7 @@ from prbench.shown import figure_text
 from prbench.skeleton import Joint
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import draw_bodies, side_view
+from prbench.viewing.replay.dots import beside, draw_dots
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
@@ -41,6 +42,10 @@ def draw_strip(
         moved[..., 0] += places[:, None]
         return moved
 
+    if scene.surroundings is not None:
+        for start, place in zip(pelvis, places, strict=True):
+            near = beside(scene.surroundings, start, axis, reach=_SPACING / 2)
+            draw_dots(axes, side_view(near, axis, around=start) + np.array([place, 0.0]))
     draw_bodies(axes, flat(joints), motion.colour)
     _draw_rays(axes, scene, motion, frames, flat)
     if scene.goal is not None:

@@ -11,7 +11,7 @@ from prbench.skeleton import Joint, head_forward
 def head_rays(
     joints: Float[np.ndarray, "n 22 3"], head_tilt_deg: float, length: float | Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 2 3"]:
-    """Head-forward rays from the head joint (``formats/humanml3d.md`` section 8).
+    """Head-forward rays from the head joint (docs/specification/humanml3d.md#head-forward-vector).
 
     Args:
         joints: Canonical frame, metres.

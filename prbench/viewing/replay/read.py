@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from prbench.manifests import MetricConstants, load_protocol
 from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
@@ -18,6 +19,9 @@ from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotio
 
 _SIDES = {"left": 0, "right": 1}
 
+Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
+"""Tells what stood around one sequence (:attr:`Scene.surroundings`)."""
+
 
 def read_scenes(
     table: SequenceTable,
@@ -25,6 +29,7 @@ def read_scenes(
     runs: Sequence[RunMotions] = (),
     *,
     permitted: Collection[str] = (),
+    around: Around | None = None,
 ) -> Iterator[Scene]:
     """Read sequences with what each run made of them, in the order given.
 
@@ -36,6 +41,7 @@ def read_scenes(
         sequence_ids: Of the table, and of every run.
         runs: Made on that very table.
         permitted: Datasets for which the user has permission to pass recorded motion on.
+        around: Tells what stood around a sequence; None draws the motions alone.
 
     Raises:
         RedistributionError: if nothing is left that may be shown.
@@ -49,7 +55,7 @@ def read_scenes(
             ShownMotion(run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name])
             for run, colour, values in zip(runs, palette.METHODS, scores, strict=False)
         ]
-        yield scene_of(chunks[name], table.info, motions, permitted=permitted)
+        yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around)
 
 
 def require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
@@ -66,7 +72,12 @@ def require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], per
 
 
 def scene_of(
-    chunk: SequenceChunk, info: DatasetInfo, motions: Sequence[ShownMotion] = (), *, permitted: Collection[str] = ()
+    chunk: SequenceChunk,
+    info: DatasetInfo,
+    motions: Sequence[ShownMotion] = (),
+    *,
+    permitted: Collection[str] = (),
+    around: Around | None = None,
 ) -> Scene:
     """One row of a table with generated motions beside it.
 
@@ -75,6 +86,7 @@ def scene_of(
         info: Of its dataset.
         motions: What methods made of it.
         permitted: See :func:`read_scenes`.
+        around: See :func:`read_scenes`.
     """
     constants = load_protocol().metrics
     shown = may_pass_on(info, permitted)
@@ -96,6 +108,7 @@ def scene_of(
         goal=_goal(chunk) if shown and placed else None,
         gaze=gaze if shown and gaze.valid.any() else None,
         notice=notice(info, permitted),
+        surroundings=around(chunk) if shown and around is not None else None,
     )
 
 

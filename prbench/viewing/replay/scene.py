@@ -89,6 +89,9 @@ class Scene:
     """None where the licence keeps it, or there is none."""
     notice: str = ""
     """What the dataset's terms ask a view of it to say."""
+    surroundings: Float[np.ndarray, "k 3"] | None = None
+    """Points on what stood around when the event came, canonical frame, metres. None unless asked for, and where the
+    licence keeps it."""
 
     @property
     def shows_recorded(self) -> bool:

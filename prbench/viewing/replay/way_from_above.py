@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from prbench.skeleton import Joint
 from prbench.viewing.replay import palette
 from prbench.viewing.replay.body_lines import draw_bodies, top_view
+from prbench.viewing.replay.dots import draw_dots
 from prbench.viewing.replay.rays import head_rays, lengths_to, rays
 from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
 
@@ -29,6 +30,8 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
         scene: The sequence.
         frames: Poses whose head direction is marked.
     """
+    if scene.surroundings is not None:
+        draw_dots(axes, top_view(scene.surroundings))
     for motion in scene.motions:
         _draw_motion(axes, scene, motion, frames)
     if scene.gaze is not None and scene.shows_recorded and scene.gaze.valid[scene.prime_frame]:

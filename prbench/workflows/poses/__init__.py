@@ -1,4 +1,4 @@
-"""EgoAllo as a step: which recordings lack a body, and how to make one (``formats/egoallo.md``)."""
+"""EgoAllo as a step: which recordings lack a body, and how to make one (docs/specification/egoallo.md#time)."""
 
 from prbench.workflows.poses.config import PosesConfig, read_config
 from prbench.workflows.poses.instructions import instructions

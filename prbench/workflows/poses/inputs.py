@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
-from prbench.formats import aria_mps as mps
 from prbench.readers import RecordingFiles
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.found import InputFile
 from prbench.readers.zipped import Source, ZippedFile, archive_members, source_of
 from prbench.workflows.poses.config import Need
@@ -65,11 +65,19 @@ def find_inputs(root: Path, found: RecordingFiles) -> Inputs:
         found=found,
         trajectory=source_of(trajectory),
         calibration=_source(files.get(mps.CALIBRATION)),
-        points=_adt_points(found.folder) if y_up else _points_beside(trajectory),
+        points=find_points(found),
         wrists=_source(files.get(mps.WRISTS)),
         vrs=_find_vrs(root, found),
         y_up=y_up,
     )
+
+
+def find_points(found: RecordingFiles) -> Source | None:
+    """The semi-dense point cloud of a recording; None where there is none, or the dataset has no such files."""
+    if found.dataset.endswith(ADT):
+        return _adt_points(found.folder)
+    trajectory = next((file for file in found.files if file.role == mps.TRAJECTORY), None)
+    return None if trajectory is None else _points_beside(trajectory)
 
 
 def _source(file: InputFile | None) -> Source | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from prbench.formats import egoallo as ego
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.model import HOW_TO_GET
 from prbench.workflows.poses.states import PoseState
 

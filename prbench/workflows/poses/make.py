@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 from prbench.errors import InputFileError, PrbenchError
-from prbench.formats import egoallo as ego
 from prbench.locks import lock_file, sole_writer
 from prbench.readers.egoallo import find_model
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.joints import read_window
 from prbench.storage import atomic_folder
 from prbench.workflows.poses.config import PosesConfig

@@ -15,16 +15,16 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.formats import adt
-from prbench.formats import aria_mps as mps
-from prbench.formats import egoallo as ego
 from prbench.limits import LARGEST_FILE
+from prbench.readers.adt import format as adt
+from prbench.readers.adt.for_egoallo import prepared_trajectory
+from prbench.readers.adt.to_recording import ASSUMED_SIZE
 from prbench.readers.aria_mps import AriaTrajectory, Source, read_first_calibration, read_trajectory
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.streams import part_poses
+from prbench.readers.egoallo import format as ego
 from prbench.readers.zipped import opened
 from prbench.recording import PoseStream
-from prbench.recording.adt_for_egoallo import prepared_trajectory
-from prbench.recording.from_adt import ASSUMED_SIZE
-from prbench.recording.from_aria import part_poses
 from prbench.storage import atomic_path
 from prbench.workflows.poses.inputs import POINT_FILES, Inputs
 
@@ -106,7 +106,7 @@ def head_poses(inputs: Inputs, trajectory: AriaTrajectory) -> PoseStream:
 
 
 def write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
-    """Write ``closed_loop_trajectory.csv`` (``formats/aria-mps.md`` section 3).
+    """Write ``closed_loop_trajectory.csv`` (docs/specification/aria-mps.md#closed-loop-trajectory).
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.

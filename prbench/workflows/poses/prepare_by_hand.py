@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from prbench.errors import InputFileError, StorageError
-from prbench.formats import aria_mps as mps
 from prbench.locks import sole_writer
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import poses_folder
 from prbench.workflows.poses.prepare import guidance_mode, prepare
 from prbench.workflows.poses.states import PoseState

@@ -8,8 +8,8 @@ import sys
 from dataclasses import dataclass
 
 from prbench.errors import UsageError
-from prbench.evaluation.installed import list_adapters
-from prbench.evaluation.method_names import BUILT_IN_METHODS, name_problem
+from prbench.methods.installed import list_adapters
+from prbench.methods.names import BUILT_IN_METHODS, name_problem
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import PrbenchError
-from prbench.evaluation.adapters import load_adapter
 from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
-from prbench.evaluation.installed import list_adapters
 from prbench.evaluation.request import RunRequest
+from prbench.methods.adapters import load_adapter
+from prbench.methods.installed import list_adapters
 from prbench.workflows.table_two.request import CONTROLS, TableRequest
 from prbench.workflows.table_two.rows import Row, load_table_two
 

@@ -109,7 +109,10 @@ def longest(clip: Clip, configuration: EvaluatorConfiguration) -> int:
 
 
 def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw:
-    """Choose a caption and a crop: a multiple of 4 frames, one time in three 4 fewer (``methods/mdm.md``)."""
+    """Choose a caption and a crop: a multiple of 4 frames, one time in three 4 fewer.
+
+    Source: docs/specification/mdm.md#training.
+    """
     generator = taken.generator(clip.sequence_id)
     caption = clip.captions[int(generator.integers(len(clip.captions)))]
     n_frames = longest(clip, configuration)

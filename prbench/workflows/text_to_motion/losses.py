@@ -1,4 +1,7 @@
-"""What an evaluator is trained for (``methods/text-to-motion-eval.md``): reconstruction first, then contrast."""
+"""What an evaluator is trained for: reconstruction first, then contrast.
+
+Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
 EVALUATOR_KIND, MOVEMENT_KIND = "t2m-evaluator", "t2m-movement"
 """Of weights files: a whole evaluator, or a trained movement autoencoder alone."""
 _SHORTER = 1 / 3
-"""Probability that a motion loses one more snippet than its length needs (``methods/mdm.md``)."""
+"""Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training)."""
 
 
 class EvaluatorTraining(TrainingModule):

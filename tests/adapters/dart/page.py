@@ -1,4 +1,4 @@
-"""DART in NumPy and float64, written from ``methods/dart.md`` alone: what the tests compare our networks with.
+"""DART in NumPy and float64, written from docs/specification/dart.md alone: what the tests compare our networks with.
 
 Axes are (batch, token or frame, number); parameters come by the names of our modules, everything else is written out.
 """

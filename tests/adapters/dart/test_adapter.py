@@ -103,7 +103,10 @@ def test_fewer_steps_take_fewer_passes(weights):
 
 
 def test_a_model_of_one_skeleton_moves_bodies_of_their_own_size(tmp_path):
-    """Conditions are put on the model's skeleton and the motion is scaled back (methods/pr-model.md section 3)."""
+    """Conditions are put on the model's skeleton and the motion is scaled back.
+
+    Source: docs/specification/pr-model.md#data-and-features.
+    """
     path = tiny.write(tmp_path / "uniform.safetensors", diffusion_steps=2, uniform_skeleton=True)
     adapter = dart.load(path, options=QUICK, device="cpu")
     bodies = ModelBodies.of(BATCH, adapter.model.configuration)

@@ -27,7 +27,7 @@ def test_the_method_is_trainable_by_its_one_line():
 
 
 def test_the_paper_configuration_holds_the_numbers_of_the_original():
-    """methods/dart.md, "Networks" and "Training"."""
+    """docs/specification/dart.md#networks and docs/specification/dart.md#training."""
     configuration = _load("paper", "pretrain")
     model, objective = read_model_table(configuration.model)
     assert model == DartConfiguration()  # the defaults are the original's sizes

@@ -14,7 +14,7 @@ import torch
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, TrainingStopped, UsageError
-from prbench.evaluation.adapters import load_adapter
+from prbench.methods.adapters import load_adapter
 from prbench.storage import read_json
 from prbench.training import SequenceDataset, collate
 from prbench.training.batch import MotionBatch

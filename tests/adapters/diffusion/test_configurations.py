@@ -60,7 +60,7 @@ def test_fine_tuning_may_start_from_the_pretrained_model_of_the_same_size(name):
 
 
 def test_the_paper_configurations_hold_the_numbers_of_the_study():
-    """Prime and Reach, sections 4 and 5.1; methods/pr-model.md section 4."""
+    """Prime and Reach, sections 4 and 5.1; docs/specification/pr-model.md#training."""
     pretraining, fine_tuning = _load("pr", "paper", "pretrain"), _load("pr", "paper", "finetune")
     assert (pretraining.training.learning_rate, pretraining.training.steps) == (1e-4, 600_000)
     assert (fine_tuning.training.learning_rate, fine_tuning.training.steps) == (5e-5, 250_000)

@@ -269,7 +269,7 @@ def test_the_size_of_the_condition_vector(goal, size):
 
 
 def test_the_paper_size_has_as_many_parameters_as_measured():
-    """``methods/mdm.md``: 17.88 M and 26.3 M without text encoder (with CLIP's vectors of 512 numbers)."""
+    """17.88 M and 26.3 M without text encoder, with CLIP's 512 numbers (docs/specification/mdm.md#network)."""
     from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 
     for architecture, millions in (("encoder", 17.88), ("decoder", 26.3)):

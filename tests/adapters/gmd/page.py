@@ -1,4 +1,4 @@
-"""``methods/gmd.md`` in NumPy and float64, read sentence by sentence: what the tests compare the method with.
+"""docs/specification/gmd.md in NumPy and float64, read sentence by sentence: what the tests compare the method with.
 
 Arrays are (frames, columns) of one motion, in networks (channels, frames). Networks of the sampling stages are linear,
 x ↦ M x K, so that gradients through them can be written down.
@@ -164,7 +164,7 @@ def back_turned(half_turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def absolute_root(features: np.ndarray) -> np.ndarray:
-    """Heading, x and z of each frame, from the steps of relative features (``formats/humanml3d.md`` section 3)."""
+    """Heading, x and z of each frame, from the steps of relative features (docs/specification/humanml3d.md#inverse)."""
     half_turn = np.concatenate([[0.0], np.cumsum(features[:-1, 0])])
     steps = np.stack([features[:-1, 1], np.zeros(len(features) - 1), features[:-1, 2]], -1)
     places = np.concatenate([np.zeros((1, 3)), np.cumsum(back_turned(half_turn[1:], steps), axis=0)])

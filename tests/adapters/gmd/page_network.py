@@ -1,4 +1,4 @@
-"""The U-Net of ``methods/gmd.md``, "Networks", in NumPy and float64, for one motion: arrays are (channels, frames)."""
+"""The U-Net of docs/specification/gmd.md#networks in NumPy and float64, for one motion: arrays (channels, frames)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``methods/gmd.md`` says beyond the golden cases: other schedules, lengths, keyframes, losses; whole samplings.
+"""What docs/specification/gmd.md says beyond the golden cases: schedules, lengths, keyframes, losses; whole samplings.
 
 Everything is compared with :mod:`tests.adapters.gmd.page`, in double precision.
 """

@@ -93,7 +93,7 @@ def test_the_heading_of_a_pose_is_the_one_that_a_motion_of_it_has(angle):
 
 
 def test_the_projection_emphasises_the_absolute_root_as_published():
-    """methods/gmd.md: row norms of 10·√263/√560 = 6.853 and 0.685 are expected."""
+    """docs/specification/gmd.md#emphasis-projection: row norms of 10·√263/√560 = 6.853 and 0.685 are expected."""
     norms = emphasis_projection(10.0).norm(dim=1)
     assert float(norms[:3].mean()) == pytest.approx(6.853, rel=0.1)
     assert float(norms[3:].mean()) == pytest.approx(0.685, rel=0.01)

@@ -220,7 +220,7 @@ def test_small_networks_fit_the_package_as_float16():
 
 
 def test_the_paper_configuration_holds_the_numbers_of_the_original():
-    """methods/gmd.md; the meta device has shapes without numbers."""
+    """docs/specification/gmd.md#networks; the meta device has shapes without numbers."""
     pretraining, fine_tuning = _load("paper", "pretrain"), _load("paper", "finetune")
     model, _ = read_model_table(pretraining.model)
     assert (model.diffusion_steps, model.padded_frames, model.emphasis) == (1000, 224, 10.0)

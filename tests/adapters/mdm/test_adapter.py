@@ -9,9 +9,9 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError
-from prbench.evaluation.adapters import load_adapter
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
+from prbench.methods.adapters import load_adapter
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import RunRecord
 from prbench.storage import file_digest

@@ -1,4 +1,4 @@
-"""WANDR in NumPy and float64, written from ``methods/wandr.md`` alone: what the tests compare our network with.
+"""WANDR in NumPy and float64, written from docs/specification/wandr.md alone: what the tests compare our network with.
 
 One body at a time, joint by joint; only the order of the joints is taken from elsewhere.
 """

@@ -11,7 +11,7 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError
-from prbench.evaluation.adapters import load_adapter
+from prbench.methods.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint, bone_lengths
 from prbench_adapters.wandr import weights_file

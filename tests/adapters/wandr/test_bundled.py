@@ -12,10 +12,10 @@ from jaxtyping import Float
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.curation import build_from_sources
-from prbench.evaluation.adapters import load_adapter
 from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.motions import generate_checked
 from prbench.evaluation.planning import select
+from prbench.methods.adapters import load_adapter
+from prbench.methods.motions import generate_checked
 from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint
 from prbench.storage import file_digest

@@ -12,7 +12,7 @@ import torch
 
 from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
-from prbench.evaluation.adapters import load_adapter
+from prbench.methods.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint
 from prbench.training import SequenceDataset, collate

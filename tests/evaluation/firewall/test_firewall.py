@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from prbench.evaluation.conditions import opaque_ids, run_salt
-from prbench.evaluation.isolation import available_fence
-from prbench.evaluation.score_predictions import ScoreRequest, score_predictions
+from prbench.methods.isolation import available_fence
 from prbench.runs.record import RunRecord
+from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 from tests.evaluation.firewall.cheater import ATTEMPTS
 from tests.evaluation.firewall.conftest import BATCH_SIZE, COLUMNS, ROOT, digest
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.formats.nymeria import SEGMENTS
+from prbench.joint_names import XSENS_SEGMENTS
 from prbench.manifests import load_manifest
 from prbench.representation import mirror
 from prbench.representation.converters import JOINT_MAPS, check_limbs, check_sides
@@ -151,7 +151,7 @@ def test_the_suit_is_mapped_as_the_corpus_reader_maps_it() -> None:
     mapping = load_manifest("nymeria").body.joint_mapping
     ours = [JOINT_MAPS["xsens-23"].expressions[joint].joints[0][0] for joint in Joint]
     assert ours == list(mapping)
-    assert set(mapping) <= set(SEGMENTS)
+    assert set(mapping) <= set(XSENS_SEGMENTS)
 
 
 def test_exchanged_sides_of_any_skeleton_are_noticed() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.formats.egoallo import forward_kinematics
+from prbench.readers.egoallo.format import forward_kinematics
 from prbench.representation.converters import RestJoints, SmplParameters, smpl_joints
 from prbench.representation.converters.smpl.quaternions import from_axis_angle, from_matrices, to_matrices
 

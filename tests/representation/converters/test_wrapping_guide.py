@@ -12,11 +12,11 @@ import pytest
 import torch
 
 from prbench.axes import z_up
+from prbench.checking.doctor import Expected, diagnose
 from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
-from prbench.evaluation.doctor import Expected, diagnose
-from prbench.evaluation.native_rate import at_native_rate, at_table_rate
+from prbench.methods.native_rate import at_native_rate, at_table_rate
 from prbench.representation import canonicalise, encode
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import (

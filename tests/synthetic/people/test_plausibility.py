@@ -1,4 +1,4 @@
-"""Do the people move as people do? Limits: methods/synthetic-recordings.md section 12."""
+"""Do the people move as people do? Limits: docs/specification/synthetic-recordings.md#plausibility."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Do their sequences resemble the datasets? Targets: methods/synthetic-recordings.md section 9."""
+"""Do their sequences resemble the datasets? Targets: docs/specification/synthetic-recordings.md#statistics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ TRIAL = {
     "adt": (0.59, 0.49),
     "gimo": (0.69, 0.59),
 }
-"""Prime Success of the trial's own motion, `equation` and `onset`, section 9."""
+"""Prime Success of the trial's own motion, `equation` and `onset`.
+
+Source: docs/specification/synthetic-recordings.md#statistics.
+"""
 
 
 @pytest.mark.parametrize("preset", PRESETS)

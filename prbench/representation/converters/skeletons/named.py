@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from prbench.errors import UsageError, did_you_mean
-from prbench.formats.bvh import BvhJoint, match_names
-from prbench.formats.nymeria import SEGMENTS
+from prbench.joint_names import XSENS_SEGMENTS, match_names
 from prbench.representation.converters.skeletons.anatomy import NAMES
 from prbench.representation.converters.skeletons.joint_map import JointMap
 from prbench.skeleton import CHAINS, Joint
@@ -37,7 +36,7 @@ def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
     Raises:
         UsageError: if a limb joint is not found.
     """
-    matched = match_names(tuple(BvhJoint(joint, -1, (0.0, 0.0, 0.0), ()) for joint in names))
+    matched = match_names(names)
     return JointMap.of(
         name,
         names,
@@ -168,7 +167,7 @@ def _maps() -> dict[str, JointMap]:
         ),
         JointMap.of(
             "xsens-23",
-            SEGMENTS,
+            XSENS_SEGMENTS,
             {
                 **_paired(
                     hip="{}_UpperLeg", knee="{}_LowerLeg", ankle="{}_Foot", foot="{}_Toe", collar="{}_Shoulder",

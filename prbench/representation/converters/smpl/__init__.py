@@ -1,1 +1,1 @@
-"""SMPL, SMPL-H and SMPL-X parameters to the 22 joints (``formats/humanml3d.md`` section 7)."""
+"""SMPL, SMPL-H and SMPL-X parameters to the 22 joints (docs/specification/humanml3d.md#body-model-parameters)."""

@@ -1,4 +1,7 @@
-"""Pose, place and shape of a body as SMPL, SMPL-H and SMPL-X write them (``formats/humanml3d.md`` section 7)."""
+"""Pose, place and shape of a body as SMPL, SMPL-H and SMPL-X write them.
+
+Source: docs/specification/humanml3d.md#body-model-parameters.
+"""
 
 from __future__ import annotations
 

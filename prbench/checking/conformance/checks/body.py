@@ -1,0 +1,241 @@
+"""Does a body move, in the frame that the contract asks for, from where it stood to the goal?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from prbench.checking.conformance.answer import Answer
+from prbench.checking.conformance.check import check
+from prbench.checking.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.checking.conformance.subject import Subject
+from prbench.checking.doctor import Diagnosis, Expected, diagnose
+from prbench.contract import Condition
+from prbench.methods.coordinates import coordinate_problem
+from prbench.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
+
+AWAY_WARNING, AWAY_FAILURE = 0.25, 1.5
+"""Metres between the first pelvis and the canonical origin, on the ground (median over sequences)."""
+TURNED_WARNING, TURNED_FAILURE = 30.0, 90.0
+"""Degrees between the first heading and +Z (median)."""
+FLOOR_WARNING, FLOOR_FAILURE = 0.10, 0.50
+"""Metres between the lowest joint of a motion and Y = 0 (median)."""
+INITIAL_WARNING = 0.10
+"""Metres between the first frame and the initial pose, mean over joints (median over sequences)."""
+BONES_WARNING, BONES_FAILURE = 0.10, 0.50
+"""Relative change of bone lengths (median over bones and sequences)."""
+
+_NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
+_ELSEWHERE = _NO_BODY | {"up-axis", "left-right", "mirrored", "root", "facing", "position"}
+"""Kinds of diagnosis that would only be told once more, of bones and of places."""
+
+_CANONICAL = (
+    "Give positions in the canonical frame of the sequence's first frame: metres, Y up, the pelvis of frame 0 over the"
+    " origin and facing +Z (the left side on +X), the lowest joint of the motion on Y = 0."
+)
+
+
+@check("doctor", "no sign of a wrong frame rate, axis, unit, joint order …", of_motions=True)
+def doctor(subject: Subject) -> Iterator[Observation]:
+    """What ``prbench doctor`` says about the motions, with the conditions as expectations."""
+    found = 0
+    for condition in subject.working:
+        diagnoses = _diagnosed(subject, condition)
+        for diagnosis in diagnoses:
+            evidence, cause = diagnosis.evidence.rstrip("."), diagnosis.cause.rstrip(".")
+            text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
+            yield (failed if _is_failure(subject, diagnosis) else warning)(text, diagnosis.remedy)
+            found += 1
+        too_far = _too_far(subject.standard(condition))
+        if too_far and not any(_is_failure(subject, diagnosis) for diagnosis in diagnoses):
+            yield failed(f"under {condition.value}: {too_far}", _CANONICAL)
+            found += 1
+    if not found:
+        yield passed("nothing that prbench doctor looks for.")
+
+
+def _too_far(answer: Answer) -> str:
+    """What would end a run although every coordinate is a number; empty if nothing would."""
+    for row in range(len(answer.batch)):
+        if problem := coordinate_problem(answer.motion(row)):
+            return f"sequence #{row}, {problem}"
+    return ""
+
+
+def _diagnosed(subject: Subject, condition: Condition) -> tuple[Diagnosis, ...]:
+    answer = subject.standard(condition)
+    motions = [answer.motion(row) for row in range(len(answer.batch))]
+    return diagnose(motions, _expected(answer), fps=answer.batch.fps)
+
+
+def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
+    return diagnosis.certain and not subject.declared.motionless  # a mean pose is nobody's pose
+
+
+def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Condition]) -> Observation | None:
+    """What keeps a measurement from telling anything new; None if nothing does."""
+    for condition in conditions:
+        for diagnosis in _diagnosed(subject, condition):
+            if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
+                return skipped(f"not looked at before 'doctor' passes ({diagnosis.kind}).")
+    return None
+
+
+@check("canonical-frame", "motions begin at the origin, face +Z and stand on the floor", of_motions=True)
+def canonical_frame(subject: Subject) -> Iterator[Observation]:
+    """Place and heading of the first frames, height of the lowest joints."""
+    if hidden := _hidden_by(subject, _ELSEWHERE | {"floor"}, subject.working):
+        yield hidden
+        return
+    for condition in subject.working:
+        answer = subject.standard(condition)
+        motions = [answer.motion(row) for row in range(len(answer.batch))]
+        away = float(np.median([np.hypot(*motion[0, Joint.PELVIS, [0, 2]]) for motion in motions]))
+        turned = float(np.median([_turned(motion[0]) for motion in motions]))
+        floor = float(np.median([motion[..., 1].min() for motion in motions]))
+        text = (
+            f"under {condition.value}: in the first frame the pelvis is {away * 100:.0f} cm from the origin and the"
+            f" body {turned:.0f}° from +Z; the lowest joint is at {floor * 100:+.0f} cm (medians)."
+        )
+        numbers = {"away_m": away, "turned_deg": turned, "floor_m": floor}
+        still = subject.declared.motionless  # an average pose stands where the average person stood
+        if not still and (away > AWAY_FAILURE or turned > TURNED_FAILURE or abs(floor) > FLOOR_FAILURE):
+            yield failed(text, _CANONICAL, **numbers)
+        elif away > AWAY_WARNING or turned > TURNED_WARNING or abs(floor) > FLOOR_WARNING:
+            yield warning(text, _CANONICAL, **numbers)
+        else:
+            yield passed(text, **numbers)
+
+
+@check("initial-pose", "motions begin with the pose that they were given", of_motions=True)
+def initial_pose(subject: Subject) -> Iterator[Observation]:
+    """Distance between the first frame and ``initial_joints``."""
+    given = [condition for condition in subject.working if subject.standard(condition).batch.initial_joints is not None]
+    if hidden := _hidden_by(subject, _ELSEWHERE, given):
+        yield hidden
+        return
+    for condition in given:
+        answer = subject.standard(condition)
+        assert answer.batch.initial_joints is not None
+        errors = [
+            float(np.linalg.norm(answer.motion(row)[0] - pose, axis=-1).mean())
+            for row, pose in enumerate(answer.batch.initial_joints)
+        ]
+        text = (
+            f"under {condition.value}: the first frame is {100 * np.median(errors):.1f} cm from the initial pose"
+            f" (median; largest {100 * max(errors):.1f} cm; mean over joints)."
+        )
+        numbers = {"error_m": float(np.median(errors)), "largest_error_m": max(errors)}
+        if np.median(errors) > INITIAL_WARNING:
+            yield warning(text, "Frame 0 is the initial pose, not the frame after it.", **numbers)
+        else:
+            yield passed(text, **numbers)
+    if not given:
+        yield skipped("it is given no initial pose.")
+
+
+@check("bone-lengths", "one body, of one size, all the time", of_motions=True)
+def bones(subject: Subject) -> Iterator[Observation]:
+    """Change of bone lengths within a motion, and against the initial pose."""
+    if hidden := _hidden_by(subject, _NO_BODY, subject.working):
+        yield hidden
+        return
+    for condition in subject.working:
+        answer = subject.standard(condition)
+        lengths = [bone_lengths(answer.motion(row).astype(np.float64)) for row in range(len(answer.batch))]
+        shortest = float(np.median([np.median(own) for own in lengths]))
+        change = float(np.median([_spread(own) for own in lengths]))
+        numbers = {"change": change, "typical_bone_m": shortest}
+        text = f"under {condition.value}: bones change by {100 * change:.1f} % within a motion"
+        if answer.batch.initial_joints is not None:
+            own = bone_lengths(answer.batch.initial_joints.astype(np.float64))
+            other = float(np.median([np.abs(np.median(one, axis=0) / own[row] - 1) for row, one in enumerate(lengths)]))
+            numbers["against_initial_pose"] = other
+            text += f" and differ by {100 * other:.1f} % from those of the initial pose"
+        text += " (medians over bones and sequences)."
+        worst = max(change, numbers.get("against_initial_pose", 0.0))
+        if shortest < 0.01:
+            yield failed(
+                f"under {condition.value}: the bones are {millimetres(shortest)} long.",
+                "These are not 22 joints of a body in metres: are positions filled in at all, and not only rotations?",
+                **numbers,
+            )
+        elif worst > BONES_FAILURE:
+            yield failed(text, "Check that all 22 joints are positions of one body in Joint order.", **numbers)
+        elif worst > BONES_WARNING:
+            yield warning(
+                text,
+                "Predict rotations, or put the bones back to their length (bone by bone from the pelvis).",
+                **numbers,
+            )
+        else:
+            yield passed(text, **numbers)
+
+
+@check("goal", "how near it comes to the goal", of_motions=True)
+def goal(subject: Subject) -> Iterator[Observation]:
+    """Distance to the goal at the end; reported, never judged: that is what a run is for."""
+    given = [name for name in subject.working if name in (Condition.GOAL_LOCATION, Condition.GOAL_POSE)]
+    if hidden := _hidden_by(subject, _ELSEWHERE | {"heading"}, given):
+        yield hidden
+        return
+    for condition in given:
+        answer = subject.standard(condition)
+        distances = np.array([_to_goal(answer, row) for row in range(len(answer.batch))])
+        what = "the nearer wrist" if condition is Condition.GOAL_LOCATION else "the body (mean over joints)"
+        yield passed(
+            f"under {condition.value}: {what} ends {100 * np.median(distances[:, 1]):.0f} cm from the goal, from"
+            f" {100 * np.median(distances[:, 0]):.0f} cm at the start (medians).",
+            first_m=float(np.median(distances[:, 0])),
+            last_m=float(np.median(distances[:, 1])),
+        )
+    if not given:
+        yield skipped("it is given no goal.")
+
+
+def millimetres(length: float) -> str:
+    """A length in millimetres."""
+    return f"{1000 * length:.1f} mm"
+
+
+def _expected(answer: Answer) -> list[Expected]:
+    batch = answer.batch
+    return [
+        Expected(
+            initial_joints=None if batch.initial_joints is None else batch.initial_joints[row],
+            previous_joints=None if batch.previous_joints is None else batch.previous_joints[row],
+            goal_joints=None if batch.goal_joints is None else batch.goal_joints[row],
+            goal_location=None if batch.goal_location is None else batch.goal_location[row],
+            n_frames=int(batch.n_frames[row]),
+            fps=batch.fps,
+        )
+        for row in range(len(batch))
+    ]
+
+
+def _turned(pose: np.ndarray) -> float:
+    try:
+        return abs(float(np.degrees(facing_yaw(pose.astype(np.float64)))))
+    except ValueError:  # no heading: a body that lies, or no body
+        return 180.0
+
+
+def _spread(lengths: np.ndarray) -> float:
+    """Median over bones of the range of a bone's lengths within a motion, relative to its mean."""
+    mean = np.maximum(lengths.mean(axis=0), 1e-9)
+    return float(np.median((lengths.max(axis=0) - lengths.min(axis=0)) / mean))
+
+
+def _to_goal(answer: Answer, row: int) -> tuple[float, float]:
+    """Distance to the goal in the first and the last frame, metres."""
+    ends, batch = answer.motion(row)[[0, -1]], answer.batch
+    if batch.goal_location is not None:
+        distances = np.linalg.norm(ends[:, WRISTS] - batch.goal_location[row], axis=-1).min(axis=1)
+    else:
+        assert batch.goal_joints is not None
+        distances = np.linalg.norm(ends - batch.goal_joints[row], axis=-1).mean(axis=1)
+    return float(distances[0]), float(distances[1])
+
+
+CHECKS = (doctor, canonical_frame, initial_pose, bones, goal)

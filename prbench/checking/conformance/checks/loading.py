@@ -1,0 +1,163 @@
+"""Can it be loaded cheaply, what does it say about itself, and does it refuse what it does not know?"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from prbench.checking.conformance.check import check
+from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.subject import Subject
+from prbench.errors import PrbenchError
+from prbench.methods.adapters import find_adapter
+from prbench.methods.weights import used_weights, weights_digest
+
+IMPORT_WARNING = 1.0
+"""Seconds that importing the module of an entry point should stay below."""
+_HEAVY = ("torch", "tensorflow", "jax", "transformers", "pytorch_lightning", "lightning")
+_NO_SUCH_OPTION, _NO_SUCH_WEIGHTS = "prbench-no-such-option", Path("prbench-no-such-weights")
+_NAME = Remedy(
+    "Set name to the word that users type behind --method.", "Put the name of the method under 'name' into the hello."
+)
+_ANSWER = 'Answer the hello with {"message": "error", "text": "…"}'
+_OPTIONS = Remedy(
+    "Raise ValueError in load() for keys that you do not know:", f"{_ANSWER} to options that you do not know:"
+)
+_WEIGHTS = Remedy(
+    "Raise ValueError in load() for weights that you cannot find, or if the method has none.",
+    f"{_ANSWER} to weights that you cannot find, or if the method has none.",
+)
+_LATE = "Import heavy packages and open weights inside load() or generate(), not at the top of the module."
+
+
+@check("import", "importing its module is cheap")
+def imports(subject: Subject) -> Iterator[Observation]:
+    """Seconds, and heavy packages that come along."""
+    if not subject.is_installed:
+        yield skipped("a program imports nothing into the harness.")
+        return
+    target = find_adapter(subject.spec.name).target.partition(":")[0]
+    subject.starting(f"while importing {target}")
+    before, started = set(sys.modules), time.perf_counter()
+    try:
+        importlib.import_module(target)
+    except (Exception, SystemExit):  # told by 'load', in the words that a run would use
+        yield skipped("it cannot be imported; see 'load'.")
+        return
+    seconds = time.perf_counter() - started
+    heavy = [name for name in _HEAVY if name in sys.modules and name not in before]
+    if heavy or seconds > IMPORT_WARNING:
+        along = f" and brings {', '.join(heavy)} along" if heavy else ""
+        yield warning(f"importing {target} takes {seconds:.2f} s{along}.", _LATE, import_s=seconds)
+    else:
+        yield passed(f"importing {target} takes {seconds:.2f} s.", import_s=seconds)
+
+
+@check("load", "it loads and declares what the harness needs")
+def load(subject: Subject) -> Iterator[Observation]:
+    """Load it as a run does, fit it if it learns, and read its attributes."""
+    subject.starting("while starting its program" if subject.is_program else "while loading it")
+    started = time.perf_counter()
+    try:
+        declared, name = subject.declared, subject.adapter.name
+    except PrbenchError as error:
+        yield failed(str(error), "Nothing else can be looked at before this is repaired.")
+        return
+    seconds = time.perf_counter() - started
+    if not isinstance(name, str) or not name:
+        yield failed(f"its attribute 'name' is {name!r}.", _NAME)
+        return
+    if subject.is_installed and name != subject.spec.name:
+        yield warning(
+            f"it calls itself '{name}' but is installed as '{subject.spec.name}'.",
+            "Use one name in both places, so that messages and tables speak of the same method.",
+        )
+    limit = "any length" if declared.max_frames is None else f"up to {declared.max_frames} frames"
+    rate = "the table's rate" if declared.native_fps is None else f"{declared.native_fps:g} frames a second"
+    taken = ", ".join(condition.value for condition in subject.conditions)
+    yield passed(f"takes {taken}; {limit}; {rate}; ready after {seconds:.2f} s.", load_s=seconds)
+
+
+@check("settings", "unknown options and weights are refused", needs=("load",))
+def settings(subject: Subject) -> Iterator[Observation]:
+    """A misspelt option must not lead to a number in a table as if it had been understood."""
+    options = (*subject.spec.options, (_NO_SUCH_OPTION, "1"))
+    if _loads(subject, options=tuple(sorted(options))):
+        yield failed(
+            f"--option {_NO_SUCH_OPTION}=1 was taken without a word.",
+            _OPTIONS.then("a misspelt option would be recorded as if it had been used."),
+        )
+        return
+    if _loads(subject, weights=_NO_SUCH_WEIGHTS):
+        yield warning(
+            f"--weights {_NO_SUCH_WEIGHTS} was taken without a word.",
+            _WEIGHTS,
+        )
+        return
+    yield passed("refuses an unknown option and unknown weights.")
+
+
+@check("weights", "the weights that it names are there", needs=("load",))
+def weights(subject: Subject) -> Iterator[Observation]:
+    """What ``weights_for`` says, twice, for each condition."""
+    if subject.is_program:
+        yield _named_by_program(subject)
+        return
+    if not callable(getattr(subject.adapter, "weights_for", None)):
+        yield skipped("it has no weights_for(); a run records the path that its user gives.")
+        return
+    named: dict[str, str] = {}
+    for condition in subject.conditions:
+        try:
+            first, second = (
+                used_weights(subject.adapter, condition, subject.spec.weights, origin=subject.origin) for _ in range(2)
+            )
+            digest = weights_digest(first)
+        except PrbenchError as error:
+            yield failed(
+                f"weights_for({condition.value}): {error}",
+                "Return the path of an existing file or folder as pathlib.Path, or None if this condition uses none.",
+            )
+            return
+        except Exception as error:
+            yield failed(
+                f"weights_for({condition.value}) raised {type(error).__name__}: {error}",
+                "Answer for every condition that you declare; a run asks before it generates.",
+            )
+            return
+        if first != second:
+            yield failed(
+                f"weights_for({condition.value}) named {first} and then {second}.", "Name the same file every time."
+            )
+            return
+        named[condition.value] = f"{first.name} ({digest[:12]})" if first is not None and digest else "none"
+    yield passed("; ".join(f"{condition}: {name}" for condition, name in named.items()) + ".")
+
+
+def _named_by_program(subject: Subject) -> Observation:
+    """What its hello says; the handshake has checked the form."""
+    named = getattr(subject.adapter, "weights", {})
+    if not named:
+        return skipped("its hello names no weights; a run records the path that its user gives.")
+    return passed(
+        "; ".join(f"{key.value}: {named[key].name} ({named[key].sha256[:12]})" for key in sorted(named)) + "."
+    )
+
+
+def _loads(subject: Subject, **changed: object) -> bool:
+    """Whether the method can be loaded with other settings."""
+    spec = replace(subject.spec, fit_folder=None, table_folder=None, **changed)  # type: ignore[arg-type]
+    try:
+        spec.load()
+    except (PrbenchError, OSError):
+        return False
+    finally:
+        subject.load_again()
+    return True
+
+
+CHECKS = (imports, load, settings, weights)

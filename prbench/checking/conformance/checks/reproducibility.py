@@ -1,0 +1,132 @@
+"""Same input and noise seed, same motion: whatever was generated before, and whatever else is drawn from."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from prbench.checking.conformance.answer import STATE_SEED, Answer
+from prbench.checking.conformance.check import check
+from prbench.checking.conformance.comparing import TOLERANCE, largest_changes, metres, same_bytes
+from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.subject import Subject
+
+_OWN_GENERATORS = Remedy(
+    "Draw from one generator a sequence, made of its noise_seed alone:"
+    " prbench.randomness.sequence_generator(noise_seed), or torch.Generator().manual_seed(noise_seed).",
+    "Draw from one generator a sequence, made of the noise_seed of its row alone (numpy.random.default_rng(noise_seed),"
+    " SplitMix64 …).",
+)
+
+
+@check("determinism", "the same batch gives the same motions", of_motions=True)
+def determinism(subject: Subject) -> Iterator[Observation]:
+    """The usual batch again, after another one."""
+    first = subject.standard(subject.main)
+    subject.ask(subject.batch(subject.rows[:1], subject.main, sample=7))
+    again = subject.ask(first.batch)
+    yield _compared(
+        first, again, "asked for the same batch a second time",
+        _OWN_GENERATORS.after("Something is left over from earlier calls, or drawn from time or the system."),
+    )  # fmt: skip
+
+
+@check("global-random", "nothing is drawn from global generators", needs=("determinism",), of_motions=True)
+def global_random(subject: Subject) -> Iterator[Observation]:
+    """The usual batch with other states of Python's, NumPy's and torch's global generators."""
+    if subject.is_program:
+        yield skipped("a program's generators are its own; 'determinism' and 'process' see what they would change.")
+        return
+    first = subject.standard(subject.main)
+    other = subject.ask(first.batch, state_seed=STATE_SEED + 1)
+    drew = ", ".join(sorted(subject.drew_from)) or "a global generator"
+    if other.motions is not None and same_bytes(first, other):
+        if subject.drew_from:
+            yield warning(
+                f"it sets or draws from {drew}, though its motions do not change with it.",
+                _OWN_GENERATORS.after(
+                    "Leave global generators alone: another method or test in the process may use them."
+                ),
+            )
+        else:
+            yield passed("no global generator is touched.")
+        return
+    yield _compared(first, other, f"with {drew} in another state", _OWN_GENERATORS)
+
+
+@check("noise-seed", "noise_seed is the only source of chance", needs=("determinism", "global-random"), of_motions=True)
+def noise_seed(subject: Subject) -> Iterator[Observation]:
+    """The usual batch for another run's seed and opaque ids; then with other noise seeds."""
+    first = subject.standard(subject.main)
+    renamed = tuple(name[::-1] for name in first.batch.opaque_id)
+    other_run = subject.ask(dataclasses.replace(first.batch, opaque_id=renamed), seed=1)
+    finding = _compared(
+        first, other_run, "with another 'seed' and other opaque ids, but the same noise seeds",
+        _OWN_GENERATORS.after("Both are for the record only: noise_seed alone tells sequences and samples apart."),
+    )  # fmt: skip
+    if finding.remedy:
+        yield finding
+        return
+    redrawn = subject.ask(subject.batch(subject.rows, subject.main, sample=1))
+    if redrawn.motions is None:
+        yield failed(f"with other noise seeds: {redrawn.error}", _OWN_GENERATORS)
+        return
+    changes = largest_changes(first, redrawn)
+    if not changes.any():
+        yield passed("the run's seed changes nothing; the method draws nothing: more --samples would be copies.")
+    elif not changes.all():
+        still = int((changes == 0).sum())
+        yield failed(
+            f"with other noise seeds, {still} of {len(changes)} motions stayed the same and the others changed.",
+            _OWN_GENERATORS.after("Use the noise_seed of each row, not that of the first."),
+        )
+    else:
+        yield passed(
+            f"the run's seed changes nothing, another noise_seed moves joints by up to {metres(changes.max())}.",
+            change_m=changes.max(),
+        )
+
+
+@check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
+def process(subject: Subject) -> Iterator[Observation]:
+    """The first batch of all, in a process that has done nothing else."""
+    kept = subject.first_motions()
+    if kept is None:
+        yield skipped("there are no motions of the first process to compare with.")
+        return
+    answer = subject.first_answer
+    if answer.motions is None:
+        yield failed(f"in another process: {answer.error}", "Find out what the first process had that this one lacks.")
+        return
+    moved = float(np.linalg.norm(answer.motions.joints - kept, axis=-1).max())
+    if not moved:
+        yield passed("another process gave the same bytes.", change_m=0.0)
+        return
+    text = f"another process moved joints by up to {metres(moved)}."
+    remedy = (
+        "A run may use several processes and be resumed in new ones. Python's hash() of text and the order of sets"
+        " change from process to process, and so does whatever is drawn or read while loading."
+    )
+    yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
+
+
+def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
+    """Equal bytes pass, rounding is a remark, anything else a failure."""
+    if second.motions is None:
+        return failed(f"{when}: {second.error}", remedy)
+    if same_bytes(first, second):
+        return passed(f"{when}: the same bytes.", change_m=0.0)
+    moved = largest_changes(first, second).max()
+    if moved <= TOLERANCE:
+        return warning(
+            f"{when}: joints moved by up to {moved:.1e} m.",
+            "That is rounding; resumed runs may differ in the last digits."
+            " torch.use_deterministic_algorithms(True) names the operations.",
+            change_m=moved,
+        )
+    return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
+
+
+CHECKS = (determinism, global_random, noise_seed, process)

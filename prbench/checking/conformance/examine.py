@@ -1,0 +1,66 @@
+"""Run checks over a method, one after the other; what one of them meets never ends the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from prbench.checking.conformance.check import Check
+from prbench.checking.conformance.finding import Finding, Observation, Outcome, failed, skipped
+from prbench.checking.conformance.subject import Subject
+
+
+def examine(
+    subject: Subject,
+    checks: Iterable[Check],
+    *,
+    known: Mapping[str, Outcome] | None = None,
+    announce: Callable[[Check], None] | None = None,
+) -> Iterator[Finding]:
+    """Findings as they come.
+
+    Args:
+        subject: The method.
+        checks: What to look at, in this order.
+        known: How earlier checks ended, by name.
+        announce: Called before each check.
+    """
+    worst = dict(known or {})
+    for one in checks:
+        if announce is not None:
+            announce(one)
+        by_program = not subject.is_installed
+        findings = [observation.of(one.name, by_program=by_program) for observation in _observed(one, subject, worst)]
+        worst[one.name] = worst_of(findings)
+        yield from findings
+
+
+def worst_of(findings: Iterable[Finding]) -> Outcome:
+    """How a check ended that found all this."""
+    order = (Outcome.SKIPPED, Outcome.PASSED, Outcome.WARNING, Outcome.FAILED)
+    return max((finding.outcome for finding in findings), key=order.index, default=Outcome.SKIPPED)
+
+
+def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> list[Observation]:
+    missing = [name for name in one.needs if worst.get(name) is Outcome.FAILED]
+    if missing:
+        return [skipped(f"not looked at before '{missing[0]}' passes.")]
+    try:
+        if one.of_motions and (why := _no_motions(subject, worst)):
+            return [skipped(why)]
+        return list(one.examine(subject))
+    except Exception as error:  # a method may answer in ways that no check expects
+        return [
+            failed(
+                f"the check could not make sense of the method's answers: {type(error).__name__}: {error}",
+                "Look at the failures above first; if there are none, this is a defect of prbench: please report it.",
+            )
+        ]
+
+
+def _no_motions(subject: Subject, worst: Mapping[str, Outcome]) -> str:
+    if worst.get("load") is Outcome.FAILED:
+        return "not looked at before 'load' passes."
+    if not subject.working:
+        broken = [name for name in ("generates", "shapes", "dtype", "finite") if worst.get(name) is Outcome.FAILED]
+        return f"there are no motions to look at before {broken[0] if broken else 'generates'!r} passes."
+    return ""

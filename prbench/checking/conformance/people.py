@@ -1,0 +1,98 @@
+"""Sequences of invented people, made in memory: what the check asks a method about when no table is given.
+
+Perfect curation of noise-free performances (docs/specification/synthetic-recordings.md), so that every pose is
+plausible, every goal is reached by the person who was recorded, and every run of a check sees the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count, islice
+
+import numpy as np
+
+from prbench.manifests import load_protocol
+from prbench.sequences import Sequence
+from prbench.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.synthetic.people.perform import name_of_recording, perform
+from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.true_clips import FPS, PREROLL, TrueClip, sample_joints, true_clips
+
+DATASET = "synthetic-conformance"
+_PRESET, _SEED, _RATE = "adt", 2024, 60.0  # another seed than that of the embedded table
+_CLIPS_OF_ONE = 6  # sequences a recording, so that several people are seen
+
+
+def invented_sequences(split: str, number: int) -> list[Sequence]:
+    """The first sequences of a split, by id; equal in every process.
+
+    Args:
+        split: ``train``, ``validation`` or ``test``; no person and no room is in two of them.
+        number: How many.
+    """
+    return sorted(islice(_sequences(split), number), key=lambda sequence: sequence.sequence_id)
+
+
+def _sequences(split: str) -> Iterator[Sequence]:
+    source = Source(_SEED, _PRESET, "default")
+    for index in count():
+        if cast(source, index, "person_and_room").split != split:
+            continue
+        performance = perform(_PRESET, seed=_SEED, index=index, rate=_RATE, provocations={})
+        for clip in true_clips(performance)[:_CLIPS_OF_ONE]:
+            yield _sequence(performance, clip, split)
+
+
+def _sequence(performance: Performance, clip: TrueClip, split: str) -> Sequence:
+    event, n_frames = clip.event, len(clip.joints)
+    assert event.prime_time is not None  # clips are made of primed events only
+    name = name_of_recording(_PRESET, _SEED, performance.index)
+    world_from_canonical = canonical_frame(clip.joints)
+    canonical_from_world = invert_rigid(world_from_canonical)
+    around = np.array([clip.start - 1 / FPS, event.event_time + 1 / FPS])
+    before, after = (transform_points(canonical_from_world, sample_joints(performance, around[[i]])[0]) for i in (0, 1))
+    nearest = np.searchsorted(performance.times, clip.start + np.arange(n_frames) / FPS - 0.5 / performance.rate)
+    nearest = np.minimum(nearest, len(performance.times) - 1)
+    protocol = load_protocol()
+    return Sequence(
+        sequence_id=f"{DATASET}/{name}/{event.object_id}/{event.action}/{event.event_time:.6f}",
+        dataset=DATASET,
+        recording_id=name,
+        participant_id=performance.person.participant_id,
+        split=split,
+        split_group=name,
+        action=event.action,
+        object_id=event.object_id,
+        object_name=event.object_name,
+        text=getattr(protocol.text, event.action),
+        hand=event.hand,
+        fps=FPS,
+        n_frames=n_frames,
+        start_time=clip.start,
+        prime_time=event.prime_time,
+        event_time=event.event_time,
+        prime_frame=round(PREROLL * FPS),
+        prime_gap=event.event_time - event.prime_time,
+        preroll=clip.prime_after,
+        prime_kind=event.prime_kind or "hit",
+        prime_time_uncertainty=1 / performance.rate,
+        goal_location=transform_points(canonical_from_world, event.goal),
+        goal_box_world_min=event.box_min,
+        goal_box_world_max=event.box_max,
+        body_movement=clip.body_movement,
+        hand_movement=clip.hand_movement,
+        pose_source="invented",
+        head_tilt_deg=clip.neck_tilt_deg,
+        joints=transform_points(canonical_from_world, clip.joints).astype(np.float32),
+        previous_joints=before.astype(np.float32),
+        previous_source="recorded",
+        next_joints=after.astype(np.float32),
+        next_source="recorded",
+        head_position=None,
+        head_rotation=None,
+        gaze_origin=transform_points(canonical_from_world, performance.eye[nearest]),
+        gaze_direction=performance.gaze[nearest] @ world_from_canonical[:3, :3],
+        gaze_valid=np.ones(n_frames, dtype=bool),
+        world_from_canonical=world_from_canonical,
+    )

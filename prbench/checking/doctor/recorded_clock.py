@@ -1,0 +1,116 @@
+"""The clock of motions that follow recorded ones: rate, delay and slide against the table's own time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prbench.checking.doctor.patient import Finding, Patient, healthy, of_motions
+from prbench.checking.doctor.remedies import AT_RATE, AT_TIMES
+from prbench.checking.doctor.types import Diagnosis
+
+_MOVES = 0.10  # metres that joints leave the first pose by, in the mean
+_COPY, _BETTER = 0.03, 0.5  # metres left after matching; share of what is left without it
+_SLIDE, _DELAY = 0.10, 0.10  # seconds off a straight line; at the beginning
+_RATE = 0.04
+_MATCHED = 24  # motions that are matched at most, evenly spread
+
+
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """Which recorded frame each frame shows."""
+
+    places: np.ndarray
+    left: float
+    """Mean distance of joints after matching, metres."""
+    before: float
+    """The same, frame by frame."""
+    moves: np.ndarray
+    """Frames at which the recorded body moves, so that time can be read off it."""
+
+
+def examine_recorded_clock(patient: Patient) -> Finding:
+    """Match motions with recorded ones in time, where they show the same movement on another clock."""
+    rows = [row for row, expected in enumerate(patient.expected) if expected.recorded is not None]
+    matches = []
+    for row in rows[:: max(1, len(rows) // _MATCHED)]:
+        recorded = patient.expected[row].recorded
+        if recorded is None or len(recorded) < 10 or len(patient.motions[row]) < 10:
+            continue
+        if float(np.linalg.norm(recorded - recorded[0], axis=-1).mean(axis=1).max()) > _MOVES:
+            matches.append(_matched(patient.motions[row], recorded))
+    copies = [match for match in matches if match.left < _COPY and match.left < _BETTER * match.before]
+    if len(copies) < 0.6 * len(matches) or not copies:
+        return healthy(patient)
+    return Finding(tuple(_judged(copies, patient)), patient)
+
+
+def _judged(copies: list[_Match], patient: Patient) -> list[Diagnosis]:
+    lines = [_line(match) for match in copies]
+    rate = float(np.median([line[0] for line in lines]))
+    delay = float(np.median([line[1] for line in lines])) / patient.fps
+    slide = float(np.median([line[2] for line in lines])) / patient.fps
+    shared = (
+        f"in {of_motions(len(copies), patient)} frames show recorded ones at other times:"
+        f" {np.median([match.before for match in copies]):.3f} m apart frame by frame,"
+        f" {np.median([match.left for match in copies]):.3f} m when matched in time"
+    )
+    if slide > _SLIDE:
+        evidence = f"{shared}; the clock leaves a straight line by up to {slide:.2f} s"
+        cause = "a sliding clock: time runs faster and slower within a motion, as of frames without times of their own"
+        return [Diagnosis("clock", True, evidence, cause, AT_TIMES)]
+    if abs(rate - 1) > _RATE:
+        evidence = f"{shared}; one frame advances {rate:.3f} recorded frames"
+        made = f"{patient.fps / rate:.3g} frames a second shown at {patient.fps:g}"
+        cause = f"motions look like {made}, or were stretched to the asked length"
+        return [Diagnosis("frame-rate", True, evidence, cause, AT_RATE)]
+    if abs(delay) > _DELAY:
+        evidence = f"{shared}; frame 0 shows the recorded time {delay:+.2f} s"
+        cause = "motions begin too " + ("early" if delay > 0 else "late") + ": their clock has another zero"
+        return [Diagnosis("clock", True, evidence, cause, "Begin at the sequence's first frame, 2 s before the prime.")]
+    return []
+
+
+def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
+    """Dynamic time warping of poses, coarse enough for long motions."""
+    apart = np.linalg.norm(motion[:, None, ::3] - recorded[None, :, ::3], axis=-1).mean(axis=-1)
+    total = np.full((len(motion) + 1, len(recorded) + 1), np.inf)
+    total[0, :] = 0.0  # may begin at any recorded frame
+    for row in range(len(motion)):
+        total[row + 1, 0] = total[row, 0] + apart[row, 0]
+        reachable = np.minimum(total[row, :-1], total[row, 1:])
+        walked = np.cumsum(apart[row])
+        total[row + 1, 1:] = walked + np.minimum.accumulate(reachable - walked + apart[row])
+    places = _traced(total)
+    same = min(len(motion), len(recorded))
+    before = float(apart[np.arange(same), np.arange(same)].mean())
+    left = float(apart[np.arange(len(motion)), places.round().astype(int)].mean())
+    speed = np.linalg.norm(np.gradient(recorded, axis=0), axis=-1).mean(axis=-1)
+    moves = speed[places.round().astype(int)] > 0.5 * np.median(speed)
+    return _Match(places, left, before, moves)
+
+
+def _traced(total: np.ndarray) -> np.ndarray:
+    """Mean recorded frame of each frame along the cheapest way."""
+    row, column = len(total) - 1, int(total[-1, 1:].argmin()) + 1
+    ways: list[list[int]] = [[] for _ in range(row)]
+    while row > 0 and column > 0:
+        ways[row - 1].append(column - 1)
+        options = {
+            (row - 1, column - 1): total[row - 1, column - 1],
+            (row - 1, column): total[row - 1, column],
+            (row, column - 1): total[row, column - 1],
+        }
+        row, column = min(options, key=lambda key: options[key])
+    return np.array([np.mean(way) if way else 0.0 for way in ways])
+
+
+def _line(match: _Match) -> tuple[float, float, float]:
+    """Slope, start and largest departure (95 %) of the straight line through the frames in movement."""
+    frames = np.flatnonzero(match.moves)
+    if len(frames) < 8:
+        frames = np.arange(len(match.places))
+    slope, start = np.polyfit(frames, match.places[frames], 1)
+    off = np.abs(match.places[frames] - slope * frames - start)
+    return float(slope), float(start), float(np.percentile(off, 95))

@@ -1,0 +1,95 @@
+"""Nymeria: names and constants of its files, and what they hold (docs/specification/nymeria.md)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.joint_names import XSENS_SEGMENTS
+
+SUIT_FILE = "xdata.npz"
+SMPL_FILE = "xdata_smpl_neutral.npz"
+METADATA_FILE = "metadata.json"
+TRAJECTORY_FILE = "closed_loop_trajectory.csv"
+HEAD_FOLDER = "recording_head"
+OFFSET_FILE = "time_offset.json"
+"""The user's own, of {sequence: TIME_CODE minus device time in seconds}; made once with the vendor's reader."""
+
+NARRATION_FILES = {
+    "atomic_action": "atomic_action.csv",
+    "motion_narration": "motion_narration.csv",
+    "activity_summarization": "activity_summarization.csv",
+}
+"""File of each kind of text."""
+START_COLUMN, END_COLUMN, ANNOTATOR_COLUMN = "start_time", "end_time", "annotator"
+ANSWER_PREFIX = "describe my"
+"""Beginning of the names of the answer columns, whatever their case."""
+NARRATION_HEADER = ("request_id", "gaia_id", START_COLUMN, END_COLUMN, ANNOTATOR_COLUMN, "creation_time")
+ANSWER_COLUMNS = {
+    "atomic_action": ("Describe my atomic actions",),
+    "motion_narration": (
+        "Describe my body posture",
+        "Describe my hands/arms motion",
+        "Describe my legs/feet motion",
+        "Describe my focus attention",
+    ),
+    "activity_summarization": ("Describe my activity",),
+}
+
+SUIT_RATE = 240.0
+"""Frames per second of the suit."""
+N_SEGMENTS = len(XSENS_SEGMENTS)
+
+SEQUENCE_NAME = re.compile(r"\d{8}_s\d+_[^_]+(?:_[^_]+)*_act\d+_[A-Za-z0-9]+")
+"""``<date>_<session>_<name>_<act>_<uid>``; the name itself holds an underscore."""
+
+
+@dataclass(frozen=True)
+class Suit:
+    """One suit recording as its file has it: XSens world, Z up, metres."""
+
+    time_us: Int[np.ndarray, " n"]
+    """TIME_CODE clock, microseconds."""
+    position: Float[np.ndarray, "n 23 3"]
+    rotation: Float[np.ndarray, "n 23 4"]
+    """w x y z, segment to world; zero where the suit had none."""
+    tpose: Float[np.ndarray, "23 3"] | None
+    """Positions in the calibration pose."""
+
+
+@dataclass(frozen=True)
+class Narration:
+    """One row of a narration file."""
+
+    kind: str
+    """Key of :data:`NARRATION_FILES`."""
+    start: float
+    """Device time of the glasses, seconds."""
+    end: float
+    texts: tuple[tuple[str, str], ...]
+    """Name of the answer (what follows "Describe my") and the answer; empty answers are kept."""
+    annotator: str = ""
+
+
+@dataclass(frozen=True)
+class NymeriaRecording:
+    """What the files of one sequence hold, and what a synthetic sequence is before it is written."""
+
+    name: str
+    suit: Suit
+    narrations: tuple[Narration, ...]
+    messages: tuple[str, ...] = field(default=())
+
+
+def participant_of(name: str) -> str:
+    """The wearer's invented name in a sequence's name; the whole name where it does not follow the pattern.
+
+    ``20230607_s0_james_johnson_act0_e72nhq`` is of ``james_johnson``, whatever the session.
+    """
+    parts = name.split("_")
+    if not SEQUENCE_NAME.fullmatch(name) or len(parts) < 5:
+        return name
+    return "_".join(parts[2:-2])

@@ -1,6 +1,0 @@
-"""Methods that are programs of their own: ``cmd:`` commands and TOML files, turned into how they are started."""
-
-from prbench.evaluation.programs.reference import is_program, short_name
-from prbench.evaluation.programs.start import MethodProgram, own_environment, program_of, runs_in_container
-
-__all__ = ["MethodProgram", "is_program", "own_environment", "program_of", "runs_in_container", "short_name"]

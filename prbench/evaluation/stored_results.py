@@ -1,0 +1,110 @@
+"""Stored results compared with what follows from their sources: ``summary.json`` and ``scores.parquet``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from prbench.errors import RunError
+from prbench.runs import summary as run_summary
+from prbench.runs.folder import DatasetFolder
+from prbench.runs.summary import DatasetSummary, MetricSummary
+
+_VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other processors may make of the same motion
+_DRAWN = "bootstrap"
+_DRAWN_WITHIN = 0.1  # of the width: version 0.5.0 drew 2,000 replicates, whose bounds are as uncertain
+_OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks"})
+_KEYS = ("sequence_id", "sample", "metric", "flag")
+_AGAIN = "Delete it and run the same command again, which scores anew what was generated."
+
+
+def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool = True) -> None:
+    """Compare ``summary.json`` with the summary that follows from the scores.
+
+    Args:
+        files: Of the dataset.
+        made: What follows from the scores.
+        grouped: The recording of each sequence is known; without it intervals are not compared.
+
+    Raises:
+        RunError: naming the first entry that differs.
+    """
+    stored = DatasetSummary.read(files.path)
+    for key, expected, found in _differences(made, stored):
+        if not grouped and key.rpartition(".")[2] in _OF_RECORDINGS:
+            continue
+        raise RunError(
+            f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
+            f" {files.scores.name}, found {found}. One of the two was edited. {_AGAIN}"
+        )
+
+
+def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> None:
+    """Compare ``scores.parquet`` with what the motions score now.
+
+    Raises:
+        RunError: naming the first row that differs.
+    """
+    if not stored.select(_KEYS).equals(made.select(_KEYS)):
+        pairs = zip(*(zip(*table.select(_KEYS).to_pydict().values()) for table in (stored, made)))
+        common = min(stored.num_rows, made.num_rows)
+        row = next((number for number, (found, expected) in enumerate(pairs) if found != expected), common)
+        raise RunError(
+            f"{files.scores}, row {row}: expected {_row(made, row)} from the motions and their table, found"
+            f" {_row(stored, row)} ({made.num_rows} and {stored.num_rows} rows). The file was edited. {_AGAIN}"
+        )
+    expected = made["value"].to_numpy()
+    found = stored["value"].to_numpy()
+    wrong = np.flatnonzero(~(np.abs(found - expected) <= _VALUES_WITHIN * np.maximum(np.abs(expected), 1.0)))
+    if wrong.size:
+        row = int(wrong[0])
+        raise RunError(
+            f"{files.scores}, row {row} ({_row(stored, row)}): expected {expected[row]:.6g}, which the motion in"
+            f" {files.predictions.name} scores on its table, found {found[row]:.6g} ({wrong.size} of"
+            f" {len(found)} values differ). The scores or the motions were edited. {_AGAIN}"
+        )
+
+
+def _row(table: pa.Table, row: int) -> str:
+    if row >= table.num_rows:
+        return "no row"
+    sequence_id, sample, metric, flag = (table[name][row].as_py() for name in _KEYS)
+    return f"{sequence_id}, sample {sample}, {metric}{f', {flag}' if flag else ''}"
+
+
+def _differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple[str, object, object]]:
+    """Key, expected and found value of what a summary says otherwise than the scores."""
+    for name in DatasetSummary.__struct_fields__:
+        expected, found = getattr(made, name), getattr(stored, name)
+        if name != "metrics" and expected != found:
+            yield name, expected, found
+    names = [metric.metric for metric in made.metrics]
+    found_names = [metric.metric for metric in stored.metrics]
+    if names != found_names:
+        yield "metrics", ", ".join(names), ", ".join(found_names)
+        return
+    for expected, found in zip(made.metrics, stored.metrics, strict=True):
+        yield from metric_differences(expected, found)
+
+
+def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[tuple[str, object, object]]:
+    """Key, expected and found value of what an entry says otherwise than the scores; drawn bounds may be inexact."""
+    within = 1e-9 + _VALUES_WITHIN * abs(made.mean)
+    if made.interval == _DRAWN and made.low is not None and made.high is not None:
+        bounds_within = within + _DRAWN_WITHIN * (made.high - made.low)
+    else:
+        bounds_within = within
+    limits = {"mean": within, "low": bounds_within, "high": bounds_within}
+    found = msgspec.structs.asdict(stored)
+    for name, value in msgspec.structs.asdict(made).items():
+        if name == "marks":  # since 0.5.0, values that only arithmetic tells apart are marked as equal, too
+            same = set(value) - {"all_equal"} == set(found[name]) - {"all_equal"}
+        elif name in limits and value is not None and found[name] is not None:
+            same = abs(value - found[name]) <= limits[name]
+        else:
+            same = value == found[name]
+        if not same:
+            yield f"{made.metric}.{name}", value, found[name]

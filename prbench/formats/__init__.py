@@ -1,1 +1,0 @@
-"""Names and constants of native formats, shared by readers and synthetic layouts."""

@@ -1,0 +1,92 @@
+"""Installed methods: listed from package metadata alone, loaded by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
+from prbench.errors import AdapterError, PrbenchError
+from prbench.methods.declared import Declared
+from prbench.methods.installed import InstalledAdapter, list_adapters, no_such_method
+
+
+def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapter:
+    """The installed method of this name: prbench's own, or the one that a single package offers.
+
+    Args:
+        name: As given by ``--method``.
+        also_known: Further names that may be meant, such as those of controls.
+
+    Raises:
+        AdapterError: if there is none (with the nearest name), two packages offer it, or its metadata are damaged.
+    """
+    installed = list_adapters()
+    claims = [adapter for adapter in installed if adapter.name == name]
+    found = [adapter for adapter in claims if not adapter.problem]
+    if len(found) > 1:
+        offers = ", ".join(f"{adapter.target} of {adapter.package} {adapter.version}" for adapter in found)
+        raise AdapterError(f"adapter '{name}' is offered more than once: {offers}. Uninstall all but one.")
+    if found:
+        return found[0]
+    if claims:
+        raise AdapterError(
+            f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}."
+            " Repair the entry point, or reinstall the package."
+        )
+    raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
+
+
+def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], device: str) -> Adapter:
+    """Import a method and make it.
+
+    Args:
+        name: Of the entry point.
+        weights: File or folder, or None for the method's default.
+        options: ``--option key=value``, handed on as they are.
+        device: ``cpu``, ``cuda`` …
+
+    Raises:
+        AdapterError: if it is not installed, cannot be imported, refuses an option, or is no adapter; the message
+            names the package and the cause.
+    """
+    installed = find_adapter(name)
+    point = EntryPoint(installed.name, installed.target, ENTRY_POINT_GROUP)
+    origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
+    try:
+        load = point.load()
+    except (Exception, SystemExit) as error:
+        raise AdapterError(
+            f"{origin}: cannot be imported: {_cause(error)}. Repair or reinstall the package."
+        ) from error
+    try:
+        adapter = load(weights, options=dict(options), device=device)
+    except PrbenchError:
+        raise
+    except ValueError as error:
+        raise AdapterError(f"{origin}: refused its settings: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise AdapterError(f"{origin}: cannot be loaded: {_cause(error)}.") from error
+    if not isinstance(adapter, Adapter):
+        raise AdapterError(
+            f"{origin}: expected an object with name, conditions and generate(), found {type(adapter).__name__}."
+        )
+    Declared.by(adapter, origin=origin)
+    return adapter
+
+
+def require_condition(name: str, adapter: Adapter, condition: Condition) -> None:
+    """Refuse a condition that a method does not take.
+
+    Raises:
+        AdapterError: naming the conditions that it does take.
+    """
+    conditions = Declared.by(adapter, origin=f"adapter '{name}'").conditions
+    if condition not in conditions:
+        taken = ", ".join(sorted(item.value for item in conditions))
+        raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
+
+
+def _cause(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}".rstrip(".")

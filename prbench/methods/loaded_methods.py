@@ -1,0 +1,139 @@
+"""Methods that this process has made: called here, or as a program that this process has started."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+
+from prbench.contract import Adapter, Trainable, TrainingRun
+from prbench.errors import AdapterError
+from prbench.methods.adapters import load_adapter
+from prbench.methods.isolation.training_copy import temporary_training_copy
+from prbench.methods.names import name_problem
+from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.program import Program
+from prbench.methods.training_split import FIT_SEED, TrainingSplit
+from prbench.sequences import SequenceTable
+
+if TYPE_CHECKING:
+    from prbench.methods.methods import MethodSpec
+
+
+@dataclass
+class LoadedMethod:
+    """A method in this process, or the program that this process has started for it."""
+
+    name: str
+    adapter: Adapter
+    warmed_up: bool = False
+    """It has generated a batch, and with it loaded whatever loads on first use."""
+
+    @property
+    def is_trainable(self) -> bool:
+        """Whether it learns from a table, here or in its own process."""
+        return isinstance(self.adapter, Trainable) or getattr(self.adapter, "trainable", False)
+
+    def program_bytes(self) -> int:
+        """Memory of the method's program and of all that it has started; 0 in process."""
+        if not isinstance(self.adapter, RemoteAdapter):
+            return 0
+        return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
+
+    @property
+    def restarts(self) -> int:
+        """How often the method's program was started again after a crash; 0 in process."""
+        return self.adapter.restarts if isinstance(self.adapter, RemoteAdapter) else 0
+
+    def close(self) -> None:
+        """End its program, if it has one."""
+        if isinstance(self.adapter, RemoteAdapter):
+            self.adapter.close()
+
+
+@dataclass
+class HeldMethods:
+    """What this process holds for the sake of methods: the one loaded last, and copies of training rows."""
+
+    spec: MethodSpec | None = None
+    loaded: LoadedMethod | None = None
+    copies: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
+
+    def method(self, spec: MethodSpec) -> LoadedMethod:
+        """The method, made anew unless it was the last one; an earlier one's program is ended."""
+        if self.loaded is None or self.spec != spec:
+            self.unload()
+            self.loaded = _loaded_program(spec, spec.program) if spec.program is not None else _loaded_here(spec)
+            self.spec = spec
+        return self.loaded
+
+    def training_copy(self, table: SequenceTable) -> Path:
+        """Folder of a copy of a table's training rows, there until :meth:`forget`."""
+        self.copies.append(temporary_training_copy(table))
+        return Path(self.copies[-1].name).resolve()
+
+    def forget(self) -> None:
+        """Let go of everything."""
+        self.unload()
+        for copy in self.copies:
+            copy.cleanup()
+        self.copies.clear()
+
+    def unload(self) -> None:
+        """Let go of the method, and end its program if it has one."""
+        if self.loaded is not None:
+            self.loaded.close()
+        self.spec = self.loaded = None
+
+
+HELD = HeldMethods()
+
+
+def _loaded_here(spec: MethodSpec) -> LoadedMethod:
+    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
+    if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
+        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
+        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
+    return LoadedMethod(spec.name, adapter)
+
+
+def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
+    weights = spec.weights
+    if weights is not None and weights.exists():
+        weights = weights.absolute()
+    adapter = RemoteAdapter.start(
+        program,
+        weights=None if weights is None else str(weights),
+        options=dict(spec.options),
+        device=spec.device,
+        threads=spec.threads,
+    )
+    if spec.package is None:
+        return LoadedMethod(spec.name, adapter)
+    try:
+        _require_name(adapter.name, spec)
+    except AdapterError:
+        adapter.close()
+        raise
+    return LoadedMethod(adapter.name, adapter)
+
+
+def _require_name(name: str, spec: MethodSpec) -> None:
+    """What a program calls itself must be its own: it is what leaderboards show."""
+    if spec.expected_name is not None and name != spec.expected_name:
+        raise AdapterError(
+            f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
+            " Correct method.name in the TOML file, or start the right program."
+        )
+    if problem := name_problem(name):
+        raise AdapterError(f"program '{spec.name}': {problem}. Let it introduce itself by another name in its hello.")
+
+
+def _resident_bytes(process: psutil.Process) -> int:
+    try:
+        return process.memory_info().rss
+    except psutil.Error:
+        return 0  # it has just ended

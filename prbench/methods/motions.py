@@ -1,0 +1,226 @@
+"""Ask a method for motions and check every one of them before it is kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import re
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from prbench.contract import Adapter, ConditionBatch, Cost, Motions
+from prbench.errors import AdapterError, InputFileError, PrbenchError
+from prbench.limits import FARTHEST_COORDINATE
+from prbench.methods.coordinates import coordinate_problem, impossible_frames
+from prbench.methods.declared import Declared
+from prbench.methods.native_rate import at_native_rate, at_table_rate
+from prbench.skeleton import N_JOINTS
+from prbench.workers import is_out_of_memory
+
+
+def generate_checked(
+    adapter: Adapter,
+    batch: ConditionBatch,
+    *,
+    seed: int,
+    method: str,
+    sequence_ids: Sequence[str],
+    farthest: float = FARTHEST_COORDINATE,
+) -> tuple[Motions, int]:
+    """Generate the motions of a batch at the table's rate; one that does not fit in memory is run in halves.
+
+    Args:
+        adapter: The method.
+        batch: What it may know.
+        seed: The run's seed, for the record.
+        method: Name of the method, for messages.
+        sequence_ids: Names of the rows, for messages; the method never sees them.
+        farthest: Metres from the origin beyond which a coordinate is refused; infinity for a network in training.
+
+    Returns:
+        float32 motions, and how often a batch was halved.
+
+    Raises:
+        AdapterError: if the method raises, or returns something else than one finite motion of the asked length for
+            each row; names method, sequence and frame.
+    """
+    native_fps = Declared.by(adapter, origin=f"method '{method}'").native_fps
+    asked = batch if native_fps is None else at_native_rate(batch, native_fps)
+    motions, halvings = _generate(adapter, asked, seed, method, sequence_ids, farthest)
+    if native_fps is not None:
+        motions = at_table_rate(motions, batch, native_fps=native_fps)
+    return motions, halvings
+
+
+def _generate(
+    adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
+) -> tuple[Motions, int]:
+    try:
+        with _named_warnings(batch, ids):
+            motions = adapter.generate(own_copy(batch), seed=seed)
+    except AdapterError as error:
+        raise AdapterError(_with_names(str(error), batch, ids)) from error
+    except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
+        told_of = _with_names(str(error), batch, ids)
+        raise AdapterError(f"method '{method}' failed: {told_of}{_asked_for(ids)}") from error
+    except PrbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        if not is_out_of_memory(error):
+            raise AdapterError(f"method '{method}' failed: {told(error)}.{_asked_for(ids)}") from error
+        if len(batch) == 1:
+            raise AdapterError(
+                f"method '{method}' ran out of memory on the single sequence {ids[0]}"
+                f" ({batch.n_frames[0]} frames). Use a device with more memory."
+            ) from error
+    else:
+        return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
+    release_memory()
+    middle = len(batch) // 2
+    first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle], farthest)
+    second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:], farthest)
+    return _joined(first, second), 1 + halved_first + halved_second
+
+
+def well_formed(
+    motions: object,
+    batch: ConditionBatch,
+    *,
+    method: str,
+    sequence_ids: Sequence[str],
+    farthest: float = FARTHEST_COORDINATE,
+) -> Motions:
+    """The motions as float32 if they are what the contract asks for.
+
+    Args:
+        motions: What a method has returned.
+        batch: What it was asked for.
+        method: Name of the method, for messages.
+        sequence_ids: Names of the rows, for messages.
+        farthest: See :func:`generate_checked`.
+
+    Raises:
+        AdapterError: naming method, sequence and frame, what was expected and what was found.
+    """
+    ids = sequence_ids
+    origin = f"method '{method}'"
+    if not isinstance(motions, Motions):
+        raise AdapterError(
+            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{_asked_for(ids)}"
+        )
+    joints, n_frames = motions.joints, _as_array(motions.n_frames)
+    if not isinstance(joints, np.ndarray):
+        remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
+        found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
+        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{_asked_for(ids)}")
+    if motions.cost is not None and not isinstance(motions.cost, Cost):
+        raise AdapterError(
+            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{_asked_for(ids)}"
+        )
+    longest = int(batch.n_frames.max())
+    fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
+    if not fits or not np.issubdtype(joints.dtype, np.floating):
+        raise AdapterError(
+            f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
+            f" found {joints.shape} of {joints.dtype}.{_asked_for(ids)}"
+        )
+    if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
+        row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
+        found = n_frames[row] if n_frames.shape == batch.n_frames.shape else f"n_frames of shape {n_frames.shape}"
+        raise AdapterError(f"{origin}, sequence {ids[row]}: expected {batch.n_frames[row]} frames, found {found}.")
+    if joints.shape[1] < longest:
+        row = int(batch.n_frames.argmax())
+        raise AdapterError(
+            f"{origin}, sequence {ids[row]}: expected {longest} frames, found {joints.shape[1]} in joints."
+        )
+    with np.errstate(over="ignore"):
+        joints = joints[:, :longest].astype(np.float32)
+    _require_possible(joints, batch, method, ids, farthest)
+    return Motions(joints, batch.n_frames, motions.cost)
+
+
+def _as_array(n_frames: object) -> np.ndarray:
+    """Frame counts as NumPy reads them; of any shape, wrong ones too."""
+    try:
+        return np.asarray(n_frames)
+    except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
+        return np.empty(0)
+
+
+def own_copy(batch: ConditionBatch) -> ConditionBatch:
+    """Arrays of its own, so that a method that writes into them changes neither its next sample nor our checks."""
+    arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
+    return dataclasses.replace(
+        batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    )
+
+
+@contextmanager
+def _named_warnings(batch: ConditionBatch, ids: Sequence[str]) -> Iterator[None]:
+    """Give warnings of a method, which knows opaque ids alone, the names that a user knows."""
+    show = warnings.showwarning
+
+    def show_with_names(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        text = _with_names(str(message), batch, ids)
+        show(message if text == str(message) else category(text), category, *place, **more)
+
+    warnings.showwarning = show_with_names
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
+
+
+def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
+    """A message of a method that knows opaque ids alone, with the names that a user knows."""
+    for opaque_id, name in zip(batch.opaque_id, ids, strict=True):
+        message = re.sub(rf"\b{re.escape(opaque_id)}\b", lambda _: name, message)  # noqa: B023 - called at once
+    return message
+
+
+def told(error: BaseException) -> str:
+    """An exception with the file and line that raised it, for whoever has to repair the method."""
+    raised_at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
+
+
+def _require_possible(
+    joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str], farthest: float
+) -> None:
+    """Refuse coordinates that are not finite or far beyond any room; what the padding holds does not matter."""
+    valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
+    rows = np.flatnonzero((impossible_frames(joints, farthest) & valid).any(axis=1))
+    if rows.size:
+        row = int(rows[0])
+        problem = coordinate_problem(joints[row, : batch.n_frames[row]], farthest)
+        raise AdapterError(f"method '{method}', sequence {ids[row]}, {problem}")
+
+
+def _joined(first: Motions, second: Motions) -> Motions:
+    longest = max(first.joints.shape[1], second.joints.shape[1])
+    padded = [
+        np.pad(part.joints, ((0, 0), (0, longest - part.joints.shape[1]), (0, 0), (0, 0))) for part in (first, second)
+    ]
+    declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
+    cost = Cost(sum(declared)) if declared else None
+    return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
+
+
+def release_memory() -> None:
+    """Give back what a failed batch holds, before it is tried in halves."""
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
+
+
+def _asked_for(ids: Sequence[str]) -> str:
+    """Names are long: what was asked for comes behind the reason."""
+    batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+    return f" It was asked for {batch}."

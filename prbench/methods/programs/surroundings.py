@@ -1,0 +1,187 @@
+"""In what a program runs: the user's own environment, a virtual environment, conda or a container."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from prbench.errors import InputFileError
+from prbench.methods.programs.description import EnvironmentTable
+from prbench.methods.programs.executables import find_executable, require_script
+
+_METHOD_FOLDER = "/method"  # where a container finds the program's folder
+_BIN = "Scripts" if os.name == "nt" else "bin"
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """A command, and where and in which environment it starts."""
+
+    words: tuple[str, ...]
+    directory: Path
+    environment: dict[str, str]
+    where: str
+    """What to call the command's source in messages."""
+    readable: tuple[Path, ...] = ()
+    """What it cannot do without beside its directory and its executable."""
+    place: str = ""
+    """Kind and name of the environment, for the record."""
+
+    def found(self) -> Surroundings:
+        """With the program's absolute path; words that begin with ``~/`` are those of the user's home.
+
+        Raises:
+            UsageError: if the program, or the script that it is to run, does not exist.
+        """
+        path = self.environment.get("PATH", os.defpath)
+        program = find_executable(self.words[0], directory=self.directory, path=path, where=self.where)
+        require_script(self.words, directory=self.directory, where=self.where)
+        arguments = (str(Path(word).expanduser()) if word.startswith("~/") else word for word in self.words[1:])
+        return replace(self, words=(program, *arguments))
+
+
+def inside_environment(
+    start: Surroundings, table: EnvironmentTable, *, file: Path, weights: Path | None, hidden: tuple[Path, ...]
+) -> Surroundings:
+    """The command inside the environment that a description asks for.
+
+    Args:
+        start: The command as it would run in the user's own environment.
+        table: What is asked for.
+        file: The description; paths in it are relative to its folder.
+        weights: A file or folder that the user gave, which a container has to be shown.
+        hidden: Folders that a container must not see, even inside what it is shown.
+
+    Raises:
+        InputFileError: if an environment or its tool is missing.
+        UsageError: if the program is.
+    """
+    start = replace(start, environment={**start.environment, **table.variables})
+    if table.virtual_environment is not None:
+        return _in_virtual_environment(start, table.virtual_environment, file)
+    if table.conda is not None:
+        return _in_conda(start, table.conda, file)
+    if table.container is not None:
+        return _in_container(start, table, file, weights, hidden)
+    return start.found()
+
+
+def below(file: Path, path: str) -> Path:
+    """A path in a description: absolute, in the user's home, or relative to the file's folder."""
+    return Path(os.path.normpath(file.absolute().parent / Path(path).expanduser()))
+
+
+def _in_virtual_environment(start: Surroundings, named: str, file: Path) -> Surroundings:
+    folder = below(file, named)
+    programs = folder / _BIN
+    if shutil.which("python", path=str(programs)) is None:
+        raise InputFileError(
+            file,
+            "environment.virtual-environment",
+            expected=f"a virtual environment at {folder}",
+            found=f"no python in {programs}",
+            remedy=f"Make it: python -m venv {folder}",
+        )
+    path = os.pathsep.join([str(programs), start.environment.get("PATH", os.defpath)])
+    environment = {**start.environment, "PATH": path, "VIRTUAL_ENV": str(folder)}
+    environment.pop("PYTHONHOME", None)
+    found = replace(start, environment=environment, readable=(*start.readable, folder)).found()
+    return replace(found, place=f"virtual environment {folder.name}")
+
+
+def _in_conda(start: Surroundings, named: str, file: Path) -> Surroundings:
+    conda = shutil.which("conda", path=start.environment.get("PATH", os.defpath)) or start.environment.get("CONDA_EXE")
+    if conda is None:
+        raise InputFileError(
+            file,
+            "environment.conda",
+            expected="the program 'conda'",
+            found="none in PATH",
+            remedy="Install conda, or start prbench from a shell in which it works.",
+        )
+    is_folder = "/" in named or "\\" in named or named.startswith(("~", "."))
+    folder = below(file, named)
+    if is_folder and not (folder / "conda-meta").is_dir():
+        raise InputFileError(
+            file,
+            "environment.conda",
+            expected=f"a conda environment at {folder}",
+            found="no conda-meta in it" if folder.is_dir() else "no such folder",
+        )
+    chosen = ("-p", str(folder)) if is_folder else ("-n", named)
+    require_script(start.words, directory=start.directory, where=start.where)
+    return replace(
+        start,
+        words=(conda, "run", "--no-capture-output", *chosen, *start.words),
+        readable=(*start.readable, *([folder] if is_folder else [])),
+        place=f"conda {folder.name if is_folder else named}",
+    )
+
+
+def _in_container(
+    start: Surroundings, table: EnvironmentTable, file: Path, weights: Path | None, hidden: tuple[Path, ...]
+) -> Surroundings:
+    engine, program = _engine(start.environment, table.engine, file)
+    mounts = [(start.directory, _METHOD_FOLDER), *(_volume(text, file) for text in table.volumes)]
+    if weights is not None and weights.exists():
+        mounts.append((weights.absolute(), str(weights.absolute())))
+    words = [program, "run", "--rm", "--init", "-i", "--network", "none", "--workdir", _METHOD_FOLDER]
+    for source, target in mounts:
+        words += ["--volume", f"{source}:{target}:ro"]
+    for masked in _masked(mounts, hidden):
+        words += ["--tmpfs", masked]
+    words += _user(engine, table.user)
+    if table.gpus:
+        words += ["--gpus", "all"] if engine == "docker" else ["--device", "nvidia.com/gpu=all"]
+    for name, value in sorted(table.variables.items()):
+        words += ["--env", f"{name}={value}"]
+    return replace(start, words=(*words, str(table.container), *start.words), place=f"{engine} {table.container}")
+
+
+def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tuple[str, str]:
+    """Name and path of what runs containers."""
+    names = (asked,) if asked else ("podman", "docker")
+    for name in names:
+        program = shutil.which(name, path=environment.get("PATH", os.defpath))
+        if program is not None:
+            return name, program
+    raise InputFileError(
+        file,
+        "environment.engine" if asked else "environment.container",
+        expected=f"the program {' or '.join(names)}",
+        found="none in PATH",
+        remedy="Install it, or name the other one with engine.",
+    )
+
+
+def _volume(text: str, file: Path) -> tuple[Path, str]:
+    """A folder of this machine and its place in the container; ``C:`` of Windows is no separator."""
+    drive = 2 if text[1:2] == ":" and text[:1].isalpha() else 0
+    source, _, target = text[drive:].partition(":")
+    folder = below(file, text[:drive] + source)
+    if not folder.exists():
+        raise InputFileError(
+            file, "environment.volumes", expected=f"the file or folder {folder}", found="nothing there"
+        )
+    return folder, target or str(folder)
+
+
+def _user(engine: str, asked: str | None) -> list[str]:
+    """Nobody's program needs to be root; podman without root maps the user by itself."""
+    if asked is None and engine == "docker" and hasattr(os, "getuid"):
+        asked = f"{os.getuid()}:{os.getgid()}"
+    return [] if asked is None else ["--user", asked]
+
+
+def _masked(mounts: list[tuple[Path, str]], hidden: tuple[Path, ...]) -> list[str]:
+    """Places in the container that would show a hidden folder."""
+    places = []
+    for source, target in mounts:
+        for folder in hidden:
+            if folder.resolve().is_relative_to(source.resolve()):
+                inner = folder.resolve().relative_to(source.resolve())
+                places.append((Path(target) / inner).as_posix())
+    return list(dict.fromkeys(places))

@@ -1,0 +1,186 @@
+"""The running program: started, asked, ended with everything that it started itself."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+
+import psutil
+
+from prbench.errors import AdapterError
+from prbench.methods.remote.faults import exit_story
+from prbench.methods.remote.log import ProgramLog
+from prbench.methods.remote.messages import Header, encode_message
+from prbench.methods.remote.pipes import Deadline, Inbox, Outbox
+from prbench.methods.remote.program import Program
+
+EXIT_SECONDS = 5.0
+"""For a program to end after its stdin was closed."""
+TERM_SECONDS = 2.0
+"""And again after SIGTERM."""
+
+
+class ProgramProcess:
+    """A started program. One request at a time; after a fault it is gone."""
+
+    def __init__(self, program: Program) -> None:
+        """Start it, in a session and process group of its own: Ctrl-C in the terminal is not for it.
+
+        Raises:
+            AdapterError: if the command or its folder does not exist, or cannot be run.
+        """
+        self._scratch = (
+            tempfile.TemporaryDirectory(prefix="prbench-", ignore_cleanup_errors=True)
+            if program.directory is None
+            else None
+        )
+        self._popen = self._started(program)
+        stdin, stdout, stderr = self._popen.stdin, self._popen.stdout, self._popen.stderr
+        assert stdin is not None
+        assert stdout is not None
+        assert stderr is not None
+        self._owner = os.getpid()
+        self._known_kin: list[psutil.Process] = []
+        self.log = ProgramLog(stderr, program.name, self._popen.pid)
+        self._outbox = Outbox(stdin)
+        self._inbox = Inbox(stdout, self._ended, self._outbox)
+        self.over = False
+        """It was closed or killed."""
+        self.exit_status: int | None = None
+        """Once it is closed: how it ended by itself; None if it had to be ended."""
+
+    @property
+    def pid(self) -> int:
+        """Of the process that was started, a fence or ``conda run`` included."""
+        return self._popen.pid
+
+    def ask(
+        self, header: Header, payload: bytes | None = None, *, timeout: float, answer_limit: int
+    ) -> tuple[Header, bytes | None]:
+        """Send a message and wait for the answer; what goes wrong, Ctrl-C included, kills the program.
+
+        Args:
+            header: Of the message.
+            payload: Of the message.
+            timeout: Seconds for both.
+            answer_limit: Bytes of payload that the answer may have.
+
+        Raises:
+            Fault: see :meth:`prbench.methods.remote.pipes.Inbox.receive`.
+        """
+        deadline = Deadline(timeout)
+        try:
+            self._inbox.require_silence()
+            self._outbox.send(encode_message(header, payload), deadline)
+            return self._inbox.receive(answer_limit, deadline)
+        except BaseException:
+            self.kill()
+            raise
+
+    def close(self) -> None:
+        """Close stdin, give the program time to end, then end it and what it started. May be called again."""
+        if self.over or os.getpid() != self._owner:
+            return
+        self._known_kin = list(self._kin())  # once the program is gone, nobody knows whose children they were
+        self._outbox.close()
+        self._inbox.discard()
+        try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.exit_status = self._popen.wait(EXIT_SECONDS)
+        finally:  # Ctrl-C while waiting included
+            self.kill()
+
+    def kill(self) -> None:
+        """End the program and what it started: SIGTERM, then SIGKILL. May be called again."""
+        if self.over or os.getpid() != self._owner:
+            return
+        self.over = True
+        self._inbox.discard()
+        try:
+            self._signal_all("terminate", TERM_SECONDS)
+        finally:  # a second Ctrl-C does not leave anything behind either
+            self._signal_all("kill", TERM_SECONDS)
+        self._outbox.close()
+        self.log.wait_for_end(0.5)
+        if self._scratch is not None:
+            self._scratch.cleanup()
+
+    def _started(self, program: Program) -> subprocess.Popen[bytes]:
+        directory = self._scratch.name if self._scratch is not None else program.directory
+        try:
+            return subprocess.Popen(
+                program.words,
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                cwd=directory,
+                env=dict(program.environment),
+                start_new_session=True,
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same on Windows
+            )
+        except (OSError, ValueError) as error:
+            if self._scratch is not None:
+                self._scratch.cleanup()
+            raise AdapterError(_cannot_start(program, error)) from error
+
+    def _ended(self) -> str | None:
+        status = self._popen.poll()
+        return None if status is None else exit_story(status)
+
+    def _signal_all(self, how: str, patience: float) -> None:
+        """Send a signal to the program and its kin, and wait until they are gone."""
+        until = Deadline(patience)
+        kin = self._known_kin = list({*self._kin(), *filter(_runs, self._known_kin)})
+        if sys.platform != "win32" and (kin or self._popen.poll() is None):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._popen.pid, signal.SIGTERM if how == "terminate" else signal.SIGKILL)
+        for process in kin:
+            with contextlib.suppress(psutil.Error):
+                getattr(process, how)()
+        if self._popen.poll() is None:
+            getattr(self._popen, how)()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._popen.wait(until.remaining())
+        while any(map(_runs, kin)) and until.remaining():
+            time.sleep(0.01)
+
+    def _kin(self) -> Iterator[psutil.Process]:
+        """What the program has started and is still there: its descendants, and all others of its group."""
+        seen = {self._popen.pid}
+        with contextlib.suppress(psutil.Error):
+            for process in psutil.Process(self._popen.pid).children(recursive=True):
+                seen.add(process.pid)
+                yield process
+        if sys.platform == "win32":
+            return
+        for pid in psutil.pids():
+            with contextlib.suppress(psutil.Error, ProcessLookupError, PermissionError):
+                if pid not in seen and os.getpgid(pid) == self._popen.pid:
+                    process = psutil.Process(pid)
+                    if _runs(process):
+                        yield process
+
+
+def _runs(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
+
+
+def _cannot_start(program: Program, error: Exception) -> str:
+    origin = f"method '{program.name}': its program cannot be started"
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        if program.directory is not None and not program.directory.is_dir():
+            return f"{origin}: expected the folder {program.directory} to start in, found none."
+        return f"{origin}: expected the command '{program.words[0]}', found none on PATH. Correct it or give its path."
+    if isinstance(error, PermissionError):
+        return f"{origin}: '{program.words[0]}' may not be executed. Make it executable, or name its interpreter first."
+    return f"{origin}: {error}. Correct the command."

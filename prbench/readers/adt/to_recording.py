@@ -1,0 +1,257 @@
+"""From the content of one Aria Digital Twin recording to a :class:`Recording` (docs/specification/adt.md).
+
+Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from prbench.errors import InputFileError
+from prbench.manifests import Manifest
+from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, GlassesSize, cpf_from_rgb, device_from_cpf
+from prbench.readers.aria_mps.streams import gaze_in_world, part_poses
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
+from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
+from prbench.recording.streams import (
+    BodyStream,
+    ContactPoint,
+    GazeStream,
+    HandStream,
+    ObjectTrack,
+    OtherPerson,
+    PoseStream,
+    Recording,
+    Side,
+)
+from prbench.skeleton import invert_rigid
+from prbench.timelines import require_overlap
+
+ASSUMED_SIZE: GlassesSize = "DVT-L"
+"""Of glasses whose size no file tells (choice: the public sample's)."""
+_SIDES: tuple[Side, Side] = ("left", "right")
+_CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
+    ("wrist", adt.WRIST_JOINTS),
+    ("middle_finger_base", adt.MIDDLE_FINGER_BASES),
+)
+
+
+Poses = Literal["native", "egoallo"]
+
+
+def recording_from_adt(
+    readings: adt.AdtReadings, manifest: Manifest, *, dataset: str, poses: Poses = "native"
+) -> Recording:
+    """Streams in the world from native readings.
+
+    Args:
+        readings: Content of the native files.
+        manifest: Joint mapping, pose source and head tilt.
+        dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
+        poses: Whose body: the suit's, or the one that EgoAllo estimated. Hands, and with them events, stay the suit's.
+
+    Raises:
+        StreamsDoNotOverlap: if glasses, gaze, objects and the wearer's body share no instant.
+        InputFileError: if there is no pose of the glasses at all.
+    """
+    device = _device_poses(readings)
+    span = float(device.times[0]), float(device.times[-1])
+    device_cpf = device_from_cpf(readings.glasses_size or ASSUMED_SIZE)
+    device_rgb = device_cpf @ cpf_from_rgb() if readings.device_from_rgb is None else readings.device_from_rgb
+    head = part_poses(device, device_cpf)
+    gaze = gaze_in_world(
+        head,
+        readings.gaze.time_us / 1e6,
+        readings.gaze.yaw,
+        readings.gaze.pitch,
+        same_instant=adt.SAME_INSTANT,
+    )
+    wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
+    suit, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest, span)
+    body, source = (
+        (suit, manifest.body) if poses == "native" else (_estimated(readings, head), manifest.other_bodies[poses])
+    )
+    others = [person for person in readings.skeletons if person is not wearer]
+    tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
+    rooms = {track.object_id for track in tracks if encloses_room(track, gaze)}
+    _check_overlap(readings, span, gaze, suit, tracks)
+    return Recording(
+        dataset=dataset,
+        recording_id=readings.recording_id,
+        participant_id="unknown" if wearer is None else wearer.name.removeprefix("Skeleton_"),
+        pose_source="none" if body is None else source.pose_source,
+        head_tilt_deg=source.head_tilt_deg,
+        span=span,
+        gaze=gaze,
+        camera=part_poses(device, device_rgb),
+        head=head,
+        body=body,
+        hands=hands,
+        objects=tuple(track for track in tracks if track.object_id not in rooms),
+        other_people=tuple(OtherPerson(person.name, body_and_hands(person, manifest, span)[1]) for person in others),
+        split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
+        hinged_objects=frozenset(
+            str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
+        ),
+        messages=readings.messages
+        + _remarks(readings, span, gaze, suit, wearer)
+        + (() if poses == "native" else _estimate_remarks(readings, body)),
+    )
+
+
+def _estimated(readings: adt.AdtReadings, head: PoseStream) -> BodyStream | None:
+    """The estimated body in the scene; frames over gaps of the glasses are guesses from nothing, and invalid."""
+    if readings.estimated_body is None:
+        return None
+    return body_stream(readings.estimated_body, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
+
+
+def body_and_hands(
+    person: adt.AdtSkeleton, manifest: Manifest, span: tuple[float, float]
+) -> tuple[BodyStream, tuple[HandStream, ...]]:
+    """The 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
+
+    So are frames outside ``span``, the time in which the glasses were tracked: there is no ground truth.
+    """
+    times = person.time_ns / 1e9
+    native = person.joints
+    joints = adt.body_joints(native, manifest.body.joint_mapping)
+    valid = plausible_body_frames(times, joints) & _within(times, span)
+    hands = []
+    for contact, pair in _CONTACTS:
+        for side, index in zip(_SIDES, pair, strict=True):
+            measured = valid & _measured(native[:, index])
+            points = hold_neighbours(native[:, index, None], measured)
+            hands.append(HandStream(side, contact, times, points, measured))
+    return BodyStream(times, hold_neighbours(joints, valid), valid), tuple(hands)
+
+
+def object_track(entry: adt.AdtObject, *, start: float) -> ObjectTrack:
+    """The track of one object; one that never moves has a single sample at ``start``, seconds."""
+    times = entry.time_ns / 1e9 if entry.time_ns[0] != adt.STATIC_TIME else np.array([start])
+    return ObjectTrack(
+        object_id=str(entry.object_id),
+        name=entry.name,
+        category=entry.category,
+        times=times,
+        position=entry.position,
+        rotation=entry.rotation / np.linalg.norm(entry.rotation, axis=1, keepdims=True),
+        valid=np.ones(len(times), dtype=bool),
+        box_min=entry.box_min,
+        box_max=entry.box_max,
+        movable=entry.dynamic,
+    )
+
+
+def encloses_room(track: ObjectTrack, gaze: GazeStream) -> bool:
+    """Whether a box encloses the room, so that every ray would hit it.
+
+    That is the dataset's own room (``ApartmentEnv``), and any box with a side above 3 m that holds a ray's origin.
+    """
+    if track.object_id == str(adt.SCENE_BOX_ID):
+        return True
+    if (track.box_max - track.box_min).max() <= adt.ROOM_SIZE or not gaze.valid.any():
+        return False
+    origin = gaze.origin[gaze.valid]
+    position, rotation = track.pose_at(gaze.times[gaze.valid])
+    local = Rotation.from_quat(rotation, scalar_first=True).inv().apply(origin - position)
+    return bool(((local >= track.box_min) & (local <= track.box_max)).all(axis=1).any())
+
+
+def _device_poses(readings: adt.AdtReadings) -> PoseStream:
+    if len(readings.glasses.time_us) == 0:
+        raise InputFileError(
+            readings.recording_id,
+            "",
+            expected="poses of the glasses",
+            found="none",
+            remedy="Copy or download the recording again.",
+        )
+    return glasses_stream(readings.glasses)
+
+
+def glasses_stream(poses: adt.GlassesPoses) -> PoseStream:
+    """Poses of the device in the scene; quality 0 is invalid."""
+    rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
+    return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
+
+
+def _within(times: Float[np.ndarray, " n"], span: tuple[float, float]) -> Bool[np.ndarray, " n"]:
+    return (times >= span[0] - adt.SAME_INSTANT) & (times <= span[1] + adt.SAME_INSTANT)
+
+
+def _measured(points: np.ndarray) -> Bool[np.ndarray, " n"]:
+    return np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+
+
+def _check_overlap(
+    readings: adt.AdtReadings,
+    span: tuple[float, float],
+    gaze: GazeStream,
+    body: BodyStream | None,
+    tracks: list[ObjectTrack],
+) -> None:
+    tolerance = adt.SAME_INSTANT
+    ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
+    if len(gaze.times):
+        ranges["gaze"] = float(gaze.times[0]), float(gaze.times[-1])
+    if body is not None and len(body.times):
+        ranges["body"] = float(body.times[0]), float(body.times[-1])
+    moving = [
+        track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
+    ]
+    if moving:
+        starts, ends = [track.times[0] for track in moving], [track.times[-1] for track in moving]
+        ranges["objects"] = float(min(starts)), float(max(ends))
+    require_overlap(ranges, recording=readings.recording_id)
+
+
+def _remarks(
+    readings: adt.AdtReadings,
+    span: tuple[float, float],
+    gaze: GazeStream,
+    body: BodyStream | None,
+    wearer: adt.AdtSkeleton | None,
+) -> tuple[str, ...]:
+    """What a user should know about these readings."""
+    remarks = []
+    if readings.glasses_size is None:
+        remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
+    outside = ~_within(gaze.times, span)
+    if outside.any():
+        remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
+    gaps = int((np.diff(readings.glasses.time_us) > LONGEST_POSE_STEP * 1e6).sum())
+    if gaps:
+        remarks.append(f"{gaps} gaps of more than {LONGEST_POSE_STEP * 1e3:.0f} ms in the poses of the glasses")
+    lost = int((~(readings.glasses.quality > 0)).sum())
+    if lost:
+        remarks.append(f"{lost} of {len(readings.glasses.quality)} poses of the glasses have quality 0 and are invalid")
+    if wearer is None:
+        remarks.append("no skeleton belongs to the wearer's glasses: no body, no hands")
+    elif body is not None:
+        tracked = _within(body.times, span)
+        implausible = int((~body.valid & tracked).sum())
+        if implausible:
+            remarks.append(f"{implausible} of {len(body.valid)} body frames are implausible and invalid")
+        if not tracked.all():
+            remarks.append(
+                f"{int((~tracked).sum())} of {len(tracked)} body frames lie outside the tracked time and are invalid"
+            )
+        gaps = int((np.diff(body.times) > adt.LONGEST_BODY_STEP).sum())
+        if gaps:
+            remarks.append(f"{gaps} gaps of more than {adt.LONGEST_BODY_STEP * 1e3:.0f} ms in the body")
+    return tuple(remarks)
+
+
+def _estimate_remarks(readings: adt.AdtReadings, body: BodyStream | None) -> tuple[str, ...]:
+    """What a user should know about the estimated body."""
+    if readings.estimated_body is None or body is None:
+        return (NO_OUTPUTS,)
+    invalid = int((~body.valid).sum())
+    told = (f"{invalid} of {len(body.valid)} frames of the estimated body are invalid",) if invalid else ()
+    return readings.estimated_body.messages + told

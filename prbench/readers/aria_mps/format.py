@@ -1,0 +1,273 @@
+"""Project Aria: geometry of the glasses, columns of the Machine Perception Services (docs/specification/aria-mps.md).
+
+``a_from_b`` maps coordinates of b into a. Device frame: left SLAM camera as built. Central pupil frame (CPF):
+x left, y up, z forward, origin midway between the eyes. Camera frame: z along the optical axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+GlassesSize = Literal["DVT-S", "DVT-L"]
+GazeKind = Literal["personalized", "general"]
+
+TIME_COLUMN = "tracking_timestamp_us"
+GRAPH_COLUMN = "graph_uid"
+POSITION_COLUMNS = ("tx_world_device", "ty_world_device", "tz_world_device")
+ROTATION_COLUMNS = ("qw_world_device", "qx_world_device", "qy_world_device", "qz_world_device")
+"""In the order w x y z; the files hold them scalar last."""
+GRAVITY_COLUMNS = ("gravity_x_world", "gravity_y_world", "gravity_z_world")
+QUALITY_COLUMN = "quality_score"
+UNDEFINED_GRAPH = "UNDEFINED_ROW"
+
+YAW, PITCH = "yaw_rads_cpf", "pitch_rads_cpf"
+LEFT_YAW, RIGHT_YAW = "left_yaw_rads_cpf", "right_yaw_rads_cpf"
+LEFT_YAW_RANGE = ("left_yaw_low_rads_cpf", "left_yaw_high_rads_cpf")
+RIGHT_YAW_RANGE = ("right_yaw_low_rads_cpf", "right_yaw_high_rads_cpf")
+YAW_RANGE = ("yaw_low_rads_cpf", "yaw_high_rads_cpf")
+PITCH_RANGE = ("pitch_low_rads_cpf", "pitch_high_rads_cpf")
+DEPTH = "depth_m"
+
+GAZE_FILES = (
+    "personalized_eye_gaze.csv",
+    "calibrated_eye_gaze.csv",
+    "general_eye_gaze.csv",
+    "generalized_eye_gaze.csv",
+    "eyegaze.csv",
+)
+"""Preferred first: a personalized file exists only where the recording held a calibration phase."""
+PERSONALIZED_GAZE_FILES = GAZE_FILES[:2]
+TRAJECTORY_FILE = "closed_loop_trajectory.csv"
+CALIBRATION_FILE = "online_calibration.jsonl"
+WRISTS_FILE = "wrist_and_palm_poses.csv"
+HAND_TRACKING_FILE = "hand_tracking_results.csv"
+SUMMARY_FILE = "summary.json"
+SLAM_FOLDER, GAZE_FOLDER, HAND_FOLDER = "slam", "eye_gaze", "hand_tracking"
+
+TRAJECTORY, GAZE, CALIBRATION = "trajectory", "gaze", "calibration"
+WRISTS, HAND_TRACKING = "wrists", "hand_tracking"
+SLAM_SUMMARY, GAZE_SUMMARY, HAND_SUMMARY = "slam_summary", "gaze_summary", "hand_summary"
+"""Roles of the files of one recording."""
+
+SIDES = ("left", "right")
+WRIST_LANDMARK, PALM_LANDMARK = 5, 20
+"""Of the 21 points in :data:`HAND_TRACKING_FILE`."""
+
+LONGEST_POSE_STEP = 0.05
+"""Seconds; a longer step is a gap that is never bridged (choice)."""
+WIDEST_GAZE_ANGLE = np.deg2rad(60.0)
+"""A gaze angle beyond it is no measurement (choice; there is no validity column)."""
+LEAST_QUALITY = 0.5
+"""A pose with a lower quality score is invalid (choice)."""
+POSE_RATE = 30.0
+"""Hz; of the 1 kHz poses those around the gaze times and around a grid of this rate are read."""
+SLAM_BASELINE_LIMIT = 0.1404
+"""Metres between the two SLAM cameras: shorter means DVT-S, longer DVT-L."""
+
+_DEVICE_FROM_CPF_ROTATION = (
+    (-0.031860137, -0.998629532, -0.041520951),
+    (0.793353401, 0.000000002, -0.608761350),
+    (0.607927062, -0.052336008, 0.792266136),
+)
+_CPF_IN_DEVICE: dict[GlassesSize, tuple[float, float, float]] = {
+    "DVT-S": (0.004952958, -0.049148368, -0.049185461),
+    "DVT-L": (0.004993020, -0.051460090, -0.049949881),
+}
+_RGB_IN_CPF = (0.057, 0.007, 0.013)
+_RGB_PITCH = np.deg2rad(8.0)  # optical axis below CPF z
+
+
+def device_from_cpf(size: GlassesSize) -> Float[np.ndarray, "4 4"]:
+    """Nominal pose of the central pupil frame on the glasses, from the CAD drawing.
+
+    Source: docs/specification/aria-mps.md#device-frame-and-cameras.
+    """
+    transform = np.eye(4)
+    transform[:3, :3] = _DEVICE_FROM_CPF_ROTATION
+    transform[:3, 3] = _CPF_IN_DEVICE[size]
+    return transform
+
+
+def cpf_from_rgb() -> Float[np.ndarray, "4 4"]:
+    """Nominal pose of the RGB camera: left temple, 8 degrees down, mounted on its side (image x points down)."""
+    cosine, sine = np.cos(_RGB_PITCH), np.sin(_RGB_PITCH)
+    transform = np.eye(4)
+    transform[:3, :3] = np.transpose([(0.0, -cosine, -sine), (1.0, 0.0, 0.0), (0.0, -sine, cosine)])
+    transform[:3, 3] = _RGB_IN_CPF
+    return transform
+
+
+def glasses_size(slam_baseline: float) -> GlassesSize:
+    """Size of the glasses from the distance between their SLAM cameras, metres."""
+    return "DVT-S" if slam_baseline < SLAM_BASELINE_LIMIT else "DVT-L"
+
+
+def gaze_directions_cpf(yaw: Float[np.ndarray, " n"], pitch: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """Unit gaze vectors ``normalise(tan yaw, tan pitch, 1)`` in the central pupil frame.
+
+    Args:
+        yaw: Radians, positive looks left.
+        pitch: Radians, positive looks up.
+    """
+    vectors = np.column_stack([np.tan(yaw), np.tan(pitch), np.ones_like(yaw)])
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def gaze_angles(directions_cpf: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Yaw and pitch of gaze vectors in the central pupil frame: the inverse of :func:`gaze_directions_cpf`.
+
+    Args:
+        directions_cpf: Any length; z > 0 (in front of the face).
+    """
+    x, y, z = directions_cpf.T
+    return np.arctan2(x, z), np.arctan2(y, z)
+
+
+def combined_yaw(left: Float[np.ndarray, "*n"], right: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """One yaw for both eyes: ``atan((tan left + tan right) / 2)``."""
+    return np.arctan((np.tan(left) + np.tan(right)) / 2)
+
+
+@dataclass(frozen=True)
+class AriaTrajectory:
+    """Poses of the glasses in one gravity-aligned world."""
+
+    time_us: Int[np.ndarray, " n"]
+    """Device clock."""
+    position: Float[np.ndarray, "n 3"]
+    rotation: Float[np.ndarray, "n 4"]
+    """w x y z, device to world."""
+    quality: Float[np.ndarray, " n"]
+    up: Float[np.ndarray, "3"]
+    """Unit vector against gravity, in the world."""
+    graph_uids: tuple[str, ...]
+    """World frames in the file, the one kept first; poses of the others are left out."""
+    left_out: int
+    """Rows without pose or of another world."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user should know about the rows that were left out."""
+        if not self.left_out:
+            return ()
+        others = len(self.graph_uids) - 1
+        return (
+            f"{self.left_out} poses of the glasses without a world or in one of {others} other worlds are left out",
+        )
+
+
+@dataclass(frozen=True)
+class GazeAngles:
+    """Angles in the central pupil frame, radians."""
+
+    time_us: Int[np.ndarray, " n"]
+    yaw: Float[np.ndarray, " n"]
+    pitch: Float[np.ndarray, " n"]
+    depth: Float[np.ndarray, " n"]
+    """Metres from the central pupil frame to what is looked at; 0 or NaN where unknown."""
+    yaw_range: Float[np.ndarray, "n 2"]
+    """Lower and upper bound."""
+    pitch_range: Float[np.ndarray, "n 2"]
+
+
+@dataclass(frozen=True)
+class WristPositions:
+    """Wrists and palms of the left and the right hand in the device frame."""
+
+    time_us: Int[np.ndarray, " n"]
+    confidence: Float[np.ndarray, "n 2"]
+    """0 or less where the hand was not seen."""
+    wrist: Float[np.ndarray, "n 2 3"]
+    """Metres; NaN where the hand was not seen."""
+    palm: Float[np.ndarray, "n 2 3"]
+
+
+@dataclass(frozen=True)
+class MpsReadings:
+    """What the Machine Perception Services say of one recording: the content of their files."""
+
+    trajectory: AriaTrajectory
+    gaze: GazeAngles
+    gaze_kind: GazeKind
+    wrists: WristPositions | None
+    """None where no file tells."""
+    glasses_size: GlassesSize | None
+    """None where no file tells."""
+    device_from_rgb: Float[np.ndarray, "4 4"] | None
+    """Calibrated pose of the RGB camera; None where no file tells."""
+    messages: tuple[str, ...] = ()
+    """What reading the files brought up."""
+
+
+def wanted_times_us(
+    gaze_us: Int[np.ndarray, " n"], first_us: int, last_us: int, rate: float = POSE_RATE
+) -> Int[np.ndarray, " m"]:
+    """Times around which poses of the glasses are needed: the gaze times and a regular grid over the whole trajectory.
+
+    Args:
+        gaze_us: Gaze times, microseconds on the device clock; those outside of the trajectory do not count.
+        first_us: First time of the trajectory, where the grid begins.
+        last_us: Its last time; the grid ends there or less than one step later.
+        rate: Of the grid, Hz.
+
+    Returns:
+        Sorted, without repetition.
+    """
+    inside = gaze_us[(gaze_us >= first_us) & (gaze_us <= last_us)]
+    grid = grid_times_us(first_us, first_us, last_us, rate)
+    return np.unique(np.concatenate([inside, grid]))
+
+
+def grid_times_us(first_us: int, from_us: int, until_us: int, rate: float = POSE_RATE) -> Int[np.ndarray, " m"]:
+    """A stretch of the regular grid that begins at ``first_us``.
+
+    Args:
+        first_us: Microseconds.
+        from_us: The stretch begins with the last grid time that is not later.
+        until_us: It ends with the first one that is not earlier.
+        rate: Hz.
+    """
+    before, after = (int((time_us - first_us) * rate / 1e6) for time_us in (from_us, until_us))
+    steps = np.arange(max(before - 1, 0), after + 3)
+    times = first_us + np.rint(steps * (1e6 / rate)).astype(np.int64)
+    first, last = np.searchsorted(times, from_us, side="right"), np.searchsorted(times, until_us)
+    return times[max(int(first) - 1, 0) : int(last) + 1]
+
+
+def rows_around(time_us: Int[np.ndarray, " n"], wanted_us: Int[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
+    """Rows on both sides of every wanted time: the last one before it, and the first one at or after it.
+
+    Args:
+        time_us: Time of every row, increasing; at least one.
+        wanted_us: Any order; of a time outside of the rows the nearest row counts.
+
+    Returns:
+        Sorted row numbers, each once.
+    """
+    after = np.searchsorted(time_us, wanted_us)
+    return np.unique(np.clip(np.concatenate([after - 1, after]), 0, len(time_us) - 1))
+
+
+def thinned(readings: MpsReadings, rate: float = POSE_RATE) -> MpsReadings:
+    """The same readings with only those trajectory rows that lie around the gaze times and a regular grid.
+
+    No step becomes longer than the grid's: gaps stay gaps, and nothing else becomes one.
+    """
+    whole = readings.trajectory
+    wanted = wanted_times_us(readings.gaze.time_us, int(whole.time_us[0]), int(whole.time_us[-1]), rate)
+    return replace(readings, trajectory=trajectory_rows(whole, rows_around(whole.time_us, wanted)))
+
+
+def trajectory_rows(whole: AriaTrajectory, rows: Int[np.ndarray, " k"]) -> AriaTrajectory:
+    """Some rows of a trajectory."""
+    return replace(
+        whole,
+        time_us=whole.time_us[rows],
+        position=whole.position[rows],
+        rotation=whole.rotation[rows],
+        quality=whole.quality[rows],
+    )

@@ -1,0 +1,139 @@
+"""From what the Machine Perception Services say of Aria glasses to streams in the world.
+
+Source: docs/specification/aria-mps.md.
+
+Readers of HOT3D and HD-EPIC call this with what the files hold, synthetic recordings with what their sensors say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.streams import gaze_in_world, part_poses
+from prbench.recording.streams import GazeStream, HandStream, PoseStream, Side
+from prbench.timelines import covered, interpolate, slerp
+
+ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
+"""Of glasses whose size no file tells."""
+"""``world_from_source`` of every native world of the services: (x, y, z) → (x, z, -y)."""
+SAME_INSTANT = 1e-3
+"""Seconds; the step of the poses."""
+_SIDES: tuple[Side, Side] = ("left", "right")
+
+
+@dataclass(frozen=True)
+class MpsStreams:
+    """Streams of one recording, in the world, on the recording's clock."""
+
+    device: PoseStream
+    head: PoseStream
+    """Central pupil frame."""
+    camera: PoseStream
+    """RGB camera."""
+    gaze: GazeStream
+    wrists: tuple[HandStream, ...]
+    """Left and right; empty where no file tells."""
+    messages: tuple[str, ...]
+    """Those of the readings, and what had to be assumed."""
+
+
+def mps_streams(
+    readings: mps.MpsReadings,
+    *,
+    world_from_source: Float[np.ndarray, "4 4"],
+    seconds_before_device: float = 0.0,
+    least_confidence: float = 0.0,
+) -> MpsStreams:
+    """Poses of glasses, eyes and camera, gaze rays and wrists.
+
+    A pose is invalid where its quality is below 0.5; steps above 50 ms are gaps that neither gaze nor wrists bridge.
+
+    Args:
+        readings: Whole or thinned; the gaze rays are the same either way.
+        world_from_source: Rigid transform from the trajectory's world.
+        seconds_before_device: Recording time = device time - this.
+        least_confidence: A wrist is valid where its confidence is above this.
+    """
+    size = readings.glasses_size or ASSUMED_SIZE
+    device = _device_poses(readings.trajectory, world_from_source, seconds_before_device)
+    device_cpf = mps.device_from_cpf(size)
+    device_rgb = device_cpf @ mps.cpf_from_rgb() if readings.device_from_rgb is None else readings.device_from_rgb
+    head = part_poses(device, device_cpf)
+    gaze = gaze_in_world(
+        head,
+        readings.gaze.time_us / 1e6 - seconds_before_device,
+        readings.gaze.yaw,
+        readings.gaze.pitch,
+        same_instant=SAME_INSTANT,
+    )
+    wrists = (
+        () if readings.wrists is None else _wrists(readings.wrists, device, seconds_before_device, least_confidence)
+    )
+    messages = (*readings.messages, *_remarks(readings, gaze), *_gap_remarks(device, gaze))
+    return MpsStreams(device, head, part_poses(device, device_rgb), gaze, wrists, messages)
+
+
+def _device_poses(
+    trajectory: mps.AriaTrajectory, world_from_source: Float[np.ndarray, "4 4"], seconds_before_device: float
+) -> PoseStream:
+    turn = Rotation.from_matrix(world_from_source[:3, :3])
+    rotation = turn * Rotation.from_quat(trajectory.rotation, scalar_first=True)
+    return PoseStream(
+        trajectory.time_us / 1e6 - seconds_before_device,
+        trajectory.position @ world_from_source[:3, :3].T + world_from_source[:3, 3],
+        rotation.as_quat(scalar_first=True),
+        trajectory.quality >= mps.LEAST_QUALITY,
+    )
+
+
+def _wrists(
+    wrists: mps.WristPositions, device: PoseStream, seconds_before_device: float, least_confidence: float
+) -> tuple[HandStream, ...]:
+    times = wrists.time_us / 1e6 - seconds_before_device
+    usable = device.valid if device.valid.any() else np.ones_like(device.valid)
+    turn = Rotation.from_quat(slerp(device.times[usable], device.rotation[usable], times), scalar_first=True)
+    origin = interpolate(device.times[usable], device.position[usable], times)
+    posed = covered(device.times, device.valid, times, max_gap=mps.LONGEST_POSE_STEP, tolerance=SAME_INSTANT)
+    streams = []
+    for index, side in enumerate(_SIDES):
+        local = wrists.wrist[:, index]
+        seen = np.isfinite(local).min(axis=1)
+        points = turn.apply(np.where(seen[:, None], local, 0.0)) + origin
+        valid = seen & posed & np.greater(wrists.confidence[:, index], least_confidence)
+        streams.append(HandStream(side, "wrist", times, points[:, None], valid))
+    return tuple(streams)
+
+
+def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
+    remarks = []
+    if readings.glasses_size is None:
+        remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
+    if readings.gaze_kind == "general":
+        remarks.append("general gaze, without the wearer's own calibration: directions may be off by several degrees")
+    if not gaze.valid.any():
+        remarks.append("no gaze row has a direction and a pose of the glasses: nothing can be primed")
+    low = int((readings.trajectory.quality < mps.LEAST_QUALITY).sum())
+    if low:
+        remarks.append(
+            f"{low} of {len(readings.trajectory.quality)} poses of the glasses that were read have a quality below"
+            f" {mps.LEAST_QUALITY} and are invalid"
+        )
+    return tuple(remarks)
+
+
+def _gap_remarks(device: PoseStream, gaze: GazeStream) -> tuple[str, ...]:
+    """Where the glasses were not tracked."""
+    remarks = []
+    steps = np.diff(device.times)
+    gaps = steps[steps > mps.LONGEST_POSE_STEP + 1e-6]
+    if gaps.size:
+        remarks.append(f"gaps in the poses of the glasses, not bridged: {gaps.size}, the longest {gaps.max():.2f} s")
+    outside = (gaze.times < device.times[0] - SAME_INSTANT) | (gaze.times > device.times[-1] + SAME_INSTANT)
+    if outside.any():
+        remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
+    return tuple(remarks)

@@ -1,0 +1,130 @@
+"""EgoAllo: names in its output files, the SMPL-H body's rest joints, and forward kinematics.
+
+Source: docs/specification/egoallo.md.
+
+World of an output: that of the trajectory it was made from, metres, Z up. Quaternions: w x y z. Times: the glasses'
+device clock, integer nanoseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from prbench.skeleton import N_JOINTS, PARENTS
+
+OUTPUT_FOLDER = "egoallo_outputs"
+POSES_FOLDER = "egoallo"
+"""Folder below a dataset's root that holds outputs by recording id."""
+ARGUMENTS_SUFFIX = "_args.yaml"
+
+WORLD_FROM_CPF, WORLD_FROM_ROOT, BODY_QUATS = "Ts_world_cpf", "Ts_world_root", "body_quats"
+BETAS, TIMES = "betas", "timestamps_ns"
+LEFT_HAND_QUATS, RIGHT_HAND_QUATS, CONTACTS, FRAME_NUMS = (
+    "left_hand_quats",
+    "right_hand_quats",
+    "contacts",
+    "frame_nums",
+)
+JOINTS = "joints"
+"""Of files that other pipelines make: joints instead of rotations."""
+N_BODY_QUATS, N_HAND_QUATS, N_BETAS = 21, 15, 16
+
+MODEL_FILE = "smplh/neutral/model.npz"
+REGRESSOR, TEMPLATE, SHAPES = "J_regressor", "v_template", "shapedirs"
+N_MODEL_JOINTS = 52
+
+WINDOW_FRAMES, WINDOW_OVERLAP = 128, 32
+"""EgoAllo's defaults, in output frames."""
+INPUT_STEP = 33
+"""Every so many poses of a 1 kHz trajectory are used: ``int(rate // 30)``, so 30.3 Hz and not 30."""
+LONGEST_STEP = 0.1
+"""Seconds; a longer step between two frames is a gap that is never bridged."""
+SAME_FRAME_NS = 20_000_000
+"""Frames of two windows closer than this are one frame: steps are 33 ms."""
+LARGEST_CPF_ERROR = 0.05
+"""Metres, median; a head pose further from the recording's at the same time belongs to another one (choice)."""
+LARGEST_HEAD_ERROR = 0.5
+"""Metres, median; the same for the head joint of files that hold joints only (choice)."""
+QUATERNION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class EgoAlloOutput:
+    """One output file: a window of a recording, ``samples`` guesses of the body."""
+
+    name: str
+    """File name."""
+    time_ns: Int[np.ndarray, " t"]
+    world_from_cpf: Float[np.ndarray, "t 7"]
+    """w x y z, then x y z: the head pose (central pupil frame) that the guess was made from."""
+    world_from_root: Float[np.ndarray, "s t 7"]
+    """Pelvis: w x y z, then x y z."""
+    body_quats: Float[np.ndarray, "s t 21 4"]
+    """Rotations of the joints 1 to 21 in their parents."""
+    betas: Float[np.ndarray, "s t 16"]
+    """Shape, one a frame; averaged over time before use."""
+
+
+@dataclass(frozen=True)
+class BodyWindow:
+    """The joints of one output file."""
+
+    name: str
+    time_ns: Int[np.ndarray, " t"]
+    joints: Float[np.ndarray, "t 22 3"]
+    """World of the trajectory, metres."""
+    samples: int = 1
+    """Guesses in the file, of which the first is taken."""
+    guidance: str = ""
+    """What EgoAllo was told to follow (``guidance_mode``: ``no_hands``, ``aria_wrist_only``, …); empty if unknown."""
+
+
+@dataclass(frozen=True)
+class EgoAlloBody:
+    """All windows of one recording as one body."""
+
+    time_ns: Int[np.ndarray, " n"]
+    joints: Float[np.ndarray, "n 22 3"]
+    """World of the trajectory that the outputs were made from, metres."""
+    messages: tuple[str, ...] = ()
+    """What the user should know about them."""
+
+
+@dataclass(frozen=True)
+class SmplhRest:
+    """Rest joints of an SMPL-H model: linear in the 16 shape numbers."""
+
+    template: Float[np.ndarray, "22 3"]
+    directions: Float[np.ndarray, "22 3 16"]
+
+    def rest_joints(self, betas: Float[np.ndarray, "16"]) -> Float[np.ndarray, "22 3"]:
+        """Joints of one person in the rest pose, metres, model frame (x left, y up, z forward)."""
+        return self.template + self.directions @ betas.astype(np.float64)
+
+
+def forward_kinematics(
+    rest: Float[np.ndarray, "22 3"],
+    root_position: Float[np.ndarray, "t 3"],
+    root_rotation: Float[np.ndarray, "t 4"],
+    body_quats: Float[np.ndarray, "t 21 4"],
+) -> Float[np.ndarray, "t 22 3"]:
+    """Joint positions from local rotations (docs/specification/egoallo.md#joints).
+
+    Args:
+        rest: Joints in the rest pose; only their differences matter, since joint 0 is placed by ``root_position``.
+        root_position: The pelvis joint in the world, metres.
+        root_rotation: Its orientation, w x y z.
+        body_quats: Rotations of the joints 1 to 21 in their parents, w x y z.
+    """
+    world = [Rotation.from_quat(root_rotation, scalar_first=True)]
+    joints = np.empty((len(root_position), N_JOINTS, 3))
+    joints[:, 0] = root_position
+    for child in range(1, N_JOINTS):
+        parent = PARENTS[child]
+        joints[:, child] = joints[:, parent] + world[parent].apply(rest[child] - rest[parent])
+        world.append(world[parent] * Rotation.from_quat(body_quats[:, child - 1], scalar_first=True))
+    return joints

@@ -1,0 +1,202 @@
+"""GIMO: file names, constants, and the content of one segment (docs/specification/gimo.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from prbench.readers.gimo.bvh import BvhMotion
+
+TABLE_FILE = "dataset.csv"
+EVENTS_FILE = "prbench_events.csv"
+"""The user's own annotations, at the root unless a reader option names another file."""
+SCENE_FOLDER, POSE_FOLDER, GAZE_FOLDER = "scene_obj", "smplx_local", "eye_pc"
+NORM_FILE = "transform_norm.txt"
+SCENE_MESHES = ("textured_output.obj", "scene_downsampled.ply")
+SKELETON_FILE = "skeleton.bvh"
+HOLOLENS_TRANSFORM_FILES = ("transform_scene2scene.txt", "transform_scene2scene.json")
+HOLOLENS_SUFFIX, VIDEO_SUFFIX = "_head_hand_eye.csv", "_pv.txt"
+GAZE_CENTRE_SUFFIX = "_center"
+
+TABLE_COLUMNS = ("sequence_path", "start_frame", "end_frame", "scene", "transformation", "training")
+ACTIVITY_COLUMN = "action"
+HINT_INDEX = 7
+"""Index of the unnamed column that holds a frame inside the segment on some rows: evidently the contact."""
+EVENT_COLUMNS = ("scene", "sequence_path", "start_frame", "end_frame", "event_frame", "action", "hand")
+CONFIRMED_COLUMN = "confirmed"
+TEST, TRAIN, TRAIN_LATER = 0, 1, 2
+"""Values of the column ``training``; the official loader never uses 2."""
+
+FRAME_RATE = 30.0
+REST_PELVIS = (0.0031, -0.3514, 0.0120)
+"""J0: the pelvis of SMPL-X neutral in its rest pose, metres."""
+N_LATENT = 32
+NO_POINT = 1e-8
+"""A gaze point whose coordinates sum to less is none."""
+OBJECT_ID = "target"
+"""The dataset knows no objects; every event has this one."""
+
+Hand = Literal["left", "right"]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One row of ``dataset.csv``."""
+
+    scene: str
+    sequence: str
+    start_frame: int
+    end_frame: int
+    transformation: str
+    training: int
+    activity: str = ""
+    """What the person does, in the fuller copies of the table (``take book``)."""
+    hint: int | None = None
+    """Frame of the unnamed column, where it lies inside the segment."""
+
+    @property
+    def key(self) -> tuple[str, str, int, int]:
+        """What identifies the row."""
+        return self.scene, self.sequence, self.start_frame, self.end_frame
+
+    @property
+    def name(self) -> str:
+        """The recording id: scene, sequence and frames, without characters that file names forbid."""
+        return f"{self.group}_{self.start_frame}-{self.end_frame}"
+
+    @property
+    def group(self) -> str:
+        """Scene and sequence: what segments of one recording have in common."""
+        return f"{_plain(self.scene)}_{_plain(self.sequence)}"
+
+    @property
+    def frames(self) -> Int[np.ndarray, " n"]:
+        """All frame numbers, both ends included."""
+        return np.arange(self.start_frame, self.end_frame + 1)
+
+
+def _plain(name: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-._" else "-" for letter in name)
+
+
+@dataclass(frozen=True)
+class EventFrame:
+    """One pick that somebody annotated."""
+
+    frame: int
+    hand: Hand | None = None
+    source: Literal["annotated", "hint"] = "annotated"
+
+
+@dataclass(frozen=True)
+class SceneTransform:
+    """How body and scan come to lie in one room; matrices as the files hold them, translations in scan units."""
+
+    scale: float
+    scene_from_body: Float[np.ndarray, "4 4"]
+    room_from_scene: Float[np.ndarray, "4 4"]
+
+    def room_from_body(self) -> Float[np.ndarray, "4 4"]:
+        """Rigid: canonical room from the suit's own frame, metres of the body."""
+        return self._metric(self.room_from_scene) @ self._metric(self.scene_from_body)
+
+    def room_from_scan(self) -> Float[np.ndarray, "4 4"]:
+        """Canonical room from scan coordinates; shrinks by the scale."""
+        shrunk = np.diag([1 / self.scale, 1 / self.scale, 1 / self.scale, 1.0])
+        return self._metric(self.room_from_scene) @ shrunk
+
+    def _metric(self, transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        metric = transform.copy()
+        metric[:3, 3] /= self.scale
+        return metric
+
+
+@dataclass(frozen=True)
+class SmplxPoses:
+    """``smplx_local``: one row a frame that has a file. Suit frame: metres, Y up."""
+
+    frames: Int[np.ndarray, " n"]
+    orient: Float[np.ndarray, "n 3"]
+    """Axis-angle of the root."""
+    trans: Float[np.ndarray, "n 3"]
+    """``transl`` of SMPL-X: the pelvis is at this plus :data:`REST_PELVIS`."""
+    latent: Float[np.ndarray, "n 32"]
+    """VPoser v1 code of the 21 body joints."""
+
+    def pelvis(self) -> Float[np.ndarray, "n 3"]:
+        """Pelvis joint without any body model, suit frame, metres."""
+        return self.trans.astype(np.float64) + np.array(REST_PELVIS)
+
+
+@dataclass(frozen=True)
+class LocalJoints:
+    """The 22 joints, as body model or mesh give them."""
+
+    frames: Int[np.ndarray, " n"]
+    joints: Float[np.ndarray, "n 22 3"]
+    """Suit frame, metres."""
+    route: Literal["smplx", "mesh"]
+
+
+@dataclass(frozen=True)
+class LocalSkeleton:
+    """The suit's own skeleton, which lies along the pelvis track of the fitted body."""
+
+    motion: BvhMotion
+    poses: SmplxPoses
+
+
+@dataclass(frozen=True)
+class GazePoints:
+    """``eye_pc``: where the gaze meets the scan, on the frames that have one."""
+
+    frames: Int[np.ndarray, " m"]
+    points: Float[np.ndarray, "m 3"]
+    """Scan coordinates."""
+
+
+@dataclass(frozen=True)
+class HoloLens:
+    """The stream recorder's files: head, camera and eyes in the world of the glasses (y up, looking along -z)."""
+
+    ticks: Int[np.ndarray, " n"]
+    """100 ns."""
+    head: Float[np.ndarray, "n 4 4"]
+    gaze_valid: Bool[np.ndarray, " n"]
+    gaze_origin: Float[np.ndarray, "n 3"]
+    gaze_direction: Float[np.ndarray, "n 3"]
+    video_ticks: Int[np.ndarray, " f"]
+    """Of each video frame; its index is the frame number (assumption of the page)."""
+    camera: Float[np.ndarray, "f 4 4"]
+    """Camera to the glasses' world."""
+    transform: Float[np.ndarray, "4 4"]
+    """Between the glasses' world and the scan; the file does not say in which direction."""
+
+
+@dataclass(frozen=True)
+class SceneMesh:
+    """The scanned room."""
+
+    name: str
+    vertices: Float[np.ndarray, "v 3"]
+    """Scan coordinates."""
+    faces: Int[np.ndarray, "f 3"]
+
+
+@dataclass(frozen=True)
+class GimoReadings:
+    """What the files of one segment say."""
+
+    recording_id: str
+    segment: Segment
+    transform: SceneTransform
+    body: LocalJoints | LocalSkeleton
+    gaze: GazePoints
+    events: tuple[EventFrame, ...]
+    hololens: HoloLens | None = None
+    meshes: tuple[SceneMesh, ...] = ()
+    messages: tuple[str, ...] = ()
+    """What reading the files brought up."""

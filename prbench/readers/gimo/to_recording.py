@@ -1,0 +1,236 @@
+"""From the content of one GIMO segment to a :class:`Recording` (docs/specification/gimo.md).
+
+Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
+The world is the canonical room: Y up, floor near y = 0, metres of the body
+(docs/specification/gimo.md#coordinate-chain).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from prbench.manifests import Manifest
+from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.hololens_streams import GlassesStreams, glasses_streams
+from prbench.readers.gimo.suit_skeleton import lay_skeleton
+from prbench.recording.body_quality import hold_neighbours
+from prbench.recording.streams import (
+    AnnotatedEvent,
+    BodyStream,
+    GazeStream,
+    HandStream,
+    Occluder,
+    PoseStream,
+    Recording,
+    Side,
+)
+from prbench.skeleton import WRISTS, Joint, transform_points
+from prbench.timelines import interpolate
+
+Target = Literal["point", "cube"]
+GazeOrigin = Literal["head", "hololens"]
+
+_SIDES: tuple[Side, Side] = ("left", "right")
+_UNKNOWN = "unknown"
+_SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
+
+
+def recording_from_gimo(
+    readings: gimo.GimoReadings,
+    manifest: Manifest,
+    *,
+    dataset: str,
+    target: Target = "point",
+    gaze_origin: GazeOrigin = "head",
+) -> Recording:
+    """Streams in the canonical room from native readings.
+
+    Args:
+        readings: Content of the native files.
+        manifest: Pose source, head tilt and thresholds.
+        dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
+        target: Box of an event: the wrist itself, or a cube around it.
+        gaze_origin: Where gaze rays begin: the head joint, or the eyes as HoloLens 2 saw them.
+
+    Raises:
+        InputFileError: if the suit's skeleton does not fit the pelvis track, or the HoloLens files that were asked for
+            are missing or do not fit the body.
+    """
+    body, route, body_remarks = _body(readings, manifest)
+    room_from_scan = readings.transform.room_from_scan()
+    head = PoseStream(body.times, body.joints[:, Joint.HEAD], _no_rotation(len(body.times)), body.valid)
+    glasses = glasses_streams(
+        readings, head, limit=manifest.thresholds["largest_head_distance"], required=gaze_origin == "hololens"
+    )
+    events, event_remarks = _events(readings, body, manifest, target)
+    gaze, gaze_remarks = _gaze(readings, body, glasses, manifest, gaze_origin)
+    source = manifest.other_bodies.get(route, manifest.body)
+    return Recording(
+        dataset=dataset,
+        recording_id=readings.recording_id,
+        participant_id=_UNKNOWN,
+        pose_source=source.pose_source,
+        head_tilt_deg=source.head_tilt_deg,
+        span=(float(body.times[0]), float(body.times[-1])),
+        gaze=gaze,
+        camera=glasses.camera,
+        head=glasses.head,
+        body=body,
+        hands=tuple(
+            HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
+            for side, wrist in zip(_SIDES, WRISTS, strict=True)
+        ),
+        objects=(),
+        annotated_events=events,
+        split_group=readings.segment.group,
+        occluders=tuple(
+            Occluder(mesh.name, transform_points(room_from_scan, mesh.vertices), mesh.faces) for mesh in readings.meshes
+        ),
+        world_from_source=room_from_scan,
+        messages=(*readings.messages, *body_remarks, *gaze_remarks, *glasses.messages, *event_remarks),
+    )
+
+
+def frame_times(frames: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Seconds of video frames on the recording's clock."""
+    return frames / gimo.FRAME_RATE
+
+
+def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, str, list[str]]:
+    """The 22 joints on every frame of the segment; short gaps interpolated, long ones invalid."""
+    remarks = []
+    if isinstance(readings.body, gimo.LocalJoints):
+        frames, local, route = readings.body.frames, readings.body.joints, readings.body.route
+    else:
+        poses = readings.body.poses
+        laid = lay_skeleton(
+            readings.body.motion,
+            frame_times(poses.frames),
+            poses.pelvis(),
+            name=f"{readings.segment.scene}/{readings.segment.sequence}/{gimo.SKELETON_FILE}",
+            largest_error=manifest.thresholds["largest_track_error"],
+        )
+        frames, local, route = poses.frames, laid.joints, "bvh"
+        remarks.append(
+            f"limbs from {gimo.SKELETON_FILE}, which begins {laid.start:.3f} s before the segment and follows the"
+            f" fitted pelvis within {laid.error * 1000:.0f} mm"
+        )
+        if not laid.is_sure:
+            remarks.append("the pelvis hardly moves, so the skeleton's start is a guess")
+    wanted = readings.segment.frames
+    joints, valid = _filled(frames, local, wanted, longest=round(manifest.thresholds["longest_filled_gap"]))
+    missing = len(wanted) - len(frames)
+    if missing:
+        remarks.append(
+            f"{missing} of {len(wanted)} frames have no pose, {int((~valid).sum())} in gaps too long to fill"
+        )
+    in_room = transform_points(readings.transform.room_from_body(), joints)
+    return BodyStream(frame_times(wanted), in_room, valid), route, remarks
+
+
+def _filled(
+    frames: Int[np.ndarray, " n"],
+    joints: Float[np.ndarray, "n 22 3"],
+    wanted: Int[np.ndarray, " m"],
+    *,
+    longest: int,
+) -> tuple[Float[np.ndarray, "m 22 3"], Bool[np.ndarray, " m"]]:
+    """Joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held and invalid."""
+    valid = _between(frames, wanted, longest + 1)
+    values = interpolate(frames.astype(np.float64), joints, wanted.astype(np.float64))
+    return hold_neighbours(values, valid), valid
+
+
+def _between(frames: Int[np.ndarray, " n"], wanted: Int[np.ndarray, " m"], longest_step: int) -> Bool[np.ndarray, " m"]:
+    """Frames that exist, or lie between two existing ones at most ``longest_step`` apart."""
+    right = np.searchsorted(frames, wanted)
+    exists = (right < len(frames)) & (frames[np.minimum(right, len(frames) - 1)] == wanted)
+    inner = (right > 0) & (right < len(frames))
+    step = frames[np.minimum(right, len(frames) - 1)] - frames[np.maximum(right - 1, 0)]
+    return exists | (inner & (step <= longest_step))
+
+
+def _gaze(
+    readings: gimo.GimoReadings,
+    body: BodyStream,
+    glasses: GlassesStreams,
+    manifest: Manifest,
+    gaze_origin: GazeOrigin,
+) -> tuple[GazeStream, list[str]]:
+    """Rays from the head (or the eyes) to the points on the scan; short gaps between points interpolated."""
+    points, seen = _gaze_points(readings, manifest.thresholds["longest_gaze_gap"])
+    origin, posed = body.joints[:, Joint.HEAD], body.valid
+    if gaze_origin == "hololens" and glasses.eye is not None:
+        origin, posed = glasses.eye.position, glasses.eye.valid
+    apart = np.where(seen[:, None], points - origin, 0.0)
+    distance = np.linalg.norm(apart, axis=1)
+    valid = seen & posed & (distance > _SHORTEST_LOOK)
+    direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
+    measured = len(readings.gaze.frames)
+    total = len(body.times)
+    remarks = [f"gaze on {measured} of {total} frames, {int(seen.sum()) - measured} interpolated"]
+    return GazeStream(body.times, origin, direction, valid), remarks
+
+
+def _gaze_points(
+    readings: gimo.GimoReadings, longest_gap: float
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Gaze points in the room on every frame, and where there is one."""
+    wanted, gaze = readings.segment.frames, readings.gaze
+    if len(gaze.frames) == 0:
+        return np.zeros((len(wanted), 3)), np.zeros(len(wanted), dtype=bool)
+    points = transform_points(readings.transform.room_from_scan(), gaze.points)
+    seen = _between(gaze.frames, wanted, int(longest_gap * gimo.FRAME_RATE + 1e-9))
+    return interpolate(gaze.frames.astype(np.float64), points, wanted.astype(np.float64)), seen
+
+
+def _events(
+    readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest, target: Target
+) -> tuple[tuple[AnnotatedEvent, ...], list[str]]:
+    """Picks with the wrist as their place: the dataset knows no objects.
+
+    Source: docs/specification/gimo.md#objects-and-events.
+    """
+    half = manifest.thresholds["cube_side"] / 2 if target == "cube" else 0.0
+    remarks: list[str] = []
+    events = []
+    for event in readings.events:
+        row = event.frame - readings.segment.start_frame
+        hand = event.hand or _moving_hand(body, row, manifest.thresholds["hand_window"])
+        place = body.joints[row, WRISTS[_SIDES.index(hand)]] if body.valid[row] else None
+        if place is None:
+            remarks.append(f"no pose on frame {event.frame}, so its event has no place")
+        if event.hand is None:
+            remarks.append(f"hand of frame {event.frame} not annotated: the {hand} one moves more before it")
+        if event.source == "hint":
+            remarks.append(f"event frame {event.frame} is the table's hint, nobody has confirmed it")
+        events.append(
+            AnnotatedEvent(
+                native_key=str(event.frame),
+                action="pick",
+                object_id=gimo.OBJECT_ID,
+                object_name=readings.segment.activity or gimo.OBJECT_ID,
+                event_time=float(frame_times(np.array([event.frame]))[0]),
+                location=place,
+                box_min=None if place is None else place - half,
+                box_max=None if place is None else place + half,
+                hand=hand,
+                hand_source="annotated" if event.hand is not None else "movement",
+            )
+        )
+    return tuple(events), remarks
+
+
+def _moving_hand(body: BodyStream, row: int, window: float) -> Side:
+    """The wrist with the longer path in the last moments before a frame."""
+    first = max(row - round(window * gimo.FRAME_RATE), 0)
+    wrists = body.joints[first : row + 1][:, WRISTS]
+    paths = np.linalg.norm(np.diff(wrists, axis=0), axis=2).sum(axis=0)
+    return _SIDES[int(paths.argmax())]
+
+
+def _no_rotation(n: int) -> Float[np.ndarray, "n 4"]:
+    return np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))

@@ -1,0 +1,171 @@
+"""HD-EPIC: folders, keys, the video's clock, and the content of one video (docs/specification/hd-epic.md).
+
+World: one a participant, metres, Z up. Times: seconds of the video in the annotations, device nanoseconds elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from prbench.readers.aria_mps.format import GlassesSize, MpsReadings
+from prbench.readers.egoallo.format import EgoAlloBody
+
+DATA_FOLDER, INTERMEDIATE_FOLDER = "HD-EPIC", "HD-EPIC Intermediate Data"
+ANNOTATIONS_FOLDER = "hd-epic-annotations"
+VIDEOS_FOLDER, MPS_FOLDER = "Videos", "SLAM-and-Gaze"
+MULTI_SLAM_FOLDER, OTHER_SLAM_FOLDER, GAZE_FOLDER = "SLAM/multi", "SLAM/other_aligned", "GAZE_HAND"
+SLAM_MAP_FILE = "vrs_to_multi_slam.json"
+TIME_SUFFIX, LOG_SUFFIX = "_mp4_to_vrs_time_ns.csv", "_vrs_to_mp4_log.json"
+MOVEMENTS_FOLDER = "scene-and-object-movements"
+ASSOCIATIONS_FILE, MASKS_FILE = "assoc_info.json", "mask_info.json"
+PRIMING_FOLDERS = ("eye-gaze-priming", "eye_gaze_priming")
+"""As the annotation repository spells it, and as its README does."""
+PRIMING_FILE = "priming_info.json"
+FRAMES_FILE, DEVICE_CALIBRATION_FILE = "framewise_info.jsonl", "device_calibration.json"
+
+MP4_TIME, RELATIVE_TIME, DEVICE_TIME = "mp4_time_ns", "relative_vrs_device_time_ns", "vrs_device_time_ns"
+
+FPS = 30.0
+IMAGE_SIZE = 1408
+"""Pixels, both ways."""
+FOCAL_LENGTH = 607.0
+"""Pixels, of the 1408 image."""
+
+NO_FIXTURE = "Null"
+NOT_PRIMED, EXCLUDED = -1, -2
+"""Values of ``frame_primed`` that are no frames: tested in vain, never tested."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Numbers that the dataset's page leaves to choose; the manifest holds them."""
+
+    farthest_mask_frames: float
+    """A mask further from an event does not show it."""
+    sure_wrist: float
+    """Confidence above which a tracked wrist tells the hand of an event."""
+    same_frame: float
+    """Frames within which an entry of the priming file belongs to an event."""
+    same_place_m: float
+    """Metres within which it does."""
+    stale_gaze_s: float
+    """Intermediate data: gaze further than this from the frame it is written beside is none of it."""
+
+
+@dataclass(frozen=True)
+class VideoClock:
+    """Device time of every video frame; an image that is shown twice repeats its time, a skipped one leaves a jump."""
+
+    device_ns: Int[np.ndarray, " frames"]
+
+    def device_seconds(self, frames: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Device time of (fractions of) frames, seconds: linear between the rows, by the frame rate beyond the last."""
+        last = len(self.device_ns) - 1
+        inside = np.clip(frames, 0, last)
+        start = self.device_ns[0]
+        since_start = np.interp(inside, np.arange(last + 1), (self.device_ns - start).astype(np.float64))
+        return start / 1e9 + since_start / 1e9 + (frames - inside) / FPS
+
+    def frames(self, device_seconds: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """The inverse: frame numbers of device times; the first frame of a repeat."""
+        first = np.append(True, np.diff(self.device_ns) > 0)
+        start = self.device_ns[0]
+        since_start = (self.device_ns[first] - start).astype(np.float64)
+        return np.interp((device_seconds - start / 1e9) * 1e9, since_start, np.flatnonzero(first))
+
+    def covers(self, frames: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Whether frames lie in the video as far as its rows go; half a frame beyond the ends does."""
+        return (frames >= -0.5) & (frames <= len(self.device_ns) - 0.5)
+
+    @property
+    def repeats(self) -> int:
+        """Frames whose image is that of the frame before."""
+        return int((np.diff(self.device_ns) == 0).sum())
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Device time of the first and the last frame, seconds."""
+        return float(self.device_ns[0] / 1e9), float(self.device_ns[-1] / 1e9)
+
+
+@dataclass(frozen=True)
+class ObjectMask:
+    """Where an object was seen in one frame."""
+
+    mask_id: str
+    frame: int
+    location: Float[np.ndarray, "3"] | None
+    """A single point, world (Z up), metres; None where the file gives none."""
+    box_px: Float[np.ndarray, "4"] | None
+    """x min, y min, x max, y max in the 1408 image."""
+    fixture: str | None
+    """What it stands on, for example ``P01_counter.001``; None for ``Null``."""
+
+
+@dataclass(frozen=True)
+class ObjectTrack:
+    """One movement: lifted at ``start``, released at ``end``."""
+
+    track_id: str
+    object_id: str
+    """Of the association: one object in one video."""
+    name: str
+    start: float
+    """Seconds of the video, not on the grid of its frames."""
+    end: float
+    masks: tuple[ObjectMask, ...]
+    """In the order of the file, which says nothing."""
+
+
+@dataclass(frozen=True)
+class PublishedSide:
+    """What the dataset's own pipeline found for one start or end of a movement."""
+
+    key: str
+    """Object id in the priming file and ``start`` or ``end``."""
+    is_start: bool
+    frame: int
+    location: Float[np.ndarray, "3"] | None
+    """World (Z up), metres; None where the file gives none."""
+    frame_primed: int
+    """Frame of the video; -1 tested and not primed, -2 never tested."""
+
+
+@dataclass(frozen=True)
+class FrameReadings:
+    """The intermediate data: what a newer release says about every frame, in place of MPS files.
+
+    Rows without a pose or without gaze hold NaN there.
+    """
+
+    tracking_ns: Int[np.ndarray, " frames"]
+    slam_ns: Int[np.ndarray, " frames"]
+    """-1 without a pose."""
+    gaze_ns: Int[np.ndarray, " frames"]
+    """-1 without gaze."""
+    world_from_device: Float[np.ndarray, "frames 3 4"]
+    gaze_direction: Float[np.ndarray, "frames 3"]
+    """World."""
+    glasses_size: GlassesSize | None
+    device_from_rgb: Float[np.ndarray, "4 4"] | None
+    rgb_focal_length: float | None = None
+    """Pixels of the 1408 image."""
+
+
+@dataclass(frozen=True)
+class HdEpicReadings:
+    """All that curation needs of one video."""
+
+    video: str
+    participant_id: str
+    """Name of the folder that the video lies in; all videos of one participant share a kitchen and a world."""
+    clock: VideoClock
+    tracks: tuple[ObjectTrack, ...]
+    priming: tuple[PublishedSide, ...] | None
+    """None where the dataset's priming file is not there."""
+    glasses: MpsReadings | FrameReadings
+    body: EgoAlloBody | None
+    messages: tuple[str, ...] = ()

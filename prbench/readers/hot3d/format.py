@@ -1,0 +1,146 @@
+"""HOT3D: file names, columns, and the content of one Aria recording (docs/specification/hot3d.md).
+
+Native world: metres, Z up, gravity (0, 0, -9.81); the same as that of the recording's MPS files. Ground truth has a
+clock of its own (TIME_CODE, integer nanoseconds), MPS the glasses' device clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from prbench.readers.aria_mps.format import MpsReadings
+from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
+from prbench.readers.hot3d.umetrack import HandModel
+
+METADATA_FILE = "metadata.json"
+OBJECTS_FILE = "dynamic_objects.csv"
+HEADSET_FILE = "headset_trajectory.csv"
+UMETRACK_FILE = "umetrack_hand_pose_trajectory.jsonl"
+PROFILE_FILE = "umetrack_hand_user_profile.json"
+MANO_FILE = "mano_hand_pose_trajectory.jsonl"
+MASK_FOLDER, MPS_FOLDER = "masks", "mps"
+INSTANCES_FILE = "instance.json"
+LIBRARY_FOLDERS = ("assets", "object_library")
+"""Where the object models lie, beside the recordings or one level up."""
+ARIA = "Aria"
+LIBRARY_OBJECT = "object"
+"""``instance_type`` of what can be held; the headsets are listed too."""
+
+OBJECT_ID, TIME = "object_uid", "timestamp[ns]"
+POSITION = ("t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]")
+ROTATION = ("q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z")
+STREAM, MASK = "stream_id", "mask"
+RGB_STREAM, SLAM_STREAMS = "214-1", ("1201-1", "1201-2")
+HAND_KEYS: dict[Literal["left", "right"], str] = {"left": "0", "right": "1"}
+
+MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
+MASK_NAMES: tuple[MaskName, ...] = (
+    "qa_pass",
+    "headset_pose_available",
+    "object_pose_available",
+    "hand_pose_available",
+)
+"""Masks that curation honours; their files are ``masks/mask_<name>.csv``."""
+
+PAIR_NS = 1_000_000
+"""Rows closer than this belong to one instant: RGB and SLAM cameras are 91 us apart."""
+
+
+def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Rows that are not within a millisecond of the row before them: one of RGB and SLAM camera an instant."""
+    return np.diff(time_ns, prepend=time_ns[:1] - PAIR_NS) >= PAIR_NS
+
+
+@dataclass(frozen=True)
+class PoseRows:
+    """One body of ``dynamic_objects.csv`` or ``headset_trajectory.csv``: its frame to the world."""
+
+    time_ns: Int[np.ndarray, " n"]
+    position: Float[np.ndarray, "n 3"]
+    rotation: Float[np.ndarray, "n 4"]
+    """w x y z."""
+
+
+@dataclass(frozen=True)
+class ObjectMesh:
+    """A ``.glb`` model in the object's frame, metres, node transforms applied."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+
+@dataclass(frozen=True)
+class Hot3dObject:
+    """One object of a recording."""
+
+    object_id: str
+    """Up to 15 digits."""
+    name: str
+    rows: PoseRows
+    mesh: ObjectMesh | None
+    """None where its model is missing."""
+
+
+@dataclass(frozen=True)
+class HandRows:
+    """One hand over time, UmeTrack or MANO: rows where it is tracked."""
+
+    side: Literal["left", "right"]
+    time_ns: Int[np.ndarray, " n"]
+    position: Float[np.ndarray, "n 3"]
+    """UmeTrack: the wrist. MANO: the model's translation, which is not the wrist."""
+    rotation: Float[np.ndarray, "n 4"]
+    """w x y z, hand to world."""
+    angles: Float[np.ndarray, "n k"]
+    """UmeTrack: 22 joint angles, radians. MANO: 15 coefficients."""
+    betas: Float[np.ndarray, " b"]
+    """MANO: 10 shape numbers; empty for UmeTrack."""
+
+
+@dataclass(frozen=True)
+class HandPoints:
+    """One hand over time: wrist and mesh, world."""
+
+    side: Literal["left", "right"]
+    time_ns: Int[np.ndarray, " n"]
+    wrist: Float[np.ndarray, "n 3"]
+    vertices: Float[np.ndarray, "n v 3"]
+
+
+@dataclass(frozen=True)
+class MaskRows:
+    """One mask of the RGB stream."""
+
+    time_ns: Int[np.ndarray, " n"]
+    good: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Hot3dReadings:
+    """What the sensors of one HOT3D recording say: the content of its files, before or after the text."""
+
+    recording_id: str
+    participant_id: str
+    headset: PoseRows
+    """Device to world, on the clock of the ground truth; the MPS trajectory at the nearest millisecond."""
+    objects: tuple[Hot3dObject, ...]
+    hands: tuple[HandRows, ...]
+    """UmeTrack."""
+    hand_model: HandModel | None
+    """None where the profile is missing: then there are wrists, but no vertices."""
+    masks: dict[MaskName, MaskRows]
+    """Those that the recording has."""
+    mps: MpsReadings
+    """With the whole trajectory, which tells the clocks' offset."""
+    body: EgoAlloBody | None
+    """On the device clock; None without EgoAllo's outputs."""
+    mano_hands: tuple[HandPoints, ...] | None = None
+    """Posed by the licensed MANO model, where that is asked for; they replace UmeTrack's."""
+    egoallo_outputs: tuple[EgoAlloOutput, ...] = ()
+    """Not read, only written: what ``body`` was computed from."""
+    messages: tuple[str, ...] = ()
+    """What reading the files brought up."""

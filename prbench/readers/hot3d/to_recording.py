@@ -1,0 +1,202 @@
+"""From the content of one HOT3D recording to a :class:`Recording` (docs/specification/hot3d.md).
+
+Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
+Recording clock: seconds of the ground truth (TIME_CODE), to which the device times of MPS and EgoAllo are moved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from prbench.axes import Y_UP_FROM_Z_UP, y_up
+from prbench.manifests import Manifest
+from prbench.readers.aria_mps.format import MpsReadings, thinned
+from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
+from prbench.readers.egoallo.to_recording import body_stream
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
+from prbench.readers.hot3d.hand_streams import hand_streams
+from prbench.recording.streams import ObjectTrack, Occluder, Recording
+from prbench.timelines import nearest_index, require_overlap
+
+
+def recording_from_hot3d(
+    readings: hot3d.Hot3dReadings, manifest: Manifest, *, dataset: str, meshes: bool = False
+) -> Recording:
+    """Streams in the world from native readings.
+
+    Args:
+        readings: Content of the native files.
+        manifest: Pose source, head tilt, thresholds.
+        dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
+        meshes: Whether objects carry their surfaces and occlude.
+
+    Raises:
+        RecordingUnusable: if the clocks cannot be aligned.
+        StreamsDoNotOverlap: if ground truth, glasses and gaze share no instant.
+    """
+    clock = _align(readings)
+    mps = _on_truth_clock(thinned(readings.mps), clock)
+    streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
+    frames = GoodFrames(readings, skipped_start=manifest.thresholds["skipped_start_without_qa"])
+    body = None
+    if readings.body is not None:
+        retimed = replace(readings.body, time_ns=clock.truth_ns(readings.body.time_ns))
+        body = body_stream(retimed, world_from_source=Y_UP_FROM_Z_UP)
+    hands, hand_remarks = hand_streams(readings, lambda time_ns: frames.good(time_ns, "hand_pose_available"))
+    longest_gap = manifest.thresholds["longest_interpolated_object_gap"]
+    objects = tuple(
+        object_track(entry, frames.good(entry.rows.time_ns, "object_pose_available"), longest_gap, meshes=meshes)
+        for entry in readings.objects
+    )
+    span = float(readings.headset.time_ns[0] / 1e9), float(readings.headset.time_ns[-1] / 1e9)
+    _check_overlap(readings, span, streams)
+    source = manifest.body
+    return Recording(
+        dataset=dataset,
+        recording_id=readings.recording_id,
+        participant_id=readings.participant_id,
+        pose_source=source.pose_source if body is not None else "none",
+        head_tilt_deg=source.head_tilt_deg,
+        span=span,
+        gaze=replace(streams.gaze, valid=streams.gaze.valid & frames.glasses_good(streams.gaze.times)),
+        camera=replace(streams.camera, valid=streams.camera.valid & frames.glasses_good(streams.camera.times)),
+        head=replace(streams.head, valid=streams.head.valid & frames.glasses_good(streams.head.times)),
+        body=body,
+        hands=hands,
+        objects=objects,
+        split_group=readings.recording_id,
+        occluders=tuple(track.surface for track in objects if track.surface is not None),
+        world_from_source=Y_UP_FROM_Z_UP,
+        messages=(
+            *readings.messages,
+            *streams.messages,
+            *(readings.body.messages if readings.body is not None else ()),
+            clock.remark,
+            *hand_remarks,
+            *_remarks(readings, frames),
+        ),
+    )
+
+
+def object_track(
+    entry: hot3d.Hot3dObject, good: Bool[np.ndarray, " n"], longest_gap: float, *, meshes: bool = False
+) -> ObjectTrack:
+    """The track of one object: one row an instant, gaps longer than ``longest_gap`` seconds marked as such.
+
+    Rows are missing in real recordings, and a missing row is a gap: nothing is held. Short ones are interpolated by
+    whoever asks for a pose. Without a model the box is the object's origin.
+    """
+    kept = hot3d.first_of_pairs(entry.rows.time_ns)
+    times, position = entry.rows.time_ns[kept] / 1e9, y_up(entry.rows.position[kept])
+    turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
+    rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
+    valid = good[kept]
+    gaps = np.flatnonzero(np.diff(times) > longest_gap)
+    vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh.vertices
+    return ObjectTrack(
+        object_id=entry.object_id,
+        name=entry.name,
+        category=entry.name,
+        times=np.insert(times, gaps + 1, (times[gaps] + times[gaps + 1]) / 2 if len(gaps) else []),
+        position=np.insert(position, gaps + 1, position[gaps], axis=0),
+        rotation=np.insert(rotation, gaps + 1, rotation[gaps], axis=0),
+        valid=np.insert(valid, gaps + 1, False),
+        box_min=vertices.min(axis=0),
+        box_max=vertices.max(axis=0),
+        movable=True,
+        surface=_occluder(entry) if meshes else None,
+    )
+
+
+class GoodFrames:
+    """Which instants of the ground truth can be used: the recording's masks, each absent one taken as all true."""
+
+    def __init__(self, readings: hot3d.Hot3dReadings, *, skipped_start: float) -> None:
+        self._masks = readings.masks
+        self.has_qa = "qa_pass" in readings.masks and len(readings.masks["qa_pass"].good) > 0
+        self.skipped_start = 0.0 if self.has_qa else skipped_start
+        """Seconds without use at the start, where no mask tells that the hands are right from the first frame."""
+        self._first_ns = int(readings.headset.time_ns[0]) + round(self.skipped_start * 1e9)
+
+    def good(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
+        """Whether a stream of ground truth can be used at given times."""
+        return self._flag(time_ns, mask) & self._flag(time_ns, "qa_pass") & (time_ns >= self._first_ns)
+
+    def glasses_good(self, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Whether the glasses' poses can be used at given times, seconds; hands do not matter to them."""
+        return self._flag(np.rint(times * 1e9).astype(np.int64), "headset_pose_available")
+
+    def _flag(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
+        rows = self._masks.get(mask)
+        if rows is None or len(rows.time_ns) == 0:
+            return np.ones(len(time_ns), dtype=bool)
+        start = rows.time_ns[0]  # from there on floats hold nanoseconds exactly
+        return rows.good[nearest_index((rows.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64))]
+
+
+def _align(readings: hot3d.Hot3dReadings) -> ClockMatch:
+    headset, device = readings.headset, readings.mps.trajectory
+    return match_clocks(
+        headset.time_ns,
+        headset.position,
+        headset.rotation,
+        device.time_us * 1000,
+        device.position,
+        device.rotation,
+        recording=readings.recording_id,
+    )
+
+
+def _on_truth_clock(mps: MpsReadings, clock: ClockMatch) -> MpsReadings:
+    """The same readings stamped by the clock of the ground truth, in whole microseconds."""
+
+    def moved(time_us: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        shifted = np.rint(clock.truth_ns(time_us * 1000) / 1000).astype(np.int64)
+        number = np.arange(len(shifted))
+        return np.maximum.accumulate(shifted - number) + number  # rounding must not make two times equal
+
+    return replace(
+        mps,
+        trajectory=replace(mps.trajectory, time_us=moved(mps.trajectory.time_us)),
+        gaze=replace(mps.gaze, time_us=moved(mps.gaze.time_us)),
+        wrists=None,  # hands come from the ground truth
+    )
+
+
+def _check_overlap(readings: hot3d.Hot3dReadings, span: tuple[float, float], streams: MpsStreams) -> None:
+    ranges = {"ground truth": span, "glasses": (float(streams.head.times[0]), float(streams.head.times[-1]))}
+    if len(streams.gaze.times):
+        ranges["gaze"] = float(streams.gaze.times[0]), float(streams.gaze.times[-1])
+    starts, ends = zip(*((entry.rows.time_ns[0], entry.rows.time_ns[-1]) for entry in readings.objects), strict=True)
+    ranges["objects"] = float(min(starts) / 1e9), float(max(ends) / 1e9)
+    require_overlap(ranges, recording=readings.recording_id)
+
+
+def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
+    if entry.mesh is None:
+        return None
+    return Occluder(entry.name, entry.mesh.vertices, entry.mesh.faces, entry.object_id)
+
+
+def _remarks(readings: hot3d.Hot3dReadings, frames: GoodFrames) -> tuple[str, ...]:
+    """What a user should know about these readings."""
+    remarks = []
+    if frames.skipped_start:
+        remarks.append(f"no mask_qa_pass: the first {frames.skipped_start} s of objects and hands are not used")
+    bad = int((~readings.masks["qa_pass"].good).sum()) if frames.has_qa else 0
+    if bad:
+        remarks.append(f"{bad} of {len(readings.masks['qa_pass'].good)} frames fail the quality check and are invalid")
+    without = [entry.name for entry in readings.objects if entry.mesh is None]
+    if without:
+        remarks.append(f"objects without a model, whose box is their origin as a point: {', '.join(sorted(without))}")
+    most = max(int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) for entry in readings.objects)
+    for entry in readings.objects:
+        share = 1 - int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) / most
+        if share > 0.2:
+            remarks.append(f"{entry.name} lacks {share:.0%} of its poses")
+    return tuple(remarks)

@@ -1,0 +1,215 @@
+"""From the content of one MoGaze recording to a :class:`Recording` (docs/specification/mogaze.md).
+
+Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from prbench.axes import Y_UP_FROM_Z_UP
+from prbench.manifests import Manifest
+from prbench.readers.mogaze import body as mogaze_body
+from prbench.readers.mogaze import format as mogaze
+from prbench.readers.mogaze.events import annotated_events
+from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
+from prbench.recording.streams import (
+    BodyStream,
+    GazeStream,
+    HandStream,
+    ObjectTrack,
+    Occluder,
+    PoseStream,
+    Recording,
+    Side,
+)
+from prbench.skeleton import WRISTS, transform_points
+
+JointMapping = Literal["anatomical", "named"]
+"""``anatomical``: the manifest's default; or one of its other mappings."""
+
+_SIDES: tuple[Side, Side] = ("left", "right")
+_UNIT_TOLERANCE = 0.1
+_TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
+_MILLIMETRES = 1000.0
+_ROUNDING = 1e-9  # s
+
+
+def recording_from_mogaze(
+    readings: mogaze.MogazeReadings,
+    manifest: Manifest,
+    *,
+    dataset: str,
+    joint_mapping: JointMapping = "anatomical",
+    legacy_gaze: bool = False,
+) -> Recording:
+    """Streams in the world from native readings.
+
+    Args:
+        readings: Content of the native files.
+        manifest: Joint mappings, thresholds, pose source and head tilt.
+        dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
+        joint_mapping: How the 22 joints are made of the 21 links.
+        legacy_gaze: See :func:`prbench.readers.mogaze.format.gaze_directions`.
+    """
+    times = np.arange(len(readings.state)) / mogaze.RATE
+    links, turned = mogaze_body.forward_kinematics(readings.state, mogaze_body.link_offsets(readings.fixed))
+    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
+    native_joints = mogaze_body.body_joints(links, named)
+    plausible = plausible_body_frames(times, native_joints)
+    world_from_source = _world_from_source(links[plausible], manifest)
+    body = BodyStream(times, hold_neighbours(transform_points(world_from_source, native_joints), plausible), plausible)
+    goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
+    tracked = seen(goggles.position, goggles.rotation)
+    eyes = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
+    head = _head(times, eyes, tracked, turned[:, mogaze_body.LINKS.index("head")])
+    directions, usable, in_metres = _gaze(readings, goggles, manifest, legacy=legacy_gaze)
+    gaze = GazeStream(times, eyes, directions, usable)
+    bodies = [each for each in readings.bodies if each is not goggles]
+    tracks = tuple(_track(times, each, world_from_source) for each in bodies)
+    events, skipped = annotated_events(readings.segments, tracks, body, int(manifest.thresholds["rest_window"]))
+    return Recording(
+        dataset=dataset,
+        recording_id=readings.recording_id,
+        participant_id=readings.participant_id,
+        pose_source=manifest.body.pose_source,
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        span=(0.0, float(times[-1])),
+        gaze=gaze,
+        camera=head,
+        head=head,
+        body=body,
+        hands=tuple(
+            HandStream(side, "wrist", times, body.joints[:, [wrist]], plausible)
+            for side, wrist in zip(_SIDES, WRISTS, strict=True)
+        ),
+        objects=tracks,
+        annotated_events=events,
+        split_group=readings.recording_id,
+        occluders=tuple(
+            Occluder(each.name, each.vertices, each.faces, str(each.body_id))
+            for each in bodies
+            if each.vertices is not None and each.faces is not None
+        ),
+        world_from_source=world_from_source,
+        messages=readings.messages
+        + _remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres)
+        + skipped
+        + ((f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ())
+        + (("gaze by the formula of the dataset's player",) if legacy_gaze else ()),
+    )
+
+
+def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
+    """Frames in which a body was tracked: finite, with a quaternion of about unit length."""
+    length = np.linalg.norm(rotation, axis=1)
+    return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
+
+
+def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
+    """For each frame the last valid one, and whether that is at most ``longest`` frames ago."""
+    frames = np.arange(len(valid))
+    last = np.maximum.accumulate(np.where(valid, frames, -1))
+    return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)
+
+
+def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -> Float[np.ndarray, "4 4"]:
+    """Z up to Y up; the floor is moved to 0 where the lowest toes tell that it lies elsewhere."""
+    world_from_source = np.eye(4)
+    world_from_source[:3, :3] = _TO_WORLD
+    toes = [mogaze_body.LINKS.index(name) for name in ("lToe", "rToe")]
+    if len(links):
+        lowest = float(np.percentile(links[:, toes, 2].min(axis=1), 1.0))
+        if abs(lowest) > manifest.thresholds["floor_tolerance"]:
+            world_from_source[1, 3] = -lowest
+    return world_from_source
+
+
+def _head(
+    times: Float[np.ndarray, " n"],
+    position: Float[np.ndarray, "n 3"],
+    tracked: Bool[np.ndarray, " n"],
+    head_link: Float[np.ndarray, "n 3 3"],
+) -> PoseStream:
+    """Where the goggles are, turned as the head is: the goggles' own axes mean nothing."""
+    known = np.isfinite(head_link).all(axis=(1, 2))
+    face = np.array(mogaze_body.HEAD_FROM_CPF)
+    turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
+    rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
+    return PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
+
+
+def _gaze(
+    readings: mogaze.MogazeReadings, goggles: mogaze.MogazeBody, manifest: Manifest, *, legacy: bool
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], bool]:
+    """Directions in the world, which of them are valid, and whether the gaze points are metres."""
+    tracked = seen(goggles.position, goggles.rotation)
+    confident = readings.gaze_confidence >= manifest.thresholds["gaze_confidence"]
+    points = readings.gaze_points
+    known = points[confident & np.isfinite(points).all(axis=1)]
+    in_metres = len(known) > 0 and np.median(np.linalg.norm(known, axis=1)) < manifest.thresholds["metre_scale"]
+    native = np.full(points.shape, np.nan)
+    if tracked.any():
+        native[tracked] = mogaze.gaze_directions(
+            goggles.position[tracked],
+            Rotation.from_quat(goggles.rotation[tracked]).as_matrix(),
+            Rotation.from_quat(readings.calibration).as_matrix(),
+            points[tracked] * (_MILLIMETRES if in_metres else 1.0),
+            legacy=legacy,
+        )
+    measured = confident & np.isfinite(native).all(axis=1)
+    source, recent = held_index(measured, int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING))
+    usable = measured[source]
+    held = native[source] @ _TO_WORLD.T
+    return np.where(usable[:, None], held, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
+
+
+def _track(
+    times: Float[np.ndarray, " n"], body: mogaze.MogazeBody, world_from_source: Float[np.ndarray, "4 4"]
+) -> ObjectTrack:
+    valid = seen(body.position, body.rotation)
+    native = Rotation.from_quat(np.where(valid[:, None], body.rotation, (0.0, 0.0, 0.0, 1.0)))
+    rotation = (Rotation.from_matrix(_TO_WORLD) * native).as_quat(canonical=True, scalar_first=True)
+    return ObjectTrack(
+        object_id=str(body.body_id),
+        name=body.name,
+        category=mogaze.kind_of_body(body.name),
+        times=times,
+        position=hold_neighbours(transform_points(world_from_source, body.position), valid),
+        rotation=hold_neighbours(rotation, valid) if valid.any() else rotation,
+        valid=valid,
+        box_min=body.box_min,
+        box_max=body.box_max,
+        movable=not mogaze.is_furniture(body.name),
+    )
+
+
+def _remarks(
+    world_from_source: Float[np.ndarray, "4 4"],
+    body: BodyStream,
+    head: PoseStream,
+    gaze: GazeStream,
+    tracks: tuple[ObjectTrack, ...],
+    *,
+    in_metres: bool,
+) -> tuple[str, ...]:
+    """What a user should know about these readings."""
+    remarks = []
+    if world_from_source[1, 3]:
+        remarks.append(f"the lowest toes are at {-world_from_source[1, 3]:.2f} m: the floor is moved there")
+    if not body.valid.all():
+        remarks.append(f"{int((~body.valid).sum())} of {len(body.valid)} body frames are implausible and invalid")
+    if not head.valid.all():
+        remarks.append(f"the goggles or the head are lost in {int((~head.valid).sum())} of {len(head.valid)} frames")
+    if not gaze.valid.all():
+        remarks.append(f"{int((~gaze.valid).sum())} of {len(gaze.valid)} gaze samples are invalid")
+    if in_metres:
+        remarks.append("the gaze points are taken for metres: their median length is below 20")
+    unknown = [track.name for track in tracks if (track.box_min == track.box_max).all()]
+    if unknown:
+        remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
+    return tuple(remarks)

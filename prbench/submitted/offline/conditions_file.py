@@ -1,0 +1,107 @@
+"""The rows of a conditions file in memory, and batches of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.contract import GIVEN, Condition, ConditionBatch
+from prbench.errors import UsageError
+from prbench.submitted.offline.information import ConditionsInfo
+
+DEFAULT_BATCH_SIZE = 64
+SUFFIXES = (".parquet", ".npz")
+
+
+@dataclass(frozen=True)
+class SampledBatch:
+    """Some rows of a conditions file as a method gets them."""
+
+    sample: int
+    """Which of the motions of each sequence is drawn; the same for all rows."""
+    rows: Int[np.ndarray, " batch"]
+    """Their places in the file, from 0."""
+    batch: ConditionBatch
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionsFile:
+    """One row a motion to be generated, sorted by opaque id, then sample. Canonical frame, metres."""
+
+    info: ConditionsInfo
+    opaque_id: tuple[str, ...]
+    sample: Int[np.ndarray, " n"]
+    noise_seed: Int[np.ndarray, " n"]
+    n_frames: Int[np.ndarray, " n"]
+    fps: Float[np.ndarray, " n"]
+    text: tuple[str, ...] | None = None
+    initial_joints: Float[np.ndarray, "n 22 3"] | None = None
+    previous_joints: Float[np.ndarray, "n 22 3"] | None = None
+    goal_joints: Float[np.ndarray, "n 22 3"] | None = None
+    goal_location: Float[np.ndarray, "n 3"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.opaque_id)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the columns that depend on the condition, in the order of the format."""
+        return given_columns(self.info.condition)
+
+    def rows(self, rows: Int[np.ndarray, " rows"]) -> ConditionsFile:
+        """Some of the rows, in the order given."""
+        names = [field.name for field in dataclasses.fields(self) if field.name != "info"]
+        columns: dict[str, Any] = {name: _taken(getattr(self, name), rows) for name in names}
+        return ConditionsFile(info=self.info, **columns)
+
+    def batches(self, batch_size: int = DEFAULT_BATCH_SIZE) -> Iterator[SampledBatch]:
+        """All rows in batches of one sample and one frame rate, each as long as the file's order allows.
+
+        Args:
+            batch_size: Largest number of rows in a batch.
+        """
+        if batch_size < 1:
+            raise UsageError(f"expected a batch size of 1 or more, found {batch_size}.")
+        for sample in np.unique(self.sample):
+            for fps in np.unique(self.fps):
+                rows = np.flatnonzero((self.sample == sample) & (self.fps == fps))
+                for start in range(0, len(rows), batch_size):
+                    part = rows[start : start + batch_size]
+                    yield SampledBatch(int(sample), part, self._batch(part, float(fps)))
+
+    def _batch(self, rows: np.ndarray, fps: float) -> ConditionBatch:
+        given: dict[str, Any] = {name: _taken(getattr(self, name), rows) for name in self.given}
+        return ConditionBatch(
+            condition=self.info.condition,
+            n_frames=self.n_frames[rows].astype(np.int64),
+            fps=fps,
+            opaque_id=tuple(self.opaque_id[row] for row in rows),
+            noise_seed=tuple(int(seed) for seed in self.noise_seed[rows]),
+            **given,
+        )
+
+
+def given_columns(condition: Condition) -> tuple[str, ...]:
+    """The columns that a condition fills beyond those that every file has, in the order of the format."""
+    order = ("text", "initial_joints", "previous_joints", "goal_joints", "goal_location")
+    return tuple(name for name in order if name in GIVEN[condition])
+
+
+def require_suffix(path: Path) -> None:
+    """Refuse a name that does not say which format is meant.
+
+    Raises:
+        UsageError: naming the two suffixes.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}, found '{path.suffix}'.")
+
+
+def _taken(values: tuple[str, ...] | np.ndarray | None, rows: np.ndarray) -> tuple[str, ...] | np.ndarray | None:
+    return tuple(values[row] for row in rows) if isinstance(values, tuple) else None if values is None else values[rows]

@@ -1,0 +1,223 @@
+"""``prbench export-conditions``: what a method may see of one or several tables, in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prbench.contract import Condition, ConditionBatch
+from prbench.errors import AdapterError, RedistributionError, UsageError
+from prbench.evaluation.conditions import ConditionSource, derangement, run_salt
+from prbench.evaluation.controls import SHUFFLED_GOAL
+from prbench.evaluation.planning import Selection, select
+from prbench.evaluation.preparation import supported
+from prbench.locks import sole_writer
+from prbench.manifests import load_protocol
+from prbench.methods.native_rate import at_native_rate
+from prbench.paths import turn_into_paths
+from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.redistribution import may_pass_on, notice
+from prbench.storage import write_text
+from prbench.submitted.offline.conditions_file import ConditionsFile, given_columns, require_suffix
+from prbench.submitted.offline.information import ConditionsInfo, fingerprints
+from prbench.submitted.offline.read import write_conditions
+
+_RECORDED_MOTION = frozenset({"initial_joints", "previous_joints", "goal_joints", "goal_location"})
+GOALS = frozenset({"goal_joints", "goal_location"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportRequest:
+    """Which conditions to write.
+
+    Raises:
+        UsageError: if parts of it do not fit together.
+    """
+
+    data: tuple[Path, ...]
+    """Dataset folders."""
+    condition: Condition
+    out: Path
+    """``.parquet`` or ``.npz``."""
+    seed: int = 0
+    samples: int = 1
+    split: str = "test"
+    limit: int | None = None
+    """As `prbench run --limit`: of each dataset so many sequences."""
+    max_frames: int | None = None
+    """Leave out longer sequences; they count as unsupported when the motions are scored."""
+    native_fps: float | None = None
+    """Ask for motions at this rate; they are brought back to the table's when they are scored."""
+    control: str | None = None
+    """``shuffled-goal`` or None. Stands nowhere in the file: whoever scores finds it out from the goals."""
+    permitted: Collection[str] = ()
+    """Datasets whose licensor lets the user pass on recorded motion."""
+
+    def __post_init__(self) -> None:
+        turn_into_paths(self, "data", "out")
+        require_suffix(self.out)
+        if not self.data:
+            raise UsageError("conditions need one dataset folder or more (--data DIR).")
+        for name, value in (("--samples", self.samples), ("--max-frames", self.max_frames)):
+            if value is not None and value < 1:
+                raise UsageError(f"{name}: expected 1 or more, found {value}.")
+        if self.seed < 0:
+            raise UsageError(f"--seed: expected 0 or more, found {self.seed}.")
+        if self.native_fps is not None and not 0 < self.native_fps <= 1000:
+            raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {self.native_fps:g}.")
+        if self.control not in (None, SHUFFLED_GOAL):
+            raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
+        if self.control == SHUFFLED_GOAL and not GOALS & set(given_columns(self.condition)):
+            raise UsageError(f"--control {SHUFFLED_GOAL}: condition '{self.condition.value}' gives no goal to shuffle.")
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written."""
+
+    out: Path
+    rows: int
+    """Motions to be generated."""
+    sequences: dict[str, int]
+    """By dataset."""
+    left_out: dict[str, int]
+    """Sequences longer than ``max_frames``, by dataset."""
+    notices: tuple[str, ...]
+    """What the datasets' terms ask of whoever passes the file on; stands beside it as ``*.NOTICE.txt``."""
+
+
+def export_conditions(request: ExportRequest) -> ExportReport:
+    """Write what a method may see, and nothing else.
+
+    The file names no dataset, no sequence and no path; its rows are sorted by opaque id, which tells nothing.
+
+    Raises:
+        RedistributionError: if the condition holds recorded poses or goals that a dataset's terms keep.
+        TableError: if a table is missing, empty or of an unknown version, or a split is empty.
+        UsageError: if datasets repeat, or shuffled goals find no other sequence.
+        StorageError: if the file cannot be written.
+    """
+    tables = open_tables(request.data)
+    for table in tables:
+        _require_may_export(table.info, request)
+    conditions = conditions_of(tables, request)
+    said, notices = _notices(tables, request), request.out.with_suffix(".NOTICE.txt")
+    with sole_writer(request.out), sole_writer(notices):
+        if said:  # first, so that a file is never without what its terms ask
+            write_text(notices, "".join(f"{line}\n" for line in said))
+        write_conditions(conditions.file, request.out)
+    names = [table.info.dataset for table in tables]
+    return ExportReport(
+        request.out,
+        len(conditions.file),
+        dict(zip(names, (len(one) for one in conditions.selections))),
+        {name: left for name, left in zip(names, conditions.left_out) if left},
+        said,
+    )
+
+
+@dataclass(frozen=True)
+class MadeConditions:
+    """The rows for some tables, and which sequences they are of."""
+
+    file: ConditionsFile
+    selections: tuple[Selection, ...]
+    left_out: tuple[int, ...]
+    """Of each table, sequences longer than the limit."""
+
+
+def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeConditions:
+    """The rows of a conditions file, in its order; nothing is written."""
+    selections, left_out, batches = [], [], []
+    for table in tables:
+        chosen = select(table, split=request.split, limit=request.limit)
+        selection = supported(chosen, max_frames=request.max_frames, native_fps=request.native_fps)
+        if not len(selection):
+            raise AdapterError(
+                f"--max-frames {request.max_frames}: all {len(chosen)} chosen sequences of {table.info.dataset} are"
+                " longer."
+            )
+        selections.append(selection)
+        left_out.append(len(chosen) - len(selection))
+        batches += _batches(selection, request)
+    info = ConditionsInfo(
+        condition=request.condition,
+        seed=request.seed,
+        samples=request.samples,
+        split=request.split,
+        limit=request.limit,
+        max_frames=request.max_frames,
+        native_fps=request.native_fps,
+        protocol_version=load_protocol().version,
+        tables=fingerprints(table.identity for table in tables),
+    )
+    return MadeConditions(_sorted_rows(info, batches), tuple(selections), tuple(left_out))
+
+
+def open_tables(folders: Collection[Path]) -> list[SequenceTable]:
+    """Open the tables that are asked for.
+
+    Raises:
+        TableError: if one is missing, empty or of an unknown version.
+        UsageError: if two are of one dataset.
+    """
+    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
+    names = [table.info.dataset for table in tables]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
+    return tables
+
+
+def _batches(selection: Selection, request: ExportRequest) -> list[ConditionBatch]:
+    """All chosen sequences of one table, one batch a sample."""
+    source = ConditionSource.read(selection)
+    if request.control == SHUFFLED_GOAL:
+        source = source.with_goals_of(derangement(selection, seed=request.seed))
+    rows, salt = np.arange(len(selection)), run_salt(request.seed, selection.table.identity)
+    first = source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
+    if request.native_fps is not None:
+        first = at_native_rate(first, request.native_fps)
+    return [source.redrawn(first, rows, seed=request.seed, sample=sample) for sample in range(request.samples)]
+
+
+def _sorted_rows(info: ConditionsInfo, batches: list[ConditionBatch]) -> ConditionsFile:
+    """One row a sequence and sample, by opaque id, then sample."""
+    samples = np.concatenate([np.full(len(batch), i % info.samples) for i, batch in enumerate(batches)])
+    names = tuple(name for batch in batches for name in batch.opaque_id)
+    columns: dict[str, Any] = {
+        name: [getattr(batch, name) for batch in batches] for name in given_columns(info.condition)
+    }
+    text = columns.pop("text", None)
+    unsorted = ConditionsFile(
+        info=info,
+        opaque_id=names,
+        sample=samples.astype(np.int32),
+        noise_seed=np.array([seed for batch in batches for seed in batch.noise_seed], dtype=np.int64),
+        n_frames=np.concatenate([batch.n_frames for batch in batches]).astype(np.int32),
+        fps=np.concatenate([np.full(len(batch), batch.fps) for batch in batches]),
+        text=None if text is None else tuple(line for lines in text for line in lines),
+        **{name: np.concatenate(arrays) for name, arrays in columns.items()},
+    )
+    return unsorted.rows(np.lexsort((samples, np.array(names))))
+
+
+def _require_may_export(info: DatasetInfo, request: ExportRequest) -> None:
+    if not _RECORDED_MOTION & set(given_columns(request.condition)) or may_pass_on(info, request.permitted):
+        return
+    raise RedistributionError(
+        f"{info.title} ({info.dataset}): its licence does not let recorded poses and goals be passed on, and a file of"
+        f" '{request.condition.value}' conditions would hold them. To score a method on this machine without such a"
+        ' file, use `prbench run --method cmd:"…"`. If the licensor has given you permission, say so:'
+        f" --permission {info.dataset}"
+    )
+
+
+def _notices(tables: list[SequenceTable], request: ExportRequest) -> tuple[str, ...]:
+    if not _RECORDED_MOTION & set(given_columns(request.condition)):
+        return ()
+    return tuple(said for table in tables if (said := notice(table.info, request.permitted)))

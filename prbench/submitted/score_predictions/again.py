@@ -1,0 +1,117 @@
+"""Score a run again, on the tables that it was made on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prbench.errors import RunError, UsageError
+from prbench.evaluation.conditions import ConditionSource, derangement
+from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
+from prbench.evaluation.planning import Selection, select
+from prbench.evaluation.preparation import supported
+from prbench.evaluation.scoring import ScoringRules
+from prbench.manifests import load_protocol
+from prbench.runs import record as run_record
+from prbench.runs.folder import RunFolder
+from prbench.runs.predictions import Predictions
+from prbench.runs.record import RunRecord
+from prbench.sequences import SequenceTable
+from prbench.submitted.score_predictions.board import write_plain
+from prbench.submitted.score_predictions.complete import Wanted, require_complete
+from prbench.submitted.score_predictions.request import ScoreReport, ScoreRequest
+from prbench.submitted.score_predictions.scored import About, Scored, Work
+
+_STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "max_frames", "native_fps", "name")
+
+
+def score_run(
+    run: RunFolder, tables: list[SequenceTable], request: ScoreRequest, work: Work
+) -> tuple[ScoreReport, ...]:
+    """Score the motions of a run.
+
+    Raises:
+        UsageError: if the request says what the run itself says.
+        RunError: if it is of another table.
+        PredictionsError: if motions are missing.
+    """
+    _require_plain(request)
+    scored = tuple(_scored(run, table, request, work) for table in tables)
+    folders = (None,) * len(scored) if request.out is None else write_plain(request.out, scored)
+    method = run.record.method
+    return tuple(
+        ScoreReport(one.scores, one.summary, at, method.origin, method.motionless) for one, at in zip(scored, folders)
+    )
+
+
+def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
+    """The scores that the motions of a run have now, of all sequences that it was made on.
+
+    Raises:
+        RunError: if it is of another table.
+        PredictionsError: if motions are missing, or one cannot be scored.
+    """
+    return _scored(run, table, ScoreRequest(predictions=run.path, data=(table.folder,)), work)
+
+
+def _scored(run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work) -> Scored:
+    _require_same_table(run, table)
+    chosen, selection = _selections(request, run.record, table)
+    predictions = Predictions.open(run.dataset(table.info.dataset).predictions)
+    wanted = Wanted(
+        path=request.predictions,
+        selections=(selection,),
+        seed=run.record.seed,
+        samples=None,
+        native_fps=None,
+        conditions=None,
+    )
+    samples = require_complete(predictions, wanted)
+    rules = _rules(request, run.record, selection)
+    about = About(method=run.record.method.name, condition=run.record.condition, control=run.record.control)
+    return Scored.of(chosen, selection, predictions, samples=samples, rules=rules, about=about, work=work)
+
+
+def _require_plain(request: ScoreRequest) -> None:
+    """A run says itself how its motions were made."""
+    for name in _STATED_BY_THE_RUN:
+        if getattr(request, name) is not None:
+            raise UsageError(
+                f"--{name.replace('_', '-')}: {request.predictions} is a run, whose run.json says how its motions were"
+                " made. Leave the option out."
+            )
+
+
+def _require_same_table(run: RunFolder, table: SequenceTable) -> None:
+    run.dataset(table.info.dataset)
+    recorded = next(item for item in run.record.tables if item.dataset == table.info.dataset)
+    for key, found in (("identity_digest", table.identity), ("content_digest", table.content)):
+        expected = getattr(recorded, key)
+        if expected != found:
+            raise RunError(
+                f"{run.path / run_record.FILE_NAME}, tables.{recorded.dataset}.{key}: the run is of table"
+                f" {expected[:12]}…, but {table.folder} is {found[:12]}…. Score it on the table that it was run on."
+            )
+
+
+def _selections(request: ScoreRequest, record: RunRecord, table: SequenceTable) -> tuple[Selection, Selection]:
+    """The chosen sequences, and those of them that have to be there."""
+    limit = record.limit if request.limit is None else request.limit
+    chosen = select(table, split=request.split or record.split, limit=limit)
+    if record.sequences and request.limit is None:
+        chosen = chosen.chosen(np.isin(chosen.sequence_ids, record.sequences))
+    return chosen, supported(chosen, max_frames=record.method.max_frames, native_fps=record.method.native_fps)
+
+
+def _rules(request: ScoreRequest, record: RunRecord, selection: Selection) -> ScoringRules:
+    recorded_motion = record.method.kind == run_record.CONTROL and record.method.name in RECORDED_MOTION
+    other_goals = None
+    if recorded_motion and record.control == SHUFFLED_GOAL:
+        order = derangement(selection, seed=record.seed)
+        other_goals = ConditionSource.read(selection).goal_location[order]
+    return ScoringRules(
+        load_protocol().metrics,
+        recorded_motion=recorded_motion,
+        other_goals=other_goals,
+        run_of=record.method.name,
+        allow_length_mismatch=request.allow_length_mismatch,
+    )

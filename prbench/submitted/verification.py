@@ -1,0 +1,112 @@
+"""Whether the files of a run follow from one another: summary from scores, scores from motions and table.
+
+The summary is made anew from ``scores.parquet`` wherever a run is read, and one that says something else is refused.
+The scores are made anew where the motions and their table are at hand (about 1 s for 7,000 sequences); where they are
+not, the run is called unverified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import pyarrow as pa
+
+from prbench.engine import Engine, InProcess
+from prbench.evaluation.progress import silent
+from prbench.evaluation.stored_results import require_scores, require_summary
+from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.manifests import load_protocol
+from prbench.runs.folder import RunFolder
+from prbench.runs.record import RunRecord, TableRecord
+from prbench.runs.scores import read_scores
+from prbench.runs.summary import DatasetSummary
+from prbench.sequences import SequenceTable
+from prbench.submitted.score_predictions.again import scored_again
+from prbench.submitted.score_predictions.scored import Work
+
+
+@dataclass(frozen=True)
+class CheckedSummary:
+    """The summary of one dataset of a run, as it follows from the scores."""
+
+    summary: DatasetSummary
+    unverified: str
+    """Why the scores could not be held against the motions; empty where they were."""
+
+
+@dataclass(frozen=True)
+class RunChecker:
+    """Checks runs against the tables that are at hand."""
+
+    find_table: Callable[[TableRecord], SequenceTable | None] = lambda _: None
+    """Gives the very table that a run was made on, if it is at hand."""
+    engine: Engine = field(default_factory=InProcess)
+
+    def check(self, run: RunFolder, record: TableRecord) -> CheckedSummary:
+        """Check one dataset of a finished run.
+
+        Raises:
+            RunError: if the summary does not follow from the scores, or the scores from motions and table; names the
+                file and the first value that differs.
+        """
+        files = run.dataset(record.dataset)
+        scores = read_scores(files.scores)
+        table = self.find_table(record)
+        made = _require_summary_of(run, record, scores, table)
+        if not any(files.predictions.glob("part-*.parquet")):
+            return CheckedSummary(made, "its folder holds no motions")
+        if run.record.protocol_digest != load_protocol().digest:
+            return CheckedSummary(made, "it was scored under another protocol than this version's")
+        if table is None:
+            return CheckedSummary(made, f"its table of {record.dataset} is not at hand: name it with --data DIR")
+        require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)
+        return CheckedSummary(made, "")
+
+
+def _require_summary_of(
+    run: RunFolder, record: TableRecord, scores: pa.Table, table: SequenceTable | None
+) -> DatasetSummary:
+    """The summary that follows from the scores; the stored one where nothing says which sequences belong together."""
+    files = run.dataset(record.dataset)
+    names = sorted(set(scores["sequence_id"].to_pylist()))
+    if table is not None:
+        rows = table.scalars()
+        recording_of = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
+        grouped = all(name in recording_of for name in names)
+    else:
+        recording_of = {}
+        grouped = _name_their_recording(names)
+    made = summary_of(run.record, record, scores, {name: recording_of.get(name, recording_key(name)) for name in names})
+    require_summary(files, made, grouped=grouped)
+    return made if grouped else DatasetSummary.read(files.path)
+
+
+def summary_of(
+    record: RunRecord, table: TableRecord, scores: pa.Table, recording_of: Mapping[str, str]
+) -> DatasetSummary:
+    """What ``summary.json`` has to say, from ``run.json``, the scores and the recording of each sequence."""
+    return summarise(
+        scores,
+        ScoredSet(
+            info=table,
+            recording_of=recording_of,
+            chosen=table.sequences,
+            method=record.method.name,
+            condition=record.condition,
+            control=record.control,
+            split=record.split,
+            samples=record.samples,
+        ),
+    )
+
+
+def _name_their_recording(sequence_ids: Sequence[str]) -> bool:
+    """Whether ids have all six parts; those of an imported release have three."""
+    parts = {name.count("/") + 1 for name in sequence_ids}
+    return len(parts) == 1 and min(parts) >= 6
+
+
+def recording_key(sequence_id: str) -> str:
+    """Dataset and recording of a sequence: its id without object, action, event and pose source."""
+    return sequence_id.rsplit("/", 4)[0]

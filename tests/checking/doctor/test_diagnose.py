@@ -1,0 +1,328 @@
+"""Every fault is named, alone; correct motions are left in peace."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.checking.doctor import Diagnosis, Expected, diagnose
+from prbench.representation import canonicalise
+from tests.checking.doctor.conftest import known
+from tests.checking.doctor.faults import RATES, SLIDES, SPACE, TIME, WALKING, Fault, axes, scaled, swapped, turned
+from tests.fakes import smooth_motion
+
+
+def certain(motions: Sequence[np.ndarray], expected: Sequence[Expected] | None = None) -> list[str]:
+    """Kinds of what is wrong for sure."""
+    return [each.kind for each in diagnose(motions, expected, fps=20.0) if each.certain]
+
+
+def changed(fault: Fault, motions: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [np.asarray(fault.change(motion), dtype=np.float64) for motion in motions]
+
+
+# correct motions
+
+
+def test_correct_motions_of_every_preset_have_no_fault(crowds: dict[str, list[np.ndarray]]) -> None:
+    for motions in crowds.values():
+        assert diagnose(motions, None, fps=20.0) == ()
+        assert diagnose(motions, [known(motion, recorded=True) for motion in motions], fps=20.0) == ()
+
+
+def test_no_single_correct_motion_has_a_certain_fault(everybody: list[np.ndarray]) -> None:
+    assert len(everybody) >= 40
+    assert [kinds for motion in everybody if (kinds := certain([motion]))] == []
+
+
+def test_stick_figures_have_no_certain_fault() -> None:
+    fakes = [canonicalise(smooth_motion(str(number), 60 + number)).astype(np.float64) for number in range(12)]
+    assert certain(fakes) == []
+    assert [kinds for motion in fakes if (kinds := certain([motion]))] == []
+
+
+def test_recorded_motions_have_no_certain_fault(samples: Path) -> None:
+    paths = sorted((samples / "humanml3d" / "golden").glob("*.npz"))
+    for path in paths:
+        with np.load(path) as golden:
+            assert certain([golden["canonical"].astype(np.float64)]) == [], path.name
+
+
+def test_a_pose_that_is_held_wherever_it_stands_is_only_suspicious(everybody: list[np.ndarray]) -> None:
+    pose = turned(everybody[0][:1], 170) + np.array([0.9, 0, 0])
+    found = diagnose([np.repeat(pose, 60, axis=0)] * 3, None, fps=20.0)
+    assert {each.kind for each in found} == {"facing", "position"}
+    assert not any(each.certain for each in found)
+
+
+# single faults, each named and named alone
+
+
+@pytest.mark.parametrize("fault", SPACE, ids=lambda fault: fault.name)
+def test_a_fault_of_space_is_named_alone(fault: Fault, crowds: dict[str, list[np.ndarray]]) -> None:
+    for motions in (crowds["adt"][:3], crowds["hot3d"][:3], crowds["gimo"][:1]):
+        found = certain(changed(fault, motions))
+        assert len(found) == 1
+        assert found[0] in fault.kinds
+
+
+@pytest.mark.parametrize("fault", WALKING, ids=lambda fault: fault.name)
+def test_a_lost_root_is_named_where_people_walk(fault: Fault, walkers: list[np.ndarray]) -> None:
+    assert len(walkers) >= 3
+    assert tuple(certain(changed(fault, walkers))) == fault.kinds
+
+
+def test_a_heading_that_is_kept_on_purpose_is_at_most_suspicious(walkers: list[np.ndarray]) -> None:
+    straight = []
+    for motion in changed(WALKING[1], walkers):
+        motion[:, :, 2] += np.linspace(0, 3, len(motion))[:, None]
+        straight.append(motion)
+    found = [each for each in diagnose(straight, None, fps=20.0) if each.kind in ("heading", "root")]
+    assert [(each.kind, each.certain) for each in found] == [("heading", False)]
+    assert "never turns a body, which is allowed" in found[0].cause
+    assert "canonical frame of its own" in found[0].cause
+
+
+def test_who_stands_and_only_reaches_may_keep_a_heading(walkers: list[np.ndarray]) -> None:
+    reaching = [np.repeat(motion[:1], len(motion), axis=0) for motion in walkers]
+    for motion in reaching:
+        motion[:, [18, 20], 2] += np.linspace(0, 0.2, len(motion))[:, None]
+    assert certain(reaching) == []
+
+
+def test_feet_that_slide_along_are_no_frame_rate(walkers: list[np.ndarray]) -> None:
+    way = np.linspace(0, 1, 200)
+    glided = [np.repeat(motion[:1], 200, axis=0) for motion in walkers]
+    for motion in glided:
+        motion[:, :, 2] += (2 * way * way * (3 - 2 * way))[:, None]
+    assert "frame-rate" not in [each.kind for each in diagnose(glided, None, fps=20.0)]
+    slow = [each.kind for each in diagnose([_slowed(motion, 6) for motion in walkers], None, fps=20.0)]
+    assert "frame-rate" in slow  # 120 frames a second shown at 20 are still told
+
+
+def trembling(motions: list[np.ndarray], *, by: float) -> list[np.ndarray]:
+    generator = np.random.default_rng(0)
+    return [motion + generator.normal(scale=by, size=motion.shape) for motion in motions]
+
+
+@pytest.mark.parametrize("metres", [0.01, 0.02, 0.04])
+def test_trembling_of_walking_people_is_no_frame_rate(metres: float, walkers: list[np.ndarray]) -> None:
+    kinds = [each.kind for each in diagnose(trembling(walkers, by=metres), None, fps=20.0)]
+    assert "jitter" in kinds
+    assert "frame-rate" not in kinds
+
+
+@pytest.mark.parametrize(("joints", "metres"), [(1, 0.3), (22, 0.15)])
+def test_trembling_bodies_that_slide_about_are_no_frame_rate(
+    joints: int, metres: float, walkers: list[np.ndarray]
+) -> None:
+    """As models with random weights make them: a body, or each joint on its own, swings slowly and trembles."""
+    generator = np.random.default_rng(0)
+    seconds = np.arange(120)[:, None, None] / 20
+    sliding = []
+    for motion in walkers:
+        period = generator.uniform(1, 5, size=(1, joints, 3))
+        phase = generator.uniform(0, 6, size=(1, joints, 3))
+        swing = np.sin(2 * np.pi * seconds / period + phase) * (metres, metres / 10, metres)
+        sliding.append(motion[:1] + swing)
+    kinds = [each.kind for each in diagnose(trembling(sliding, by=0.02), None, fps=20.0)]
+    assert "jitter" in kinds
+    assert "frame-rate" not in kinds
+
+
+@pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)
+@pytest.mark.parametrize("metres", [0.01, 0.02])
+def test_a_wrong_rate_is_told_beside_the_trembling(fault: Fault, metres: float, walkers: list[np.ndarray]) -> None:
+    found = diagnose(trembling(changed(fault, walkers), by=metres), None, fps=20.0)
+    kinds = [each.kind for each in found]
+    assert {"frame-rate", "jitter"} <= set(kinds)
+    (rate,) = (each for each in found if each.kind == "frame-rate")
+    told = re.search(r"about (\d+) frames", rate.cause)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(float(fault.name[:2]), rel=0.1)
+
+
+def _slowed(motion: np.ndarray, times: int) -> np.ndarray:
+    old, new = np.arange(len(motion)), np.linspace(0, len(motion) - 1, times * (len(motion) - 1) + 1)
+    flat = motion.reshape(len(motion), -1)
+    return np.stack([np.interp(new, old, column) for column in flat.T], axis=1).reshape(-1, 22, 3)
+
+
+@pytest.mark.parametrize("fault", TIME, ids=lambda fault: fault.name)
+def test_a_stumbling_clock_is_named_alone(fault: Fault, crowds: dict[str, list[np.ndarray]]) -> None:
+    for preset in ("adt", "gimo", "mogaze"):
+        assert certain(changed(fault, crowds[preset])) == ["clock"], preset
+
+
+@pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)
+def test_a_wrong_rate_is_certain_from_the_lengths(fault: Fault, crowds: dict[str, list[np.ndarray]]) -> None:
+    motions = crowds["adt"][:4]
+    assert certain(changed(fault, motions), [known(motion) for motion in motions]) == ["frame-rate"]
+
+
+@pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)
+def test_a_wrong_rate_is_suspicious_from_the_steps_alone(fault: Fault, walkers: list[np.ndarray]) -> None:
+    found = diagnose(changed(fault, walkers), None, fps=20.0)
+    assert [(each.kind, each.certain) for each in found] == [("frame-rate", False)]
+
+
+def test_a_wrong_rate_of_the_right_length_is_certain_from_the_initial_velocity(walkers: list[np.ndarray]) -> None:
+    starting = [canonicalise(motion[_fastest(motion) :]) for motion in walkers]
+    assert len(starting) >= 5
+    expected = [known(motion) for motion in starting]
+    assert certain(starting, expected) == []
+    assert certain(changed(RATES[3], starting), expected) == ["frame-rate"]
+
+
+def _fastest(motion: np.ndarray) -> int:
+    return int(np.linalg.norm(np.diff(motion[:45], axis=0), axis=-1).mean(axis=1).argmax())
+
+
+@pytest.mark.parametrize("fault", [*SLIDES, *RATES[3:]], ids=lambda fault: fault.name)
+def test_a_slide_and_a_rate_are_certain_against_the_recorded_motion(fault: Fault, walkers: list[np.ndarray]) -> None:
+    motions = walkers[:4]
+    assert certain(changed(fault, motions), [known(motion, recorded=True) for motion in motions]) == [fault.kinds[0]]
+
+
+# faults together, and what tells similar faults apart
+
+
+def test_millimetres_with_z_up_are_two_faults(crowds: dict[str, list[np.ndarray]]) -> None:
+    z_up = axes((0, 2, 1), (1, -1, 1))
+    for motions in crowds.values():
+        assert certain([scaled(1000)(z_up(motion)) for motion in motions]) == ["unit", "up-axis"]
+
+
+def test_five_faults_at_once_are_all_named_in_the_order_of_repair(crowds: dict[str, list[np.ndarray]]) -> None:
+    z_up, feet = axes((0, 2, 1), (1, -1, 1)), swapped("ankle")
+
+    def spoilt(motion: np.ndarray) -> np.ndarray:
+        return scaled(100)(z_up(turned(feet(motion), 120) + np.array([2.0, 0.3, 0.0]))).reshape(len(motion), 66)
+
+    found = certain([spoilt(motion) for motion in crowds["adt"]])
+    assert found[:4] == ["shape", "unit", "joint-order", "up-axis"]
+    assert found[-1] == "floor"
+
+
+@pytest.mark.parametrize("preset", ["adt", "gimo", "hot3d"])
+def test_a_mirror_and_exchanged_names_are_told_apart_by_the_initial_pose(
+    preset: str, crowds: dict[str, list[np.ndarray]]
+) -> None:
+    motions = crowds[preset]
+    expected = [known(motion) for motion in motions]
+    mirror, names = (
+        next(each for each in SPACE if each.name.startswith(start)) for start in ("x neg", "left and right exch")
+    )
+    assert certain(changed(mirror, motions), expected) == ["mirrored"]
+    assert certain(changed(names, motions), expected) == ["left-right"]
+
+
+def test_a_wrong_body_size_shows_against_the_initial_pose(everybody: list[np.ndarray]) -> None:
+    motions, expected = everybody[:6], [known(motion) for motion in everybody[:6]]
+    assert certain([motion * 0.8 for motion in motions], expected) == ["unit"]
+    assert certain([motion * 0.8 for motion in motions]) == []  # a smaller person
+
+
+def test_standardised_joints_are_no_positions(everybody: list[np.ndarray]) -> None:
+    frames = np.concatenate(everybody)
+    mean, spread = frames.mean(axis=0), frames.std(axis=0)
+    assert certain([(motion - mean) / spread for motion in everybody[:8]]) == ["standardised"]
+    assert certain([np.diff(motion, axis=0) for motion in everybody[:8]]) == ["standardised"]
+
+
+def test_features_that_are_still_standardised_say_so(everybody: list[np.ndarray]) -> None:
+    from prbench.representation import encode
+
+    features = [encode(motion) for motion in everybody[:6]]
+    rows = np.concatenate(features)
+    (found,) = diagnose([(each - rows.mean(axis=0)) / rows.std(axis=0).clip(1e-3) for each in features], None, fps=20.0)
+    assert found.kind == "features"
+    assert "still standardised" in found.cause
+
+
+def test_an_order_of_its_own_is_put_right(everybody: list[np.ndarray]) -> None:
+    order = np.random.default_rng(5).permutation(22)
+    (found,) = diagnose([motion[:, order] for motion in everybody[:4]], None, fps=20.0)
+    index = [int(number) for number in found.remedy.split("[:, [")[1].split("]")[0].split(",")]
+    assert found.kind == "joint-order"
+    assert (order[index] == np.arange(22)).all()
+
+
+@pytest.mark.parametrize("name", ["smplx-55", "coco-17", "openpose-25", "ntu-25", "h36m-17"])
+def test_another_number_of_joints_is_never_called_right(name: str, everybody: list[np.ndarray]) -> None:
+    from prbench.representation.converters import JOINT_MAPS
+
+    joints = JOINT_MAPS[name].source_joints
+    from_22 = {"nose": "head", "thorax": "spine3", "spine": "spine2", "hip": "pelvis", "mid_hip": "pelvis"}
+    from_22 |= {"spine_base": "pelvis", "spine_mid": "spine2", "spine_shoulder": "spine3"}
+    from prbench.skeleton import Joint
+
+    def place(joint: str) -> int:
+        known_as = from_22.get(joint, joint).upper()
+        if known_as in Joint.__members__:
+            return Joint[known_as]
+        side = "LEFT" if "left" in joint else "RIGHT"
+        if any(word in joint for word in ("hand", "thumb", "tip")):
+            return Joint[f"{side}_WRIST"]
+        return Joint[f"{side}_FOOT"] if any(word in joint for word in ("toe", "heel", "foot")) else Joint.HEAD
+
+    index = [place(joint) for joint in joints]
+    found = diagnose([motion[:, index] for motion in everybody[:3]], None, fps=20.0)
+    assert found[0].kind == "joint-order"
+    assert found[0].certain
+    if name != "smplx-55":
+        assert f"'{name}'" in found[0].cause
+
+
+def test_lengths_one_short_point_at_the_features(everybody: list[np.ndarray]) -> None:
+    motions = everybody[:4]
+    (found,) = diagnose([motion[:-1] for motion in motions], [known(motion) for motion in motions], fps=20.0)
+    assert (found.kind, found.certain) == ("length", True)
+    assert "263 features" in found.cause
+
+
+def test_a_fixed_window_is_a_wrong_length(everybody: list[np.ndarray]) -> None:
+    motions = [motion[: 60 + 5 * row] for row, motion in enumerate(everybody[:5])]
+    window = [motion[:60] for motion in motions]
+    (found,) = diagnose(window[1:], [known(motion) for motion in motions[1:]], fps=20.0)
+    assert found.kind == "length"
+    assert "fixed window" in found.cause
+
+
+def test_noise_and_rubber_bones_are_suspicious(everybody: list[np.ndarray]) -> None:
+    generator = np.random.default_rng(0)
+    noisy = [motion + generator.normal(scale=0.01, size=motion.shape) for motion in everybody[:6]]
+    stretched = [motion.copy() for motion in everybody[:6]]
+    for motion in stretched:
+        motion[:, 20] += np.linspace(0, 0.3, len(motion))[:, None]
+    assert "jitter" in [each.kind for each in diagnose(noisy, None, fps=20.0)]
+    assert [each.kind for each in diagnose(stretched, None, fps=20.0)] == ["bones"]
+
+
+# the answer
+
+
+def test_every_diagnosis_has_numbers_a_cause_and_a_remedy(crowds: dict[str, list[np.ndarray]]) -> None:
+    for fault in (*SPACE, *TIME):
+        for found in diagnose(changed(fault, crowds["adt"][:1]), None, fps=20.0):
+            assert isinstance(found, Diagnosis)
+            assert isinstance(found.certain, bool)
+            assert any(character.isdigit() for character in found.evidence)
+            assert found.cause
+            assert found.remedy.endswith((".", ")"))
+
+
+def test_the_same_motions_get_the_same_answer(crowds: dict[str, list[np.ndarray]]) -> None:
+    order = np.random.default_rng(2).permutation(22)
+    motions = [motion[:, order] * 1000 for motion in crowds["adt"][:4]]
+    assert diagnose(motions, None, fps=20.0) == diagnose(motions, None, fps=20.0)
+
+
+def test_expectations_have_to_be_one_a_motion(everybody: list[np.ndarray]) -> None:
+    with pytest.raises(ValueError, match="2 motions, but expectations of 1"):
+        diagnose(everybody[:2], [Expected()], fps=20.0)
+    assert diagnose([], None, fps=20.0) == ()

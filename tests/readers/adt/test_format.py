@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.manifests import load_manifest
+from prbench.readers.adt import format as adt
+
+
+def test_the_manifest_s_mapping_is_the_list_of_the_page() -> None:
+    listed = [0, 43, 47, 1, 44, 48, None, 45, 49, 2, 46, 50, 3, 5, 24, 4, 6, 25, 7, 26, 8, 27]
+    native = np.arange(51, dtype=float)[None, :, None] * np.ones(3)
+    mapped = adt.body_joints(native, load_manifest("adt").body.joint_mapping)[0, :, 0]
+    assert mapped.tolist() == [1.5 if index is None else index for index in listed]
+
+
+def test_named_contact_joints_have_the_documented_numbers() -> None:
+    assert adt.N_NATIVE_JOINTS == 51
+    assert adt.WRIST_JOINTS == (8, 27)
+    assert adt.MIDDLE_FINGER_BASES == (15, 34)
+
+
+@pytest.mark.parametrize(
+    ("name", "category", "hinged"),
+    [
+        ("Apartment_BedroomDoor", "door", True),
+        ("Apartment_CabinetDrawerF", "part of a cabinet/wardrobe", True),
+        ("OfficeDrawer_2", "cabinets and shelves", True),
+        ("WoodenBowl", "bowl", False),
+        ("UtilityCart", "cabinets and shelves", False),
+        ("IndoorPlant", "house plant", False),
+    ],
+)
+def test_doors_and_drawers_are_told_by_category_or_name(name, category, hinged) -> None:
+    assert adt.is_hinged(name, category) == hinged

@@ -1,0 +1,208 @@
+"""From HOT3D's native readings to streams: clocks, pairs of rows, gaps, masks, hands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prbench.errors import RecordingUnusable, StreamsDoNotOverlap
+from prbench.manifests import load_manifest
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d.hand_streams import umetrack_points
+from prbench.readers.hot3d.to_recording import GoodFrames, object_track, recording_from_hot3d
+from prbench.recording import Recording
+from prbench.synthetic.people import perform
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.hot3d import clock_start, native_object_id, sense
+from prbench.timelines import interpolate
+from tests.readers.hot3d_trees import first_seconds
+
+MANIFEST = load_manifest("hot3d")
+FRAME = 33_333_333
+
+
+@pytest.fixture(scope="module")
+def performance() -> Performance:
+    return perform("hot3d", seed=11, index=0, n_events=2, provocations={})
+
+
+@pytest.fixture(scope="module")
+def readings(performance) -> hot3d.Hot3dReadings:
+    """Of ideal sensors."""
+    return first_seconds(sense(performance, noise=0.0, switches=Switches.ideal()), 4.0)
+
+
+def _recording(readings: hot3d.Hot3dReadings) -> Recording:
+    return recording_from_hot3d(readings, MANIFEST, dataset="hot3d")
+
+
+def _rows(time_ns: np.ndarray) -> hot3d.Hot3dObject:
+    n = len(time_ns)
+    position = np.column_stack([np.arange(n) * 0.01, np.zeros(n), np.ones(n)])
+    return hot3d.Hot3dObject("7", "mug", hot3d.PoseRows(time_ns, position, np.tile([1.0, 0, 0, 0], (n, 1))), None)
+
+
+def _track(time_ns: np.ndarray, good: np.ndarray | None = None):
+    return object_track(_rows(time_ns), np.ones(len(time_ns), dtype=bool) if good is None else good, 0.2)
+
+
+def test_one_row_of_each_pair_is_kept() -> None:
+    rgb = np.arange(10) * FRAME
+    track = _track(np.column_stack([rgb, rgb + 90_785]).ravel())
+    assert np.array_equal(track.times, rgb / 1e9)
+    assert track.position[:, 0] == pytest.approx(np.arange(10) * 0.02), "the first of both"
+    alone = _track(np.delete(np.column_stack([rgb, rgb + 90_785]).ravel(), 6))
+    assert len(alone.times) == 10, "a SLAM row whose RGB row is missing stands in for it"
+
+
+def test_the_world_is_turned_to_y_up() -> None:
+    track = _track(np.arange(3) * FRAME)
+    assert track.position[2] == pytest.approx([0.02, 1.0, 0.0])
+    low, high = replace(track, box_max=np.array([0.1, 0.2, 0.3])).world_box(track.position[:1], track.rotation[:1])
+    assert (high - low)[0] == pytest.approx([0.1, 0.3, 0.2]), "the object's z axis points up, where the world's did"
+
+
+def test_short_gaps_stay_open_and_long_ones_are_marked() -> None:
+    rgb = np.arange(60) * FRAME
+    short, long = np.delete(rgb, slice(10, 15)), np.delete(rgb, slice(10, 17))
+    assert _track(short).valid.all(), "0.2 s may be interpolated"
+    track = _track(long)
+    assert track.valid.tolist().count(False) == 1
+    assert (rgb[9] + rgb[17]) / 2e9 == pytest.approx(track.times[~track.valid][0])
+    position, _ = track.pose_at(np.array([rgb[9] / 1e9]))
+    assert position[0, 0] == pytest.approx(0.09), "the mark changes no pose"
+
+
+def test_an_object_without_a_model_is_a_point() -> None:
+    track = _track(np.arange(3) * FRAME)
+    assert np.array_equal(track.box_min, np.zeros(3))
+    assert np.array_equal(track.box_max, np.zeros(3))
+
+
+def test_ideal_readings_come_back_as_the_truth(performance, readings) -> None:
+    recording = _recording(readings)
+    start = clock_start(performance) - performance.times[0]
+    eye = interpolate(performance.times, performance.eye, recording.head.times - start)
+    # Clocks are known to half a millisecond, in which a head moves less than that.
+    assert np.abs(recording.head.position - eye).max() < 5e-4
+    joint = interpolate(performance.times, performance.joints[:, 20], recording.hand_streams("wrist")[0].times - start)
+    assert recording.hand_streams("wrist")[0].points[:, 0] == pytest.approx(joint, abs=2e-6)
+    for motion in performance.objects:
+        track = recording.object(native_object_id(motion.object_id))
+        low, high = track.world_box(track.position[:1], track.rotation[:1])
+        assert ((low + high) / 2)[0] == pytest.approx(motion.position[0], abs=3e-6)
+    assert recording.span == pytest.approx((start + performance.times[0], start + performance.times[0] + 4.0), abs=0.04)
+
+
+def test_a_body_is_moved_to_the_clock_of_the_ground_truth(performance) -> None:
+    recording = _recording(sense(performance, noise=0.0, switches=Switches.ideal()))
+    assert recording.body is not None
+    assert recording.pose_source == "egoallo"
+    times = recording.body.times - clock_start(performance) + performance.times[0]
+    inside = (times > times[0] + 0.1) & recording.body.valid
+    joints = interpolate(performance.times, performance.joints, times)
+    assert np.abs(recording.body.joints[inside][:, 0] - joints[inside][:, 0]).max() < 2e-3
+
+
+def test_the_first_frames_are_not_used_where_no_mask_says_that_they_are_right(readings) -> None:
+    without = {name: rows for name, rows in readings.masks.items() if name != "qa_pass"}
+    recording = _recording(replace(readings, masks=without))
+    for stream in (*recording.hands, *recording.objects):
+        started = stream.times - recording.span[0] >= 0.7 - 1e-6
+        assert np.array_equal(stream.valid, started)
+    assert recording.gaze.valid[recording.gaze.times < recording.span[0] + 0.7].all(), "gaze is none of the hands'"
+    assert any("first 0.7 s" in message for message in recording.messages)
+    assert _recording(readings).objects[0].valid.all(), "with the mask all frames are right"
+
+
+def test_frames_that_fail_the_quality_check_are_invalid_in_objects_and_hands(readings) -> None:
+    good = np.ones(len(readings.masks["qa_pass"].good), dtype=bool)
+    good[20:30] = False
+    recording = _recording(replace(readings, masks={**readings.masks, "qa_pass": _mask(readings, good)}))
+    for stream in (*recording.hands, *recording.objects):
+        assert np.array_equal(np.flatnonzero(~stream.valid), np.arange(20, 30))
+    assert any(message.startswith("10 of 121 frames fail") for message in recording.messages)
+
+
+def _mask(readings: hot3d.Hot3dReadings, good: np.ndarray) -> hot3d.MaskRows:
+    return hot3d.MaskRows(readings.masks["qa_pass"].time_ns, good)
+
+
+@pytest.mark.parametrize("name", ["headset_pose_available", "object_pose_available", "hand_pose_available"])
+def test_a_mask_makes_its_own_stream_invalid_and_no_other(readings, name) -> None:
+    good = np.ones(len(readings.masks["qa_pass"].good), dtype=bool)
+    good[40:50] = False
+    before = _recording(readings)
+    after = _recording(replace(readings, masks={**readings.masks, name: _mask(readings, good)}))
+
+    def lost(kind: str) -> int:
+        groups = {
+            "headset_pose_available": lambda r: (r.head, r.camera, r.gaze),
+            "object_pose_available": lambda r: r.objects,
+            "hand_pose_available": lambda r: r.hands,
+        }
+        pairs = zip(groups[kind](before), groups[kind](after), strict=True)
+        return sum(int(one.valid.sum() - other.valid.sum()) for one, other in pairs)
+
+    assert lost(name) > 0
+    assert [other for other in hot3d.MASK_NAMES[1:] if other != name and lost(other)] == []
+
+
+def test_without_a_profile_hands_are_wrists(readings) -> None:
+    recording = _recording(replace(readings, hand_model=None))
+    assert {hand.contact for hand in recording.hands} == {"wrist"}
+    assert any("wrists only" in message for message in recording.messages)
+
+
+def test_hands_of_mano_replace_umetrack_s(readings) -> None:
+    points = tuple(
+        hot3d.HandPoints(rows.side, rows.time_ns, rows.position + 0.5, np.zeros((len(rows.time_ns), 3, 3)))
+        for rows in readings.hands
+    )
+    recording = _recording(replace(readings, mano_hands=points))
+    before = _recording(readings).hand_streams("wrist")
+    for one, other in zip(before, recording.hand_streams("wrist"), strict=True):
+        assert other.points - one.points == pytest.approx(np.broadcast_to([0.5, 0.5, -0.5], one.points.shape))
+    assert {stream.points.shape[1] for stream in recording.hand_streams("hand_vertex")} == {3}
+
+
+def test_vertices_belong_to_the_row_that_is_kept(readings) -> None:
+    rows = readings.hands[0]
+    points = umetrack_points(rows, readings.hand_model)
+    assert np.array_equal(points.time_ns, rows.time_ns[::2])
+    assert np.array_equal(points.wrist, rows.position[::2])
+    assert np.linalg.norm(points.vertices - points.wrist[:, None], axis=2).max() < 0.25
+
+
+def test_quality_masks_and_rows_need_not_share_their_times(readings) -> None:
+    """Where the RGB row is missing the SLAM row 91 us later has its flag."""
+    good = np.ones(len(readings.masks["qa_pass"].good), dtype=bool)
+    good[5] = False
+    frames = GoodFrames(replace(readings, masks={"qa_pass": _mask(readings, good)}), skipped_start=0.7)
+    slam = readings.headset.time_ns[1::2]
+    assert np.flatnonzero(~frames.good(slam, "object_pose_available")).tolist() == [5]
+
+
+def test_a_headset_of_another_world_is_refused(readings) -> None:
+    moved = replace(readings.headset, position=readings.headset.position + 1.0)
+    with pytest.raises(RecordingUnusable, match="not one world"):
+        _recording(replace(readings, headset=moved))
+
+
+def test_objects_of_another_recording_are_refused(readings) -> None:
+    later = tuple(
+        replace(entry, rows=replace(entry.rows, time_ns=entry.rows.time_ns + 10**12)) for entry in readings.objects
+    )
+    with pytest.raises(StreamsDoNotOverlap, match="objects"):
+        _recording(replace(readings, objects=later))
+
+
+def test_gaps_in_an_object_are_told(readings) -> None:
+    entry = readings.objects[0]
+    half = entry.rows.time_ns > entry.rows.time_ns[0] + 2_000_000_000
+    rows = hot3d.PoseRows(entry.rows.time_ns[half], entry.rows.position[half], entry.rows.rotation[half])
+    recording = _recording(replace(readings, objects=(replace(entry, rows=rows), *readings.objects[1:])))
+    assert any(f"{entry.name} lacks 50% of its poses" in message for message in recording.messages)

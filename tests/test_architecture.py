@@ -1,0 +1,83 @@
+"""Packages import only from layers below them, and prbench never imports its adapters."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+LAYERS = {
+    **dict.fromkeys(
+        ("limits", "shown", "skeleton", "axes", "published", "randomness", "paths", "rays"),
+        0,
+    ),
+    **dict.fromkeys(("errors", "joint_names"), 1),
+    **dict.fromkeys(("boundary", "bounded", "meshes", "ranges", "timelines", "workers"), 2),
+    **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "engine", "recording"), 3),
+    "locks": 4,
+    **dict.fromkeys(("metrics", "sequences", "representation", "text"), 5),
+    **dict.fromkeys(("contract", "readers", "runs"), 6),
+    **dict.fromkeys(("curation", "corpora", "methods", "release"), 7),
+    **dict.fromkeys(("evaluation", "synthetic"), 8),
+    **dict.fromkeys(("training", "submitted", "viewing"), 9),
+    **dict.fromkeys(("checking", "leaderboard", "prbench_adapters"), 10),
+    "workflows": 11,
+    "cli": 12,
+    "prbench_data_manifests": 0,
+    "prbench_benchmarks": 0,
+}
+"""Every package, or module beside the packages, and its layer: imports point to lower layers only."""
+
+
+def _modules() -> list[tuple[str, Path]]:
+    folders = {"prbench": "prbench", "prbench_adapters": "adapters"}
+    return [
+        (".".join((package, *path.relative_to(ROOT / folder).with_suffix("").parts)).removesuffix(".__init__"), path)
+        for package, folder in folders.items()
+        for path in sorted((ROOT / folder).rglob("*.py"))
+    ]
+
+
+def _package(module: str) -> str | None:
+    if module in ("prbench", "prbench.__main__"):
+        return None  # the version line, and the way in for `python -m`
+    parts = module.split(".")
+    return parts[0] if parts[0] != "prbench" else parts[1]
+
+
+def _imports(path: Path) -> list[str]:
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative imports hide the layer"
+            found += (
+                [f"{node.module}.{alias.name}" for alias in node.names] if node.module == "prbench" else [node.module]
+            )
+    return [name for name in found if name.split(".")[0].startswith("prbench")]
+
+
+@pytest.mark.parametrize(("module", "path"), _modules(), ids=lambda value: value if isinstance(value, str) else "")
+def test_imports_point_downwards(module, path):
+    package = _package(module)
+    if package is None:
+        return  # the package itself, and ``python -m prbench``
+    assert package in LAYERS, f"{module} stands in a package without a layer; add it to docs/architecture.md first"
+    for imported in _imports(path):
+        target = _package(imported)
+        if target is None or target == package:
+            continue
+        assert LAYERS[target] < LAYERS[package], (
+            f"{module} (layer {LAYERS[package]}) imports {imported} (layer {LAYERS[target]})"
+        )
+
+
+def test_an_upward_import_would_be_noticed(tmp_path):
+    file = tmp_path / "x.py"
+    file.write_text("from prbench.cli import main\nimport prbench.sequences.table\nfrom prbench import rays\n")
+    assert [_package(name) for name in _imports(file)] == ["cli", "sequences", "rays"]
+    assert LAYERS["cli"] > LAYERS["sequences"] > LAYERS["rays"]
