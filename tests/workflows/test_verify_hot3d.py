@@ -55,6 +55,7 @@ def test_the_surface_rule_builds_where_meshes_are_read(tmp_path: Path) -> None:
     assert report.records[0].outcomes == plain.records[0].outcomes
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_statistics_are_within_a_third_of_the_spread_of_table_1() -> None:
     manifest, protocol = load_manifest("hot3d"), load_protocol()
