@@ -1,4 +1,4 @@
-"""How the condition vector p enters the memory tokens (*Prime and Reach*, sections 4.1 and F, equation 8).
+"""How the condition vector p enters the memory tokens (*Prime and Reach*, sections 4.1 and D.3, equation 8).
 
 Both ways start at zero, so that fine-tuning starts at the output of the pre-trained model.
 """

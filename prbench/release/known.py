@@ -1,4 +1,4 @@
-"""What the study says of its release, and the numbers by which an import judges what it finds."""
+"""What the authors say of their release, and the numbers by which an import judges what it finds."""
 
 from __future__ import annotations
 
