@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 FOLDERS = {
     "prbench": "prbench",
@@ -42,7 +44,6 @@ def distributions(tmp_path_factory) -> Path:
     return out
 
 
-@pytest.mark.slow
 def test_wheel_made_from_the_sdist_holds_the_tree_and_nothing_else(distributions):
     (wheel,) = distributions.glob("*.whl")
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
