@@ -27,7 +27,7 @@ N_POSE = JOINT_POSITIONS.stop
 """Columns that decide the joints of a frame: root and joint positions."""
 _EMPHASISED = 3
 _DRAW = 13
-"""Which draw of A: of the first forty the one that is best to invert, condition number 1108."""
+"""Number of the draw of A: of the first forty the one that is best to invert, condition number 1108."""
 
 
 def with_absolute_root(
@@ -80,7 +80,7 @@ def half_turn_of(joints: Float[Tensor, "batch 22 3"]) -> Float[Tensor, " batch"]
 
 @dataclass(frozen=True)
 class FeatureSpace:
-    """Between raw features and what the networks see: statistics, projection and its inverse, always together."""
+    """Leads from raw features to what the networks see and back: statistics, projection and its inverse."""
 
     mean: Float[Tensor, " 263"]
     std: Float[Tensor, " 263"]
@@ -92,16 +92,16 @@ class FeatureSpace:
     def of(
         cls, mean: Float[Tensor, " 263"], std: Float[Tensor, " 263"], projection: Float[Tensor, "263 263"]
     ) -> FeatureSpace:
-        """With the inverse computed in float64, because A is badly conditioned."""
+        """Compute the inverse in float64, because A is badly conditioned."""
         inverse = torch.linalg.inv(projection.double().cpu()).to(projection)
         return cls(mean.to(projection), std.to(projection), projection, inverse)
 
     def to(self, device: torch.device | str) -> FeatureSpace:
-        """The same on a device."""
+        """Move the space to a device."""
         return FeatureSpace(*(part.to(device) for part in (self.mean, self.std, self.projection, self.inverse)))
 
     def standardised(self, raw: Float[Tensor, "*batch columns"]) -> Float[Tensor, "*batch columns"]:
-        """Of the first columns, as many as there are."""
+        """Standardise the first columns, as many as there are."""
         columns = raw.shape[-1]
         return (raw - self.mean[:columns]) / self.std[:columns]
 
@@ -111,7 +111,7 @@ class FeatureSpace:
         return standardised * self.std[:columns] + self.mean[:columns]
 
     def projected(self, standardised: Float[Tensor, "*batch 263"]) -> Float[Tensor, "*batch 263"]:
-        """What the motion network sees."""
+        """Project features, as the motion network sees them."""
         return standardised @ self.projection
 
     def unprojected(self, projected: Float[Tensor, "*batch 263"]) -> Float[Tensor, "*batch 263"]:

@@ -67,7 +67,7 @@ def encode(
     next_joints: Float[torch.Tensor, "batch 22 3"] | None = None,
     mode: Mode = "continuous",
 ) -> Float[torch.Tensor, "batch frames 263"]:
-    """As many rows of features as frames, from canonical joints of any bone lengths.
+    """Encode canonical joints of any bone lengths to as many rows of features as frames.
 
     Every row is computed with its own true length, so neither padding nor batch mates change it. The last valid row
     holds the step to ``next_joints`` (docs/specification/pr-model.md#data-and-features).

@@ -18,7 +18,7 @@ from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.smoothness import jitter
 from prbench.skeleton import WRISTS, Joint, bone_lengths
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.true_clips import FPS, true_clips
+from prbench.synthetic.statistics import FPS, true_clips
 
 _HIPS, _KNEES = [Joint.LEFT_HIP, Joint.RIGHT_HIP], [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]
 _ANKLES, _BALLS = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE], [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
@@ -111,7 +111,7 @@ _INF = float("inf")
 
 
 def limits() -> dict[str, Limit]:
-    """The range of every number."""
+    """Return the range of every number."""
     return {
         "foot_skating_mean": Limit(-_INF, 0.02),
         "foot_skating_worst": Limit(-_INF, 0.10),
@@ -136,13 +136,13 @@ def limits() -> dict[str, Limit]:
 
 
 def checks(numbers: Plausibility) -> list[Check]:
-    """Every number beside its limit."""
+    """Return every number beside its limit."""
     ranges = limits()
     return [Check(item.name, getattr(numbers, item.name), ranges[item.name]) for item in fields(numbers)]
 
 
 def measure(performances: Sequence[Performance]) -> Plausibility:
-    """Extremes, means and shares over performances.
+    """Measure extremes, means and shares over performances.
 
     Raises:
         ValueError: if none of them holds an event that should become a sequence.
@@ -154,7 +154,7 @@ def measure(performances: Sequence[Performance]) -> Plausibility:
 
 
 def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> Plausibility:
-    """Extremes over motions, and means and shares over clips of them at 20 frames a second.
+    """Measure extremes over motions, and means and shares over clips of them at 20 frames a second.
 
     Args:
         motions: Performances, or anything else that moves.
@@ -192,7 +192,7 @@ def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> P
 
 
 def _extremes(performance: Moving) -> tuple[float, ...]:
-    """Three minima, then eleven maxima of one performance."""
+    """Return three minima, then eleven maxima of one performance."""
     joints, rate = performance.joints, performance.rate
     knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
     elbows = _inner_angle(joints[:, _SHOULDERS], joints[:, _ELBOWS], joints[:, WRISTS])
@@ -217,14 +217,14 @@ def _extremes(performance: Moving) -> tuple[float, ...]:
 
 
 def _inner_angle(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle at a joint, degrees."""
+    """Return the angle at a joint, degrees."""
     first, second = a - middle, b - middle
     cross = np.linalg.norm(np.cross(first, second), axis=-1)
     return np.rad2deg(np.arctan2(cross, (first * second).sum(axis=-1)))
 
 
 def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray, "n 3"]:
-    """One column of the rotation matrices: 2 is forward."""
+    """Return one column of the rotation matrices: 2 is forward."""
     w, x, y, z = quaternions.T
     columns = (
         (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
@@ -235,7 +235,7 @@ def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray,
 
 
 def _planted_slide(performance: Moving) -> float:
-    """Farthest horizontal way of a ball within one stretch of contact."""
+    """Return the farthest horizontal way of a ball within one stretch of contact."""
     farthest = 0.0
     for side, ball in enumerate(_BALLS):
         planted = performance.planted[:, side]
@@ -248,7 +248,7 @@ def _planted_slide(performance: Moving) -> float:
 
 
 def _share_backwards(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
-    """Share of frames in which a knee lies behind the line from hip to ankle, seen along pelvis and foot."""
+    """Return the share of frames in which a knee lies behind the line from hip to ankle, seen along pelvis and foot."""
     hips, knees, ankles = joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES]
     foot = joints[:, _BALLS] - ankles
     foot[..., 1] = 0.0
@@ -272,7 +272,7 @@ def _top_speed(points: np.ndarray, rate: float) -> float:
 
 
 def _jerk(performance: Moving) -> Float[np.ndarray, "m 22"]:
-    """Third difference quotient on a 60 Hz grid, m/s³."""
+    """Return the third difference quotient on a 60 Hz grid, m/s³."""
     stride = max(1, round(performance.rate / _JERK_RATE))
     rate = performance.rate / stride
     return np.linalg.norm(np.diff(performance.joints[::stride], n=3, axis=0), axis=-1) * rate**3

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from prbench.representation import N_FEATURES
 from prbench.skeleton import N_JOINTS
-from prbench.training.motion import Motion
+from prbench.training.motions import Motion
 
 _POSE = pa.list_(pa.float32(), 3 * N_JOINTS)
 

@@ -9,10 +9,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from prbench.storage import read_json, write_json
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench.training.devices import make_fabric
+from prbench.training.items import MotionBatch
 from prbench.training.loop import fit
+from prbench.training.processes import make_fabric
 from prbench.training.task import TrainingModule
 from tests.training.toy import random_batch, rows_of
 

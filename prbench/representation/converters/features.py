@@ -1,4 +1,4 @@
-"""What a HumanML3D model puts out, as joints: statistics, layout, rows and frames.
+"""Joints from what a HumanML3D model puts out: statistics, layout, rows and frames.
 
 Sources: docs/specification/humanml3d.md#inverse and docs/specification/humanml3d.md#normalisation.
 
@@ -19,8 +19,7 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.numpy_files import load_array
 from prbench.representation.converters.feature_checks import FEATURES, check_features
-from prbench.representation.decoding import decode, decode_rotations
-from prbench.representation.encoding import yaw_matrices
+from prbench.representation.encoding import decode, decode_rotations, yaw_matrices
 from prbench.representation.features import (
     JOINT_VELOCITIES,
     N_FEATURES,

@@ -1,4 +1,4 @@
-"""Where a generated motion stands: in the canonical frame, on the initial pose, on the body of the person."""
+"""Placement of a generated motion: in the canonical frame, on the initial pose, on the body of the person."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.checks import IN_MEMORY, check_joints
-from prbench.representation.clips import canonicalise
-from prbench.representation.converters.axes import to_y_up
+from prbench.representation.clips import IN_MEMORY, canonicalise, check_joints
+from prbench.representation.converters.axes import at_rate, to_y_up
 from prbench.representation.converters.plausibility import check_limbs, check_sides
-from prbench.representation.converters.timing import at_rate
 from prbench.representation.features import FRAME_RATE
 from prbench.representation.uniform_skeleton import rest_offsets, retarget
 from prbench.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points

@@ -12,8 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from prbench.synthetic.activities.script import Hand, Loop
-from prbench.synthetic.activities.stage import SITTING_TIME, Stage
+from prbench.synthetic.activities.stage import SITTING_TIME, Hand, Loop, Stage
 
 _SPEEDS = ((0.5, 0.65), (0.8, 1.1), (0.8, 1.1), (1.28, 1.32))
 """Slow, normal (twice as often) and brisk walking, metres a second; nobody turns a corner briskly."""
@@ -33,22 +32,22 @@ def _walk(stage: Stage, turn: float) -> None:
     stage.did("walk", begin, begin + 3.0 if segment is None else segment.end)
 
 
-def walk_straight(stage: Stage) -> None:
+def _walk_straight(stage: Stage) -> None:
     """Walk ahead; slowly, normally or briskly."""
     _walk(stage, stage.draw(-0.05, 0.05))
 
 
-def walk_left(stage: Stage) -> None:
+def _walk_left(stage: Stage) -> None:
     """Turn to the left and walk."""
     _walk(stage, stage.draw(0.6, 1.7))
 
 
-def walk_right(stage: Stage) -> None:
+def _walk_right(stage: Stage) -> None:
     """Turn to the right and walk."""
     _walk(stage, -stage.draw(0.6, 1.7))
 
 
-def walk_curve(stage: Stage) -> None:
+def _walk_curve(stage: Stage) -> None:
     """Walk along an arc."""
     begin = stage.now
     length = stage.draw(2.4, 3.6)
@@ -56,7 +55,7 @@ def walk_curve(stage: Stage) -> None:
     stage.did("curve", begin, arc.end)
 
 
-def walk_carrying(stage: Stage) -> None:
+def _walk_carrying(stage: Stage) -> None:
     """Walk with one or both hands held before the chest, as with something in them."""
     begin, hand = stage.now, int(stage.rng.integers(3))
     hands = (0, 1) if hand == 2 else (hand,)
@@ -72,7 +71,7 @@ def walk_carrying(stage: Stage) -> None:
     stage.did("carry", begin, end + 0.3, hand)
 
 
-def turn_around(stage: Stage) -> None:
+def _turn_around(stage: Stage) -> None:
     """Turn on the spot."""
     begin = stage.now
     angle = stage.side() * stage.draw(0.55, 3.0)
@@ -88,7 +87,7 @@ def stand(stage: Stage) -> None:
 
 
 def look_around(stage: Stage) -> None:
-    """Wide looks to both sides."""
+    """Look far to both sides in turn."""
     begin, time, side = stage.now, stage.now, stage.side()
     for _ in range(int(stage.rng.integers(3, 5))):
         length = stage.draw(0.75, 1.15)
@@ -97,7 +96,7 @@ def look_around(stage: Stage) -> None:
     stage.did("look around", begin, time)
 
 
-def look_at_hands(stage: Stage) -> None:
+def _look_at_hands(stage: Stage) -> None:
     """Hold both hands before the chest and look at them."""
     begin, length = stage.now, stage.draw(2.6, 3.6)
     for hand in (0, 1):
@@ -107,23 +106,23 @@ def look_at_hands(stage: Stage) -> None:
     stage.did("look at hands", begin, begin + length)
 
 
-def step_sideways(stage: Stage) -> None:
-    """Side steps, still facing the same way."""
+def _step_sideways(stage: Stage) -> None:
+    """Step sideways, still facing the same way."""
     begin, side = stage.now, stage.side()
     goal = stage.base.point + side * stage.draw(0.3, 0.6) * stage.base.left
     segment = stage.go(replace(stage.base, x=float(goal[0]), z=float(goal[2])), 1.0)
     stage.did("sidestep", begin, begin + 1.5 if segment is None else segment.end)
 
 
-def step_back(stage: Stage) -> None:
-    """Steps backwards."""
+def _step_back(stage: Stage) -> None:
+    """Step backwards."""
     begin = stage.now
     goal = stage.base.point - stage.draw(0.3, 0.55) * stage.base.forward
     segment = stage.go(replace(stage.base, x=float(goal[0]), z=float(goal[2])), 1.0)
     stage.did("step back", begin, begin + 1.5 if segment is None else segment.end)
 
 
-def reach_out(stage: Stage) -> None:
+def _reach_out(stage: Stage) -> None:
     """Reach for something without taking it."""
     begin, hand = stage.now + 0.2, stage.free_hand()
     outwards = (1.0 if hand == 0 else -1.0) * stage.draw(0.02, 0.20)
@@ -150,17 +149,17 @@ def _rub(stage: Stage, name: str, size: tuple[float, float], frequency: tuple[fl
 
 
 def wipe(stage: Stage) -> None:
-    """Wide circles of a hand before the body, as on a table."""
+    """Move a hand in wide circles before the body, as on a table."""
     _rub(stage, "wipe", (0.12, 0.15), (0.8, 1.2))
 
 
 def stir(stage: Stage) -> None:
-    """Small quick circles of a hand, as in a pot."""
+    """Move a hand in small quick circles, as in a pot."""
     _rub(stage, "stir", (0.08, 0.10), (1.2, 1.6))
 
 
 def crouch(stage: Stage) -> None:
-    """Down with bent knees, and up again."""
+    """Go down with bent knees, and up again."""
     begin, depth = stage.now, stage.draw(0.32, 0.48)
     down = 0.8 + 1.25 * depth
     stay = stage.draw(0.4, 1.0)
@@ -169,7 +168,7 @@ def crouch(stage: Stage) -> None:
     stage.did("crouch", begin, begin + 2 * down + stay)
 
 
-def bend_forward(stage: Stage) -> None:
+def _bend_forward(stage: Stage) -> None:
     """Lean forward with nearly straight legs, and up again."""
     begin, length, stay = stage.now, stage.draw(1.0, 1.3), stage.draw(0.4, 1.0)
     stage.bend(begin, length, stage.draw(0.75, 1.15), stage.draw(0.02, 0.06))
@@ -179,7 +178,7 @@ def bend_forward(stage: Stage) -> None:
 
 
 def wave(stage: Stage) -> None:
-    """A hand waves beside the head."""
+    """Wave a hand beside the head."""
     begin, hand = stage.now, stage.free_hand()
     frequency, cycles = stage.draw(1.5, 2.5), int(stage.rng.integers(3, 7))
     waving = cycles / frequency
@@ -191,8 +190,8 @@ def wave(stage: Stage) -> None:
     stage.did("wave", begin, end + 0.8, hand)
 
 
-def raise_arms(stage: Stage) -> None:
-    """Both arms up, and down again."""
+def _raise_arms(stage: Stage) -> None:
+    """Raise both arms, and lower them again."""
     begin, up, stay = stage.now, stage.draw(0.9, 1.2), stage.draw(0.4, 1.1)
     for hand in (0, 1):
         stage.move_hand(hand, begin, up, "shoulder", (stage.draw(0.02, 0.06), 0.265, 0.05), bulge=_BULGE)
@@ -200,8 +199,8 @@ def raise_arms(stage: Stage) -> None:
     stage.did("raise arms", begin, begin + 2 * up + stay)
 
 
-def scratch_head(stage: Stage) -> None:
-    """A hand rubs the head."""
+def _scratch_head(stage: Stage) -> None:
+    """Rub the head with a hand."""
     begin, hand, length = stage.now, stage.free_hand(), stage.draw(2.8, 3.8)
     loop = Loop(
         begin + 0.8,
@@ -215,15 +214,15 @@ def scratch_head(stage: Stage) -> None:
     stage.did("scratch head", begin, begin + length, hand)
 
 
-def sit_down(stage: Stage) -> None:
-    """Onto a chair that nobody sees."""
+def _sit_down(stage: Stage) -> None:
+    """Sit down on a chair that is not shown."""
     begin = stage.now
     stage.sit(down=True)
     stage.did("sit down", begin, begin + SITTING_TIME + 0.6)
 
 
-def stand_up(stage: Stage) -> None:
-    """From the chair."""
+def _stand_up(stage: Stage) -> None:
+    """Stand up from the chair."""
     begin = stage.now
     stage.sit(down=False)
     stage.did("stand up", begin, begin + SITTING_TIME + 0.5)
@@ -233,16 +232,17 @@ Activity = Callable[[Stage], None]
 
 STANDING: Mapping[Activity, float] = MappingProxyType(
     {
-        walk_straight: 1.6, walk_left: 1.0, walk_right: 1.0, walk_curve: 1.0, walk_carrying: 1.0, turn_around: 1.4,
-        stand: 0.5, look_around: 1.0, look_at_hands: 0.7, step_sideways: 1.0, step_back: 0.8, reach_out: 1.6,
-        wipe: 0.8, stir: 0.8, crouch: 0.8, bend_forward: 0.8, wave: 0.9, raise_arms: 0.7, scratch_head: 0.6,
-        sit_down: 0.9,
+        _walk_straight: 1.6, _walk_left: 1.0, _walk_right: 1.0, _walk_curve: 1.0, _walk_carrying: 1.0,
+        _turn_around: 1.4,
+        stand: 0.5, look_around: 1.0, _look_at_hands: 0.7, _step_sideways: 1.0, _step_back: 0.8, _reach_out: 1.6,
+        wipe: 0.8, stir: 0.8, crouch: 0.8, _bend_forward: 0.8, wave: 0.9, _raise_arms: 0.7, _scratch_head: 0.6,
+        _sit_down: 0.9,
     }
 )  # fmt: skip
 """What somebody who stands may do next, by weight."""
 
 SITTING: Mapping[Activity, float] = MappingProxyType(
-    {stand: 0.8, look_around: 0.8, look_at_hands: 0.7, wave: 0.6, scratch_head: 0.5, stir: 0.5, stand_up: 1.8}
+    {stand: 0.8, look_around: 0.8, _look_at_hands: 0.7, wave: 0.6, _scratch_head: 0.5, stir: 0.5, _stand_up: 1.8}
 )
 """The same for somebody who sits."""
 

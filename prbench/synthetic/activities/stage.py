@@ -2,14 +2,133 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass, field
+from typing import Literal
 
-from prbench.synthetic.activities.script import Act, Arc, Bend, Hand, Place, Script, Sit
+import numpy as np
+from jaxtyping import Float
+
 from prbench.synthetic.people.base import BasePose, Segment, plan_segment
 from prbench.synthetic.people.gaze_plan import Look
 from prbench.synthetic.people.geometry import direction
 from prbench.synthetic.people.grasp import solve_posture
 from prbench.synthetic.people.person import Person
+
+Place = Literal["rest", "shoulder", "world", "thigh", "head", "middle"]
+"""What a hand's target is fixed to; ``middle`` is the point between the shoulders."""
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Walking along a part of a circle."""
+
+    start: BasePose
+    begin: float
+    end: float
+    length: float
+    turn: float
+    """Change of heading; > 0 to the left."""
+    segment: Segment
+    """The same for the planner of steps."""
+
+    @property
+    def goal(self) -> BasePose:
+        """Where it ends."""
+        x, z, heading = self.at(np.array([1.0]))
+        return BasePose(float(x[0]), float(z[0]), float(heading[0]))
+
+    def at(self, progress: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x, z and heading after a share of the way."""
+        radius, first = self.length / self.turn, self.start.heading
+        heading = first + progress * self.turn
+        x = self.start.x + radius * (np.cos(first) - np.cos(heading))
+        z = self.start.z + radius * (np.sin(heading) - np.sin(first))
+        return x, z, heading
+
+
+Move = Segment | Arc
+
+
+@dataclass(frozen=True)
+class Bend:
+    """Lean and crouch (share of the leg) taken up within ``duration``."""
+
+    begin: float
+    duration: float
+    lean: float
+    crouch: float
+    chest_turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sit:
+    """Sitting down, or standing up."""
+
+    begin: float
+    duration: float
+    down: bool
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An ellipse around a hand's target."""
+
+    begin: float
+    end: float
+    first: Float[np.ndarray, "3"]
+    """Half axis, chest frame, metres."""
+    second: Float[np.ndarray, "3"]
+    frequency: float
+    """Hz."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand takes up a target within ``duration``."""
+
+    hand: int
+    """0 left, 1 right."""
+    begin: float
+    duration: float
+    place: Place
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Outwards, up, forward; fractions of the stature (``world``: a point, metres)."""
+    loop: Loop | None = None
+    pole: tuple[float, float, float] | None = None
+    """Where the elbow points (outwards, up, forward of the chest); None: as arms do."""
+    bulge: float = 0.0
+    """How far the path swings forward on the way, metres: not through the own shoulder."""
+
+
+@dataclass(frozen=True)
+class Act:
+    """One activity that was planned; its words are chosen from what then happens."""
+
+    name: str
+    begin: float
+    end: float
+    hand: int | None = None
+
+
+@dataclass
+class Script:
+    """All commands of one recording; filled by the activities, one after the other."""
+
+    person: Person
+    start: BasePose
+    moves: list[Move] = field(default_factory=list)
+    bends: list[Bend] = field(default_factory=list)
+    sits: list[Sit] = field(default_factory=list)
+    hands: list[Hand] = field(default_factory=list)
+    looks: list[Look] = field(default_factory=list)
+    acts: list[Act] = field(default_factory=list)
+    end: float = 0.0
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """All changes of place, as the planner of steps takes them."""
+        return tuple(move.segment if isinstance(move, Arc) else move for move in self.moves)
+
 
 SITTING_TIME = 1.6
 _EYE_HEIGHT, _SEATED_EYE_HEIGHT = 0.93, 0.71  # of the stature
@@ -32,26 +151,26 @@ class Stage:
         return self.person.body.stature
 
     def draw(self, low: float, high: float) -> float:
-        """Uniform."""
+        """Draw a uniform number."""
         return float(self.rng.uniform(low, high))
 
     def side(self) -> int:
-        """+1 left or -1 right, equally often."""
+        """Draw +1 (left) or -1 (right), equally often."""
         return 1 if self.rng.random() < 0.5 else -1
 
     def free_hand(self) -> int:
-        """The preferred hand three times in four."""
+        """Draw a hand: the preferred one three times in four."""
         right = bool(self.person.habits.right_handed) is (self.rng.random() < 0.75)
         return int(right)
 
     def did(self, name: str, begin: float, end: float, hand: int | None = None) -> None:
-        """An activity is planned; the next begins after it."""
+        """Record that an activity is planned; the next begins after it."""
         self.script.acts.append(Act(name, begin, end, hand))
         self.now = end
         self.script.end = end
 
     def pace(self, speed: float, distance: float) -> float:
-        """The factor on this person's usual speed at which a way of that length is walked that fast."""
+        """Return the factor on this person's usual speed at which a way of that length is walked that fast."""
         return speed / (self.person.habits.walk_speed * float(1.0 - np.exp(-(distance + 0.15) / 0.75)))
 
     def go(self, goal: BasePose, pace: float) -> Segment | None:
@@ -63,7 +182,7 @@ class Stage:
         return segment
 
     def ahead(self, distance: float, heading: float) -> BasePose:
-        """A place in some direction, facing that way."""
+        """Return a place in some direction, facing that way."""
         return BasePose(
             self.base.x + distance * float(np.sin(heading)), self.base.z + distance * float(np.cos(heading)), heading
         )
@@ -106,7 +225,7 @@ class Stage:
         self.script.hands.append(Hand(hand, at, duration, place, offset, bulge=bulge))
 
     def rest(self, hand: int, at: float, duration: float, *, bulge: float = 0.0) -> None:
-        """Back to where the hand waits."""
+        """Bring a hand back to where it waits."""
         self.move_hand(hand, at, duration, "thigh" if self.is_seated else "rest", bulge=bulge)
 
     def look(self, begin: float, end: float, yaw: float, pitch: float, distance: float = 2.5) -> None:
@@ -132,7 +251,7 @@ class Stage:
         return point + np.array([0.0, self.stature * (_SEATED_EYE_HEIGHT if self.is_seated else _EYE_HEIGHT), 0.0])
 
     def before_chest(self, up: float, forward: float, left: float = 0.0) -> np.ndarray:
-        """A point of the world before the person; fractions of the stature, ``up`` from the eyes."""
+        """Return a point of the world before the person; fractions of the stature, ``up`` from the eyes."""
         return self.eye + self.stature * (
             up * np.array([0.0, 1.0, 0.0]) + forward * self.base.forward + left * self.base.left
         )

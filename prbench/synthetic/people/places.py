@@ -21,9 +21,8 @@ from prbench.synthetic.people.grasp import (
     solve_posture,
     take_hold,
 )
-from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import seated_pelvis_height
 from prbench.synthetic.people.world import Room, Surface
 
 _WITHIN_REACH = 0.92
@@ -77,7 +76,7 @@ class Reachability:
         self.pelvis_height = seated_pelvis_height(person.body) if is_seated else None
 
     def hand_for(self, base: BasePose, centre: np.ndarray) -> int:
-        """The side of the goal with p = .75, else the preferred hand."""
+        """Draw the hand: with p = .75 the one on the side of the goal, else the preferred one."""
         preferred = int(self.person.habits.right_handed)
         if self.rng.random() >= 0.75:
             return preferred
@@ -86,7 +85,7 @@ class Reachability:
     def stand(
         self, base: BasePose, at_surface: int, goal: Goal, hand: int, held: Held | None, begin: float, *, stay: bool
     ) -> Stand | None:
-        """A place from which a hand reaches a goal.
+        """Return a place from which a hand reaches a goal.
 
         Args:
             base: Where the person stands now.
@@ -120,7 +119,7 @@ class Reachability:
     def _hold(
         self, base: BasePose, hand: int, goal: Goal, number: float, held: Held | None
     ) -> tuple[float, Grasp, Posture]:
-        """Grasp and posture depend on one another through the shoulder: two rounds settle them."""
+        """Find grasp and posture, which depend on one another through the shoulder: two rounds settle them."""
         if held is not None:
             turned = base.heading - held.heading
             grasp = held.grasp.moved(held.centre, goal.centre, turned)
@@ -139,7 +138,7 @@ class Reachability:
         return goal.yaw, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
 
     def _places(self, base: BasePose, at_surface: int, goal: Goal, hand: int) -> list[BasePose]:
-        """Standing places to try in turn: where one stands, the good place, then nearer ones."""
+        """Return the standing places to try in turn: where one stands, the good place, then nearer ones."""
         if self.is_seated:
             return [base]
         front = self.room.surfaces[goal.surface]
@@ -166,7 +165,7 @@ class Reachability:
         return BasePose(float(point[0]), float(point[2]), heading)
 
     def _table_places(self, base: BasePose, front: Surface, centre: np.ndarray, hand: int) -> list[BasePose]:
-        """Along one table people shift most of the way to the good place, and lean for the rest."""
+        """Return the places along one table: people shift most of the way to the good place, and lean for the rest."""
         good = self._standing_place(front, centre, hand)
         back = float(self.rng.uniform(-0.03, 0.08)) * front.normal
         place = BasePose(

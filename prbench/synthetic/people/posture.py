@@ -16,10 +16,9 @@ from prbench.synthetic.people.base import BasePath
 from prbench.synthetic.people.channels import blend, smooth, two_pole_low_pass, wobble
 from prbench.synthetic.people.grasp import Posture, pelvis_setback
 from prbench.synthetic.people.head_eye import Head
-from prbench.synthetic.people.legs import lowered_pelvis
+from prbench.synthetic.people.legs import Feet, Step, lowered_pelvis
+from prbench.synthetic.people.person import Trunk, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan
-from prbench.synthetic.people.steps import Feet, Step
-from prbench.synthetic.people.trunk import Trunk, pose_trunk, standing_pelvis_height
 
 _CHEST_LIMIT = np.deg2rad(49.0)
 _PELVIS_LIMIT = np.deg2rad(17.0)
@@ -44,7 +43,7 @@ class Sway:
 
 
 def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.ndarray, rng: np.random.Generator) -> Sway:
-    """The wobbles of a recording, and the swing of pelvis and arms over its steps."""
+    """Draw the wobbles of a recording, and the swing of pelvis and arms over its steps."""
     rate = 1.0 / (times[1] - times[0])
     lateral, swing = np.zeros(times.size), np.zeros(times.size)
     for step in steps:
@@ -66,7 +65,7 @@ def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.nda
 
 
 def _hand_wobble(plan: Plan, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Hanging hands tremble; hands at work move about."""
+    """Draw the tremble of hanging hands, or the movements of hands at work."""
     if plan.preset.work_pose is None:
         size, low, high = float(rng.uniform(0.006, 0.010)), 0.05, 0.5
     else:
@@ -106,7 +105,7 @@ def move_trunk(
     times: Float[np.ndarray, " n"],
     head: Head | None,
 ) -> Trunk:
-    """Pelvis, spine and shoulders at every frame.
+    """Return the pelvis, spine and shoulders at every frame.
 
     Args:
         plan: Person and preset.
@@ -141,7 +140,7 @@ def move_trunk(
 
 
 def _follow_head(plan: Plan, turned: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Chest and pelvis against the heading: low-passed shares of the head's turn."""
+    """Return the turns of chest and pelvis against the heading: low-passed shares of the head's turn."""
     habits, extra = plan.person.habits, plan.preset.chest_gain
     chest = two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
     share = habits.pelvis_share + 0.3 * max(0.0, extra)

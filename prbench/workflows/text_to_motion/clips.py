@@ -13,8 +13,7 @@ from prbench.evaluation.text_to_motion.configuration import SNIPPET, EvaluatorCo
 from prbench.evaluation.text_to_motion.r_precision import BATCH
 from prbench.randomness import named_generator
 from prbench.sequences import CorpusTable, SequenceTable
-from prbench.training.motion import Motion, cut, encoded
-from prbench.training.rows import frame_rate, open_table, read_rows
+from prbench.training.motions import Motion, cut, encoded, frame_rate, open_table, read_rows
 
 _SHORTER = 1 / 3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from prbench.workflows.synthetic_table import Staging, synthetic_source
 from prbench_adapters.gmd import adapter
 from prbench_adapters.gmd.model import GMDModel
 
-FOLDER = adapter.weights_folder()
+FOLDER = Path(adapter.__file__).with_name("weights")
 NAMES = ("gmd-small", "gmd-small-pretrained")
 LARGEST = 2_500_000  # bytes
 HELD_OUT = (29, 25)  # recordings of the embedded ADT table that are in its test split, with short sequences
