@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.contact import contact_distance
 from prbench.curation.events import find_events
-from prbench.curation.gaps import placed_in_gap
-from prbench.curation.rest import Departure
+from prbench.curation.rest import Departure, placed_in_gap
 from prbench.errors import RecordingUnusable
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, HandStream, Recording
