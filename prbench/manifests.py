@@ -20,7 +20,7 @@ Redistribution = Literal["none", "non-commercial", "yes"]
 
 
 class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Source of a dataset's body poses, and their mapping to the 22 joints."""
+    """The source of a dataset's body poses and their mapping to the 22 joints."""
 
     pose_source: str
     head_tilt_deg: float
@@ -34,7 +34,7 @@ class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Rule of an object in hand: a contact point close to it, and the object moving. Metres and seconds."""
+    """The rule of an object that counts as held: a contact point is close, and it moves. Metres and seconds."""
 
     contact: Literal["middle_finger_base", "wrist", "hand_vertex"]
     target: Literal["oriented_box", "origin", "surface"]
@@ -49,7 +49,7 @@ class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class BuildEstimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Time and space that a build takes, measured with one core on synthetic recordings of the dataset."""
+    """Time and size of a build, measured with one core on synthetic recordings of the dataset."""
 
     megabytes_per_second: float
     """Input files, read and curated."""
@@ -76,7 +76,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     wanted_roles: dict[str, str] = {}
     """The same for files without which a recording is read, and yields less."""
     estimate: BuildEstimate | None = None
-    """Estimate that ``--dry-run`` uses; None for corpora."""
+    """The figures that ``--dry-run`` reckons with; None for corpora."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
     """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
@@ -84,10 +84,10 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     other_bodies: dict[str, BodySource] = {}
     """Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``)."""
     in_hand: InHandRule | None = None
-    """None where the dataset annotates its events."""
+    """The in-hand rule; None where the dataset annotates its events."""
     in_hand_alternatives: dict[str, InHandRule] = {}
     publishes_priming: bool = False
-    """True where the dataset's own files say when events were primed (``--priming published``)."""
+    """True if the dataset's own files say when events were primed (``--priming published``)."""
     thresholds: dict[str, float] = {}
     """Numbers of the reader that the dataset's page leaves to choose, by name."""
     known_bad: dict[str, str] = {}

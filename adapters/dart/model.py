@@ -94,7 +94,8 @@ class DartModel:
         where = torch_device(device)
         weights = read_weights(path, kind=KIND)
         configuration = weights.configuration(DartConfiguration)
-        vae, denoiser = PrimitiveVAE(configuration), LatentDenoiser(configuration)
+        vae = PrimitiveVAE(configuration)
+        denoiser = LatentDenoiser(configuration)
         weights.load_into(vae, "vae")
         weights.load_into(denoiser, "denoiser")
         return cls(

@@ -82,7 +82,8 @@ def roll_out(
         future = model.scaling.frames(features)
         done.append(Primitive(history, latent, features, placement, placement.points(future.joints)))
         frames, inner = next_history(future)
-        history, placement = model.scaling.standardised(frames), placement.then(inner)
+        history = model.scaling.standardised(frames)
+        placement = placement.then(inner)
     return done
 
 

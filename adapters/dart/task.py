@@ -59,7 +59,8 @@ class DartTask:
         start = read_weights(initial, kind=KIND) if initial is not None else None
         if objective.vae_share == 0 and start is None:
             raise UsageError("model.vae_share: 0 keeps the VAE of initial weights; give some with --init.")
-        vae, denoiser = PrimitiveVAE(configuration), LatentDenoiser(configuration)
+        vae = PrimitiveVAE(configuration)
+        denoiser = LatentDenoiser(configuration)
         if start is not None:
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(vae, "vae")

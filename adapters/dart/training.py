@@ -99,7 +99,8 @@ class DartTraining(TrainingModule):
             ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.losses.PARTS`).
         """
         _require_one_process()
-        moment, generator = self.moment(step), self.generator(step)
+        moment = self.moment(step)
+        generator = self.generator(step)
         rows = self._rows(len(batch), moment)
         cut = self._windows(batch, rows, generator)
         if moment.vae:
@@ -237,7 +238,8 @@ class DartTraining(TrainingModule):
         """Measure the latents' standard deviation, one number for all dimensions, when the denoiser's phase begins."""
         if self._measured():
             return
-        n, few = len(self.data), min(len(self.data), _MEASURED_MOTIONS)
+        n = len(self.data)
+        few = min(len(self.data), _MEASURED_MOTIONS)
         places = [place * n // few for place in range(few)]
         self.vae.eval()
         latents = []

@@ -78,7 +78,9 @@ def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> 
     Raises:
         UsageError: if no motion is long enough for a primitive.
     """
-    total, squares, count = torch.zeros(N_FEATURES).double(), torch.zeros(N_FEATURES).double(), 0
+    total = torch.zeros(N_FEATURES).double()
+    squares = torch.zeros(N_FEATURES).double()
+    count = 0
     for features in _all_primitives(data, configuration):
         total += features.double().sum(dim=0)
         squares += features.double().square().sum(dim=0)

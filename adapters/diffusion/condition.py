@@ -118,7 +118,8 @@ class ConditionScaling:
         """
         parts, kept = configuration.condition_parts, torch.ones_like(mean)
         if configuration.condition_scaling == "none":
-            mean, std = torch.zeros_like(mean), torch.ones_like(std)
+            mean = torch.zeros_like(mean)
+            std = torch.ones_like(std)
             std[parts["initial_velocity"]] = configuration.fps
         for name, part in parts.items():
             if name in configuration.dropped:

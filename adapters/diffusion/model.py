@@ -199,5 +199,6 @@ def _scaling(weights: Weights, configuration: DenoiserConfiguration) -> Conditio
     if configuration.goal == "none":
         return None
     size = (configuration.condition_size,)
-    mean, std = weights.require("condition.mean", size), weights.require("condition.std", size)
+    mean = weights.require("condition.mean", size)
+    std = weights.require("condition.std", size)
     return ConditionScaling.of(configuration, mean, std)

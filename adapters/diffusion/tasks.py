@@ -138,8 +138,10 @@ def _scaling(
     if configuration.goal == "none":
         return None
     found = data.train.condition_statistics(configuration.goal)  # refuses data without goals, whatever we start from
-    mean, std = torch.as_tensor(found.mean), torch.as_tensor(found.std)
+    mean = torch.as_tensor(found.mean)
+    std = torch.as_tensor(found.std)
     if start is not None and start.part("condition"):
         size = (configuration.condition_size,)
-        mean, std = start.require("condition.mean", size), start.require("condition.std", size)
+        mean = start.require("condition.mean", size)
+        std = start.require("condition.std", size)
     return ConditionScaling.of(configuration, mean, std)

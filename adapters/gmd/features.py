@@ -36,7 +36,8 @@ def with_absolute_root(
     """Replace the steps of the root, columns 0 to 2, by where they lead from the origin."""
     steps = pad(features[..., :-1, : ROOT_XZ.stop].movedim(-1, 0), (1, 0))  # each frame's step from the one before
     half_turn = steps[0].cumsum(-1)
-    cos, sin = (2 * half_turn).cos(), (2 * half_turn).sin()
+    cos = (2 * half_turn).cos()
+    sin = (2 * half_turn).sin()
     x = (cos * steps[1] - sin * steps[2]).cumsum(-1)
     z = (sin * steps[1] + cos * steps[2]).cumsum(-1)
     return torch.cat((torch.stack((half_turn, x, z), -1), features[..., ROOT_HEIGHT.start :]), -1)
@@ -46,7 +47,8 @@ def decode_absolute(features: Float[Tensor, "*batch frames columns"]) -> Float[T
     """Joints of every row, from its first 67 columns alone; canonical frame, metres."""
     half_turn, root_x, root_z = features[..., : ROOT_XZ.stop].unbind(-1)
     pelvis = torch.stack((root_x, features[..., ROOT_HEIGHT.start], root_z), -1)
-    cos, sin = (2 * half_turn).cos()[..., None], (2 * half_turn).sin()[..., None]
+    cos = (2 * half_turn).cos()[..., None]
+    sin = (2 * half_turn).sin()[..., None]
     x, y, z = features[..., JOINT_POSITIONS].unflatten(-1, (21, 3)).unbind(-1)
     joints = torch.stack((cos * x - sin * z + root_x[..., None], y, sin * x + cos * z + root_z[..., None]), -1)
     return torch.cat((pelvis[..., None, :], joints), -2)
@@ -61,7 +63,8 @@ def pose_columns(joints: Float[Tensor, "batch 22 3"], half_turn: Float[Tensor, "
     """
     pelvis = joints[:, Joint.PELVIS]
     local = joints[:, 1:] - pelvis[:, None] * pelvis.new_tensor((1.0, 0.0, 1.0))
-    cos, sin = (2 * half_turn).cos()[:, None], (2 * half_turn).sin()[:, None]
+    cos = (2 * half_turn).cos()[:, None]
+    sin = (2 * half_turn).sin()[:, None]
     x, y, z = local.unbind(-1)
     turned = torch.stack((cos * x + sin * z, y, cos * z - sin * x), -1)
     return torch.cat((half_turn[:, None], pelvis[:, ::2], pelvis[:, 1:2], turned.flatten(1)), dim=1)

@@ -55,7 +55,8 @@ def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
     Raises:
         InputFileError: if a file is none of these.
     """
-    means, deviations = _read(mean, (N_FEATURES,)), _read(std, (N_FEATURES,))
+    means = _read(mean, (N_FEATURES,))
+    deviations = _read(std, (N_FEATURES,))
     _require_deviations(std, deviations)
     matrix = _read(projection, (N_FEATURES, N_FEATURES))
     _require_projection(projection, matrix)

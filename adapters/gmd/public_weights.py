@@ -80,7 +80,8 @@ def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: floa
         InputFileError: if the files hold no such networks.
     """
     size, text_dimension = motion.require("embed_text.weight", (None, None)).shape
-    motion_widths, trajectory_widths = widths_of(motion), widths_of(trajectory)
+    motion_widths = widths_of(motion)
+    trajectory_widths = widths_of(trajectory)
     levels = max(len(motion_widths), len(trajectory_widths))
     try:
         return GMDConfiguration(
@@ -194,7 +195,8 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     if out.suffix != _SUFFIX:
         raise UsageError(f"--out {out}: expected a name that ends with {_SUFFIX}.")
     space = read_space(files.mean, files.std, files.projection)
-    motion, trajectory = read_checkpoint(files.motion), read_checkpoint(files.trajectory)
+    motion = read_checkpoint(files.motion)
+    trajectory = read_checkpoint(files.trajectory)
     configuration = _configuration_of(motion, trajectory, emphasis_of(space))
     networks = _networks_of(motion, trajectory, configuration)
     tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}

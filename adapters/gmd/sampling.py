@@ -112,7 +112,8 @@ def guided_mean(
         scale: Of the gradient.
     """
     index = int(chain.indices[i])
-    of_clean, of_noisy = float(chain.posterior_mean_clean[i]), float(chain.posterior_mean_noisy[i])
+    of_clean = float(chain.posterior_mean_clean[i])
+    of_noisy = float(chain.posterior_mean_noisy[i])
     if loss is None:
         with torch.no_grad():
             return of_clean * clean_estimate(state, index) + of_noisy * state
@@ -150,8 +151,10 @@ def imputed_in_mean(
     State and mean are projected; which columns are taken from which mean is decided in plain features. The posterior
     mean is linear, so only the columns in question are computed.
     """
-    plain, noisy = space.unprojected(mean), space.unprojected(state)
-    of_clean, of_noisy = float(chain.posterior_mean_clean[i]), float(chain.posterior_mean_noisy[i])
+    plain = space.unprojected(mean)
+    noisy = space.unprojected(state)
+    of_clean = float(chain.posterior_mean_clean[i])
+    of_noisy = float(chain.posterior_mean_noisy[i])
     return space.projected(torch.where(imputed.where, of_clean * imputed.values + of_noisy * noisy, plain))
 
 
@@ -177,7 +180,8 @@ class Ends:
     def impute_poses(self, imputed: Imputed, space: FeatureSpace) -> Imputed:
         """Add root and joint positions of both frames; the goal's heading is that of its own joints."""
         unturned = torch.zeros(len(self.first), device=self.first.device)
-        values, where = imputed.values.clone(), imputed.where.clone()
+        values = imputed.values.clone()
+        where = imputed.where.clone()
         row = torch.arange(len(self.first), device=self.first.device)
         for pose, half_turn, frame in (
             (self.last, half_turn_of(self.last), self.n_frames - 1),

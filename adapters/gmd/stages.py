@@ -113,7 +113,8 @@ def sample_trajectory(
     """Stage 1: the root's heading, x, z and height (raw) of motions that pass their keyframes, however many."""
     chain = schedule.chain(settings.steps or len(schedule))
     at_keyframes, on_line = (imputed_root(goal, space, N_ROOT) for goal in (keyframes, keyframes.line()))
-    guided_from, line_from = _step(schedule, _GUIDED_FROM), _step(schedule, _LINE_FROM)
+    guided_from = _step(schedule, _GUIDED_FROM)
+    line_from = _step(schedule, _LINE_FROM)
     imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][0])
     state = noise.draw(N_ROOT)
     for i in range(len(chain) - 1, -1, -1):
@@ -148,7 +149,8 @@ def sample_motion(
     imputed = imputed_root(goal, space, len(space.mean))
     if settings.keyframes == "pose":
         imputed = ends.impute_poses(imputed, space)
-    guided_from, imputed_from = _step(schedule, _GUIDED_FROM), _step(schedule, _IMPUTED_FROM[settings.imputation][1])
+    guided_from = _step(schedule, _GUIDED_FROM)
+    imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][1])
     loss = _root_loss(goal, settings, lambda clean: space.restored(space.unprojected(clean)))
     state = noise.draw()
     for i in range(len(chain) - 1, -1, -1):

@@ -90,7 +90,8 @@ class GMDTraining(TrainingModule):
             projected = space.projected(standardised)
         text = caption_vectors(self.texts, batch.text).to(batch.features.device, non_blocking=True)
         generator = self.generator(step)
-        motion, trajectory = self.draw(projected, generator), self.draw(standardised[..., :N_ROOT], generator)
+        motion = self.draw(projected, generator)
+        trajectory = self.draw(standardised[..., :N_ROOT], generator)
         clean = self._predicted(self.networks.motion, projected, motion, text, batch)
         noise = self._predicted(self.networks.trajectory, standardised[..., :N_ROOT], trajectory, text, batch)
         losses = {

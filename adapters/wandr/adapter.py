@@ -163,7 +163,9 @@ def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> 
     """The batch with the rows of left hands as a mirror shows them."""
     assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
     assert batch.goal_location is not None
-    initial, previous, goal = batch.initial_joints.copy(), batch.previous_joints.copy(), batch.goal_location.copy()
+    initial = batch.initial_joints.copy()
+    previous = batch.previous_joints.copy()
+    goal = batch.goal_location.copy()
     initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
     return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
 

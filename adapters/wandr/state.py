@@ -28,7 +28,9 @@ DELTA_SIZE = 3 + 6 * N_JOINTS
 """Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints."""
 SEEN_SIZE = 1 + 6 * N_JOINTS
 """Numbers of a state without its yaw and its place on the floor."""
-TRANSLATION, ROOT, JOINTS = slice(0, 3), slice(3, 9), slice(9, DELTA_SIZE)
+TRANSLATION = slice(0, 3)
+ROOT = slice(3, 9)
+JOINTS = slice(9, DELTA_SIZE)
 """Parts of a change."""
 
 _LYING = 0.1  # length of the horizontal part of the left axis below which the body lies on its side (6 degrees)
@@ -95,7 +97,8 @@ def yaw_rotation(root: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor,
     that lies on its side that angle means nothing; there the facing axis decides. The original computes the yaw outside
     of the graph, which keeps the training on its own output stable.
     """
-    left, front = root[..., :2, 0].detach(), root[..., :2, 2].detach()
+    left = root[..., :2, 0].detach()
+    front = root[..., :2, 2].detach()
     lying = left.norm(dim=-1, keepdim=True) < _LYING
     across = torch.where(lying, torch.stack((-front[..., 1], front[..., 0]), -1), left)
     zero = torch.zeros_like(across[..., :1])

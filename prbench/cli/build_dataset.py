@@ -183,7 +183,7 @@ def _poses(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _print_report(report: BuildReport) -> int:
-    from prbench.curation.funnel import funnel_rows
+    from prbench.curation.provenance import funnel_rows
 
     rows = [(row.stage, str(row.kept), str(row.dropped or ""), row.reason) for row in funnel_rows(report.info)]
     print_table(

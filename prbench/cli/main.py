@@ -38,9 +38,9 @@ from prbench.cli import (
     view,
 )
 from prbench.cli.terminal import clean_output
+from prbench.engine import end_with_parent
 from prbench.errors import AdapterError, PrbenchError
 from prbench.methods.remote.faults import exit_story
-from prbench.workers import end_with_parent
 
 _Command = Callable[[Sequence[str]], int]
 _COMMANDS = (

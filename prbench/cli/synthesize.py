@@ -101,7 +101,8 @@ def _write_tree(arguments: argparse.Namespace) -> None:
     if arguments.layout in CORPUS_LAYOUTS:
         _write_corpus_tree(arguments)
         return
-    done, planned = itertools.count(1), planned_recordings(arguments.size, arguments.recordings)
+    done = itertools.count(1)
+    planned = planned_recordings(arguments.size, arguments.recordings)
     with progress(f"writing {arguments.layout}") as show:
         tree = synthesize_tree(
             arguments.layout,

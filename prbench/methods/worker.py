@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions, Trainable, TrainingRun
+from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import load_adapter
 from prbench.methods.declared import Declared
@@ -31,7 +32,6 @@ from prbench.methods.remote.messages import (
 from prbench.methods.threads import computing_threads
 from prbench.methods.training_split import FIT_SEED
 from prbench.methods.weights import used_weights, weights_digest
-from prbench.workers import is_out_of_memory
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

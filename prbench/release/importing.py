@@ -25,7 +25,7 @@ from prbench.release.rows import Reading
 from prbench.release.survey import Measured, survey
 from prbench.release.writing import ImportedRows
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
 
 NO_OPTIONS = ImportOptions()

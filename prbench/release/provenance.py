@@ -14,8 +14,7 @@ from prbench.release.known import SYNTHETIC_PREFIX
 from prbench.release.layout import EXPORT_RECORD
 from prbench.release.report import Inference
 from prbench.release.writing import ImportedRows
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts
-from prbench.sequences.info_file import QuarantinedRecording
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.redistribution import strictest
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import file_digest, read_json, text_digest

@@ -21,8 +21,8 @@ from prbench.release.judge import UNKNOWN, Conclusions, is_canonical_already
 from prbench.release.rates import PrimedFrames
 from prbench.release.survey import Measured, clean_gaze, goal_transform
 from prbench.release.values import action_of_text, parse_action, parse_goal, parse_hand, parse_name, parse_text
-from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, Sequence
+from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, invert_rigid, transform_points
 
 POSE_SOURCE = "release"

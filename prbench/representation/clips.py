@@ -124,7 +124,8 @@ def _check_bones(joints: np.ndarray, source: Path | str) -> None:
     bad = np.argwhere(lengths < _SHORTEST_BONE)
     if bad.size:
         frame, bone = bad[0]
-        child, parent = Joint(bone + 1), Joint(PARENTS[bone + 1])
+        child = Joint(bone + 1)
+        parent = Joint(PARENTS[bone + 1])
         raise InputFileError(
             source,
             f"frame {frame}, {child.name.lower()}",

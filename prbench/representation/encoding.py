@@ -139,7 +139,8 @@ def _rotations(frames: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarr
 
 def yaw_matrices(cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
     """Rotations (..., 3, 3) about +Y by the angles with these cosines and sines."""
-    zero, one = np.zeros_like(cos), np.ones_like(cos)
+    zero = np.zeros_like(cos)
+    one = np.ones_like(cos)
     return np.stack([cos, zero, sin, zero, one, zero, -sin, zero, cos], axis=-1).reshape(*cos.shape, 3, 3)
 
 

@@ -10,14 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.corpora.humanml3d.format import MIRROR_PREFIX
+from prbench.corpora.humanml3d.files import MIRROR_PREFIX
 from prbench.corpora.nymeria.body import suit_motion
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import SUIT_RATE
 from prbench.corpora.nymeria.source import NymeriaOptions, recording_clips
 from prbench.corpora.nymeria.suit import clean_suit
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.locks import sole_writer
@@ -38,7 +37,7 @@ POSE_SOURCE = "invented-xsens"
 
 
 class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to invent."""
+    """Options of a corpus that is generated when it is read."""
 
     recordings: int = 40
     """How many; about 13 atomic actions each."""
@@ -55,7 +54,7 @@ class SyntheticSource:
     """One recording that is acted out when it is read (see :class:`prbench.corpora.sources.CorpusRecording`)."""
 
     index: int
-    belonging: Belonging
+    identity: RecordingIdentity
     options: SyntheticOptions
     limits: ClipLimits
     skip_reason: None = None
@@ -73,7 +72,8 @@ class SyntheticSource:
         """Act it out, and cut the clips that its texts describe."""
         motion = narrated_recording(self.options.seed, self.index)
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
-        manifest, kinds = load_manifest("nymeria"), NymeriaOptions(kinds=self.options.kinds).chosen_kinds
+        manifest = load_manifest("nymeria")
+        kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
         clean = clean_suit(readings.recording.suit, manifest.thresholds, path=motion.recording_id)
         body = suit_motion(
             clean,
@@ -85,7 +85,7 @@ class SyntheticSource:
         )
         texts = tuple(row for row in readings.recording.narrations if row.kind in kinds)
         offset = ClockOffset("known", readings.offset)
-        return recording_clips(self.belonging, body, texts, offset, self.limits, manifest.thresholds)
+        return recording_clips(self.identity, body, texts, offset, self.limits, manifest.thresholds)
 
 
 class SyntheticCorpus:
@@ -93,12 +93,13 @@ class SyntheticCorpus:
 
     @property
     def manifest(self) -> Manifest | None:
-        """Nobody's licence: invented by prbench."""
+        """Return None: synthetic people are under nobody's licence."""
         return None
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
         """Return the rate, lengths, seed and generator."""
-        limits, chosen = self._limits(options), self._options(options)
+        limits = self._limits(options)
+        chosen = self._options(options)
         return {
             "fps": f"{limits.fps:g}",
             "max_frames": str(limits.longest),
@@ -110,14 +111,15 @@ class SyntheticCorpus:
         """Return as many recordings as were asked for."""
         if root is not None:
             raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
-        chosen, limits = self._options(options), self._limits(options)
+        chosen = self._options(options)
+        limits = self._limits(options)
         sources = []
         for index in range(chosen.recordings):
             identity = identity_of(chosen.seed, index)
-            belonging = Belonging(
+            source = RecordingIdentity(
                 DATASET, identity.recording_id, identity.participant_id, identity.split, identity.participant_id
             )
-            sources.append(SyntheticSource(index, belonging, chosen, limits))
+            sources.append(SyntheticSource(index, source, chosen, limits))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:

@@ -128,7 +128,8 @@ def _estimate(
 ) -> _Pose:
     """Return the body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
     height = strength(switches.root_height, noise) * _ROOT_HEIGHT
-    limbs, slip = strength(switches.limb_wobble, noise), strength(switches.foot_slip, noise)
+    limbs = strength(switches.limb_wobble, noise)
+    slip = strength(switches.foot_slip, noise)
     if height == limbs == slip == 0.0:
         return true
     draws = sensor_generator(performance, "egoallo-height").normal(0.0, height, int(window.max(initial=0)) + 1)
@@ -175,7 +176,8 @@ def _bend(
 
 def _shortest_turn(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Rotation:
     """Return the rotation about the common normal that takes each direction to another one."""
-    cross, dot = np.cross(first, second), np.einsum("ni,ni->n", first, second)
+    cross = np.cross(first, second)
+    dot = np.einsum("ni,ni->n", first, second)
     sine = np.linalg.norm(cross, axis=1)
     return Rotation.from_rotvec(cross * (np.arctan2(sine, dot) / np.maximum(sine, 1e-15))[:, None])
 
@@ -199,7 +201,8 @@ def _model_parameters(
 
 
 def _head_poses(trajectory: AriaTrajectory, rows: Int[np.ndarray, " n"], size: GlassesSize) -> Float[np.ndarray, "n 7"]:
-    device, device_cpf = Rotation.from_quat(trajectory.rotation[rows], scalar_first=True), device_from_cpf(size)
+    device = Rotation.from_quat(trajectory.rotation[rows], scalar_first=True)
+    device_cpf = device_from_cpf(size)
     position = trajectory.position[rows] + device.apply(device_cpf[:3, 3])
     rotation = device * Rotation.from_matrix(device_cpf[:3, :3])
     return np.hstack([rotation.as_quat(scalar_first=True), position]).astype(np.float32)
@@ -241,12 +244,13 @@ def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
 
 
 def write_smplh_model(path: Path) -> None:
-    """Write the invented body model with the keys of an SMPL-H file: 52 points, one a joint; fingers at the wrists.
+    """Write the synthetic body model with the keys of an SMPL-H file: 52 points, one a joint; fingers at the wrists.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    rest, n = synthetic_smplh(), ego.N_MODEL_JOINTS
+    rest = synthetic_smplh()
+    n = ego.N_MODEL_JOINTS
     hands = np.repeat([20, 21], ego.N_HAND_QUATS)
     owner = np.concatenate([np.arange(22), hands])
     parents = np.concatenate([[_NO_PARENT], np.array(PARENTS[1:]), hands])

@@ -161,7 +161,8 @@ def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> P
         clips: Joints (n, 22, 3) of each clip, metres, Y up.
     """
     on_floor = [clip - [0.0, clip[..., 1].min(), 0.0] for clip in clips]
-    batch, constants = MotionBatch.from_motions(on_floor), load_protocol().metrics
+    batch = MotionBatch.from_motions(on_floor)
+    constants = load_protocol().metrics
     skating = foot_skating(batch, FPS, constants)
     extremes = np.array([_extremes(motion) for motion in motions])
     knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0).tolist()
@@ -193,7 +194,8 @@ def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> P
 
 def _extremes(performance: Moving) -> tuple[float, ...]:
     """Return three minima, then eleven maxima of one performance."""
-    joints, rate = performance.joints, performance.rate
+    joints = performance.joints
+    rate = performance.rate
     knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
     elbows = _inner_angle(joints[:, _SHOULDERS], joints[:, _ELBOWS], joints[:, WRISTS])
     lengths = bone_lengths(joints)
@@ -218,7 +220,8 @@ def _extremes(performance: Moving) -> tuple[float, ...]:
 
 def _inner_angle(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the angle at a joint, degrees."""
-    first, second = a - middle, b - middle
+    first = a - middle
+    second = b - middle
     cross = np.linalg.norm(np.cross(first, second), axis=-1)
     return np.rad2deg(np.arctan2(cross, (first * second).sum(axis=-1)))
 
@@ -249,7 +252,9 @@ def _planted_slide(performance: Moving) -> float:
 
 def _share_backwards(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
     """Return the share of frames in which a knee lies behind the line from hip to ankle, seen along pelvis and foot."""
-    hips, knees, ankles = joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES]
+    hips = joints[:, _HIPS]
+    knees = joints[:, _KNEES]
+    ankles = joints[:, _ANKLES]
     foot = joints[:, _BALLS] - ankles
     foot[..., 1] = 0.0
     forward = foot / np.linalg.norm(foot, axis=-1, keepdims=True) + pelvis_forward[:, None]

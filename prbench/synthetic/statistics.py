@@ -134,7 +134,8 @@ def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
     frames = [invert_rigid(canonical_frame(clip.joints)) for clip in clips]
     motions = [transform_points(frame, clip.joints) for frame, clip in zip(frames, clips, strict=True)]
     goals = [transform_points(frame, clip.event.goal) for frame, clip in zip(frames, clips, strict=True)]
-    batch, constants = MotionBatch.from_motions(motions), load_protocol().metrics
+    batch = MotionBatch.from_motions(motions)
+    constants = load_protocol().metrics
     targets = ScoringTargets(
         goal_location=np.array(goals),
         prime_time=np.array([clip.prime_after for clip in clips]),

@@ -133,7 +133,8 @@ def joints_table(performance: Performance, *, rate: float) -> pa.Table:
 
 def objects_table(performance: Performance) -> pa.Table:
     """Return the poses of every object's box centre: rows while it moves, and its first and last."""
-    tables, layout = [], layout_for(performance.preset)
+    tables = []
+    layout = layout_for(performance.preset)
     for motion in performance.objects:
         kept = _moving_rows(motion.position, motion.rotation)
         times = performance.times[: len(motion.position)][kept]

@@ -99,7 +99,9 @@ class SequenceDataset(Dataset[MotionItem]):
         """The item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         row, epoch = index if isinstance(index, tuple) else (index, 0)
         store, place = self._at(row)
-        name, motion, features = store.sequence_id(place), store.motion(place), store.features(place)
+        name = store.sequence_id(place)
+        motion = store.motion(place)
+        features = store.features(place)
         text, *others = store.texts(place)
         if features is not None and not others:
             return _item(motion, features, text, self.fps, name)

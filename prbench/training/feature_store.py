@@ -110,7 +110,8 @@ class _Block:
 
     @classmethod
     def of(cls, batch: pa.RecordBatch) -> _Block:
-        joints, features = batch.column("joints"), batch.column("features")
+        joints = batch.column("joints")
+        features = batch.column("features")
         return cls(
             batch,
             _values(joints.values).reshape(-1, N_JOINTS, 3),

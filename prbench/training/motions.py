@@ -14,7 +14,7 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, TableError
 from prbench.representation import Mode, encode, mirror
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
-from prbench.sequences.corpus_info import CORPUS_FILE
+from prbench.sequences.dataset_info import CORPUS_FILE
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 
 _LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
@@ -114,7 +114,9 @@ def mirrored_text(text: str) -> str:
     def exchanged(match: re.Match[str]) -> str:
         word = match[1]
         other = "right" if word.lower() == "left" else "left"
-        return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+        if word.isupper():
+            return other.upper()
+        return other.capitalize() if word[0].isupper() else other
 
     return _LEFT_RIGHT.sub(exchanged, text)
 
@@ -176,7 +178,8 @@ def holds_mirrored(table: Table) -> bool:
 
 def _rows(chunk: SequenceChunk, *, corpus: bool) -> list[Row]:
     joints, offsets = chunk.joints, chunk.offsets
-    before, after = chunk.poses("previous_joints"), chunk.poses("next_joints")
+    before = chunk.poses("previous_joints")
+    after = chunk.poses("next_joints")
     goals = np.full((len(chunk), 3), np.nan) if corpus else chunk.vectors("goal_location")
     texts = _captions(chunk) if corpus else [(text,) for text in chunk.strings("text")]
     return [

@@ -49,7 +49,8 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
     kind, index = _require_device(device, devices)
     chosen: Any = [index] if index is not None else devices
     plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
-    strategy = "auto" if devices == 1 else "ddp_spawn" if spawn else "ddp"
+    several = "ddp_spawn" if spawn else "ddp"
+    strategy = "auto" if devices == 1 else several
     return Fabric(accelerator=kind, devices=chosen, strategy=strategy, plugins=[plugin])
 
 

@@ -113,7 +113,8 @@ def write_record(out: Path, record: TrainingRecord) -> None:
 def _first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
     """The first key, as asked and as found, whose value differs; None if all agree."""
     for key in dict.fromkeys((*asked, *found)):
-        now, then = asked.get(key, "nothing"), found.get(key, "nothing")
+        now = asked.get(key, "nothing")
+        then = found.get(key, "nothing")
         if now != then and key not in _MAY_CHANGE:
             return key, now, then
     return None

@@ -18,7 +18,7 @@ from prbench.errors import InputFileError, TableError
 from prbench.locks import in_turn, sole_writer
 from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
-from prbench.sequences.arrow import column
+from prbench.sequences.chunk import column
 from prbench.sequences.rows import table_parts
 from prbench.storage import atomic_path, read_json, text_digest, write_json
 from prbench.training.feature_store import STORE, FeatureStore

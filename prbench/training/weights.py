@@ -79,7 +79,8 @@ class Weights:
         """
         old = self.configuration(type(configuration))
         for name in configuration.__struct_fields__:
-            wanted, found = getattr(configuration, name), getattr(old, name)
+            wanted = getattr(configuration, name)
+            found = getattr(old, name)
             if name not in apart_from and wanted != found:
                 raise InputFileError(
                     self.path,
@@ -114,7 +115,8 @@ class Weights:
         Raises:
             InputFileError: if one is missing, has another shape, or belongs to no parameter.
         """
-        wanted, found = module.state_dict(), self.part(prefix)
+        wanted = module.state_dict()
+        found = self.part(prefix)
         for name, tensor in wanted.items():
             self.require(f"{prefix}.{name}", tuple(tensor.shape))
         unknown = sorted(set(found) - set(wanted))

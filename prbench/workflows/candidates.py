@@ -21,12 +21,12 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True)
 class Proposal:
-    """What was found in one recording."""
+    """The picks proposed in one recording."""
 
     line: AnnotationLine
     candidate: Candidate | None
     problem: str = ""
-    """Why the recording could not be read; empty for those that were."""
+    """The reason why the recording could not be read; empty for those that were."""
 
     def row(self) -> dict[str, object]:
         """The line of the table; a recording without a proposal has one too, for a person to fill in."""

@@ -1,4 +1,4 @@
-"""From invented people to a table, without native files: performances, sensors, ``Recording``, curation."""
+"""Build a table of synthetic people without native files: performances, sensors, ``Recording``, curation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True)
 class Staging:
-    """How recordings are acted out and sensed: everything that they depend on, apart from their index."""
+    """The settings of performances and sensors: everything that recordings depend on, apart from their index."""
 
     preset: str
     seed: int
@@ -53,7 +53,7 @@ class Staging:
         )
 
     def sense(self, performance: Performance) -> Recording:
-        """What the sensors say about it."""
+        """Return what the sensors measure of a performance."""
         return synthetic_recording(performance, noise=self.noise)
 
     def described(self) -> dict[str, str]:
@@ -87,7 +87,7 @@ class SyntheticSource:
         return f"{SYNTHETIC_PREFIX}{self.staging.preset}"
 
     def input_digest(self) -> str:
-        """Of what the recording is made from."""
+        """Digest of everything that the recording is made from."""
         described = [text for item in sorted(self.staging.described().items()) for text in item]
         return text_digest(self.staging.preset, str(self.index), *described)
 

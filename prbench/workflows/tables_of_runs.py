@@ -1,4 +1,4 @@
-"""Which table a run was made on: a run folder holds digests only, no paths."""
+"""Find the table that a run was made on: a run folder holds digests only, no paths."""
 
 from __future__ import annotations
 

@@ -52,6 +52,7 @@ def reference(tmp_path_factory):
     return report.info
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(data=st.data())
 def test_shape_names_and_forms_leave_no_trace(data, reference, tmp_path_factory) -> None:

@@ -58,6 +58,7 @@ def train_half(fabric, out: Path) -> None:
     write_json(out / f"rank-{rank}.json", rows)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not torch.distributed.is_available(), reason="this build of torch has no process groups")
 def test_two_processes_end_with_the_weights_of_one_with_all_the_data(tmp_path):
     fabric = make_fabric("cpu", devices=2, spawn=True)

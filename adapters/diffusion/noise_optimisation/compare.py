@@ -107,7 +107,8 @@ def _trial(given: argparse.Namespace) -> _Trial:
     selection = supported(everything, max_frames=configuration.max_frames, native_fps=None)
     if selection.fps != configuration.fps:
         raise UsageError(f"the table has {selection.fps:g} fps, the model {configuration.fps:g}")
-    source, salt = ConditionSource.read(selection), run_salt(given.seed, table.identity)
+    source = ConditionSource.read(selection)
+    salt = run_salt(given.seed, table.identity)
     condition = Condition(given.condition)
     batch = source.batch(np.arange(len(selection)), condition, seed=given.seed, salt=salt, sample=0)
     return _Trial(model, selection, batch, given.method)

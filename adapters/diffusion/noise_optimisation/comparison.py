@@ -65,7 +65,8 @@ def curve(found: OptimisedMotions) -> list[list[float]]:
     each = float((found.network_passes.numpy() / chains).max())
     medians = []
     for name in _TERMS:
-        values, final = getattr(found.history, name), getattr(found, name).cpu().numpy()
+        values = getattr(found.history, name)
+        final = getattr(found, name).cpu().numpy()
         medians.append(np.median(np.where(np.isnan(values), final, values), axis=1))
     return [[each * (i + 1), *(float(column[i]) for column in medians)] for i in range(iterations)]
 
@@ -131,7 +132,9 @@ def prime_difference_interval(
     added to each cell of the paired table): the first alone would be a point where no sequence differs.
     """
     own = mean_interval(differences, list(recording_ids))
-    n, gained, lost = len(differences), float((differences > 0).sum()), float((differences < 0).sum())
+    n = len(differences)
+    gained = float((differences > 0).sum())
+    lost = float((differences < 0).sum())
     centre = (gained - lost) / (n + 2)
     spread = math.sqrt(gained + lost + 1.0 - (gained - lost) ** 2 / (n + 2)) / (n + 2)
     reach = NormalDist().inv_cdf(0.975) * spread

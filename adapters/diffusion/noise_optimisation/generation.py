@@ -84,7 +84,8 @@ def _together(
     settings: OptimisationSettings,
 ) -> OptimisedMotions:
     batch, frames = noise.shape[:2]
-    joints, found = noise.new_zeros((batch, frames, 22, 3)), noise.clone()
+    joints = noise.new_zeros((batch, frames, 22, 3))
+    found = noise.clone()
     initial, goal, jerk = (noise.new_zeros(batch) for _ in range(3))
     passes, iterations = (torch.zeros(batch, dtype=torch.int64) for _ in range(2))
     history = History.empty(settings.iterations, batch)

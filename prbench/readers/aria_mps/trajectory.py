@@ -38,7 +38,7 @@ from prbench.readers.zipped import RememberingTail, Source, opened, require_whol
 
 _FACTS = b"prbench.trajectory"
 _WISH = b"aria trajectory 1 "
-_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
+_KEPT_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
 
 
 def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
@@ -47,7 +47,7 @@ def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
     if table is None:
         return None
     facts = json.loads(table.schema.metadata[_FACTS])
-    numbers = np.column_stack([table[name].to_numpy() for name in _NUMBERS])
+    numbers = np.column_stack([table[name].to_numpy() for name in _KEPT_NUMBERS])
     return mps.AriaTrajectory(
         time_us=table["time_us"].to_numpy(),
         position=numbers[:, :3],
@@ -67,7 +67,7 @@ def _keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory
         "graph_uids": list(trajectory.graph_uids),
         "left_out": trajectory.left_out,
     }
-    columns = {name: numbers[:, index] for index, name in enumerate(_NUMBERS)}
+    columns = {name: numbers[:, index] for index, name in enumerate(_KEPT_NUMBERS)}
     table = pa.table({"time_us": trajectory.time_us, **columns})
     keep_parsed(source, _WISH + wish, table.replace_schema_metadata({_FACTS: json.dumps(facts)}))
 

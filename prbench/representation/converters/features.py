@@ -50,7 +50,8 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     Raises:
         InputFileError: if a file is missing, no ``.npy`` of plain numbers, or holds other than 263 finite numbers.
     """
-    means, stds = _vector(mean), _vector(std)
+    means = _vector(mean)
+    stds = _vector(std)
     if (stds < 0).any():
         column = int(np.flatnonzero(stds < 0)[0])
         raise InputFileError(

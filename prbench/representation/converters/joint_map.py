@@ -98,7 +98,8 @@ class JointMap:
         if unknown:
             hint = did_you_mean(unknown[0], _KEYS).strip()
             raise InputFileError(path, unknown[0], expected=", ".join(_KEYS), found="another key", remedy=hint)
-        joints, given = content.get("joints"), content.get("map")
+        joints = content.get("joints")
+        given = content.get("map")
         if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
             raise InputFileError(
                 path, "joints", expected="a list of names, in the order of the arrays", found=f"{joints}"

@@ -93,7 +93,8 @@ def placed_on(
     motion = joints.astype(np.float64)
     turn = _yaw(initial_joints, "initial_joints") - _yaw(motion[0], source)
     placed_from_given = np.eye(4)
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     placed_from_given[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
     placed = transform_points(placed_from_given, motion)
     placed += initial_joints[Joint.PELVIS].astype(np.float64) - placed[0, Joint.PELVIS]

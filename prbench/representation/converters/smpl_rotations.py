@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -22,9 +22,12 @@ RotationForm = Literal[
 (PyTorch3D, and with it MDM's SMPL representation). ``6d-interleaved``: the two columns side by side, row by row
 (HMR, SPIN, VPoser: ``reshape(3, 2)``)."""
 _NUMBERS: Mapping[str, int] = MappingProxyType(
-    {form: 3 if form == "axis-angle" else 9 if form == "matrix" else 4 if form[0] == "q" else 6
-     for form in get_args(RotationForm)}
+    {
+        "axis-angle": 3, "matrix": 9, "quaternion-wxyz": 4, "quaternion-xyzw": 4, "6d-columns": 6, "6d-rows": 6,
+        "6d-interleaved": 6,
+    }
 )  # fmt: skip
+"""Numbers that a rotation takes in each form."""
 _UNIT_TOLERANCE = 0.05
 """Tolerance of a quaternion's length or a matrix's determinant; networks do not end on exact rotations."""
 _NO_DIRECTION = 1e-6

@@ -1,4 +1,4 @@
-"""Everyday activities of procedural people, with true descriptions: what pre-training corpora are invented from.
+"""Everyday activities of procedural people, with true descriptions: the source of synthetic pre-training corpora.
 
 Source: docs/specification/synthetic-recordings.md#text.
 """

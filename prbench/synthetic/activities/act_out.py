@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.activities.stage import Arc, Hand, Loop, Script
+from prbench.synthetic.activities.script import Arc, Hand, Loop, Script
 from prbench.synthetic.people.arms import elbow_poles, move_wrists, pose_arms
 from prbench.synthetic.people.base import BasePath, BasePose, sample_base
 from prbench.synthetic.people.channels import add_bump, blend, bump, eased_trapezoid, minimum_jerk
@@ -54,7 +54,8 @@ def _move_hands(
 def _target(
     plan: Plan, command: Hand, trunk: Trunk, legs: Legs, rest: np.ndarray, head: Head, times: np.ndarray
 ) -> np.ndarray:
-    hand, side = command.hand, (1.0 if command.hand == 0 else -1.0)
+    hand = command.hand
+    side = 1.0 if command.hand == 0 else -1.0
     stature = plan.person.body.stature
     offset = np.array([side * command.offset[0], command.offset[1], command.offset[2]]) * stature
     if command.place == "rest":
@@ -62,7 +63,8 @@ def _target(
     if command.place == "world":
         return np.array(command.offset)
     if command.place == "thigh":
-        hip, knee = trunk.hips[hand], legs.knee[:, hand]
+        hip = trunk.hips[hand]
+        knee = legs.knee[:, hand]
         return hip + _ALONG_THIGH * (knee - hip) + np.array([0.0, _ABOVE_THIGH, 0.0])
     if command.place == "head":
         middle = trunk.neck + turn(head.yaw, 0.0, np.array([0.0, 0.06 * stature, 0.02 * stature]))
@@ -123,7 +125,9 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
 def _sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
     """Return where the feet carry the person, at every frame."""
     path = sample_base(script.start, (), times)
-    x, z, heading = path.x.copy(), path.z.copy(), path.heading.copy()
+    x = path.x.copy()
+    z = path.z.copy()
+    heading = path.heading.copy()
     for move in script.moves:
         first = int(np.searchsorted(times, move.begin))
         if isinstance(move, Arc):
@@ -160,7 +164,8 @@ def _bending(script: Script, seated: np.ndarray, times: np.ndarray) -> Bending:
     channels = np.zeros((times.size, 3))
     for bend in sorted(script.bends, key=lambda bend: bend.begin):
         blend(channels, times, bend.begin, bend.duration, np.array([bend.lean, bend.crouch, bend.chest_turn]))
-    lean, crouch = channels[:, 0], channels[:, 1]
+    lean = channels[:, 0]
+    crouch = channels[:, 1]
     for sit in script.sits:
         lean += _SITTING_LEAN * bump((times - sit.begin) / sit.duration)
     body = script.person.body
@@ -193,5 +198,6 @@ def _ahead(
     index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
     pose: BasePose = base.pose(index)
     height = script.person.body.stature * (0.93 - 0.22 * float(seated[index]))
-    yaw, pitch = pose.heading + rng.normal(0.0, 0.22), rng.normal(0.16, 0.08)
+    yaw = pose.heading + rng.normal(0.0, 0.22)
+    pitch = rng.normal(0.16, 0.08)
     return pose.point + np.array([0.0, height, 0.0]) + rng.uniform(2.0, 3.5) * direction(yaw, pitch)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from prbench.skeleton import Joint, facing_yaw
 from prbench.synthetic.activities.acts import PAUSE, SHORT
 from prbench.synthetic.activities.patterns import BODY_POSTURE
-from prbench.synthetic.activities.stage import Act, Script
+from prbench.synthetic.activities.script import Act, Script
 from prbench.synthetic.activities.wording import Facts, Span, clause, facts_of, sentence
 from prbench.synthetic.people.legs import plan_steps
 from prbench.synthetic.people.motion import Motion
@@ -107,7 +107,8 @@ def _span(script: Script, motion: Motion, act: Act, rate: float) -> Span:
 
 def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[TrueNarration]:
     """Write one row an activity; two short neighbours may share one."""
-    narrations, number = [], 0
+    narrations = []
+    number = 0
     while number < len(facts):
         act, fact = facts[number]
         told = [fact]
@@ -239,7 +240,11 @@ def _place(performance: Performance, event: TrueEvent) -> str:
     surfaces = [item for item in performance.objects if not item.movable and len(item.position) == 1]
     nearest = min(surfaces, key=lambda item: _distance_to_top(item, bottom), default=None)
     name = "surface" if nearest is None else nearest.category.removeprefix("low ").removeprefix("high ")
-    height = "low " if bottom[1] < _LOW else "high " if bottom[1] > _HIGH else ""
+    height = ""
+    if bottom[1] < _LOW:
+        height = "low "
+    elif bottom[1] > _HIGH:
+        height = "high "
     return f"the {height}{name}"
 
 
@@ -259,7 +264,9 @@ def _side(joints: np.ndarray, event: TrueEvent) -> str:
     pelvis = joints[-1, Joint.PELVIS]
     bearing = np.arctan2(event.goal[0] - pelvis[0], event.goal[2] - pelvis[2]) - facing_yaw(joints[-1])
     bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi
-    return f"{'left' if bearing > 0 else 'right'}" if abs(bearing) > _BESIDE else f"{event.hand} hand side"
+    if abs(bearing) <= _BESIDE:
+        return f"{event.hand} hand side"
+    return "left" if bearing > 0 else "right"
 
 
 def _manner(joints: np.ndarray, event: TrueEvent) -> str:

@@ -18,7 +18,7 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities.act_out import act_out
 from prbench.synthetic.activities.acts import PAUSE, SHORT, SITTING, STANDING, stand
 from prbench.synthetic.activities.narrate import NarratedMotion, narrate, narrate_events
-from prbench.synthetic.activities.stage import Script, Stage
+from prbench.synthetic.activities.script import Script, ScriptWriter
 from prbench.synthetic.people import PRESETS, Preset, perform
 from prbench.synthetic.people.person import Person, draw_person
 from prbench.synthetic.people.world import Source, assign
@@ -85,18 +85,18 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
 
 def _write_script(person: Person, rng: np.random.Generator, n_activities: int) -> Script:
     """Draw one activity after the other; people stand up before they walk on."""
-    stage = Stage(person, rng)
-    stage.now = stage.draw(*_FIRST_TEXT)
-    stand(stage)
+    writer = ScriptWriter(person, rng)
+    writer.now = writer.draw(*_FIRST_TEXT)
+    stand(writer)
     for _ in range(n_activities):
-        last = stage.script.acts[-1]
-        waits = last.name in SHORT and stage.rng.random() < _WAITS
-        stage.now = max(stage.now + stage.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
-        choices = SITTING if stage.is_seated else STANDING
+        last = writer.script.acts[-1]
+        waits = last.name in SHORT and writer.rng.random() < _WAITS
+        writer.now = max(writer.now + writer.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
+        choices = SITTING if writer.is_seated else STANDING
         weights = np.array(list(choices.values()))
-        list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](stage)
-    stage.script.end = stage.now + _CLOSING
-    return stage.script
+        list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](writer)
+    writer.script.end = writer.now + _CLOSING
+    return writer.script
 
 
 def _preset() -> Preset:

@@ -103,12 +103,16 @@ def walking_speed(span: Span) -> float:
 
 def speed_word(speed: float) -> str:
     """Return ``slowly``, ``briskly`` or nothing."""
-    return "slowly" if speed < SLOW else "briskly" if speed > BRISK else ""
+    if speed < SLOW:
+        return "slowly"
+    return "briskly" if speed > BRISK else ""
 
 
 def amount_word(degrees: float) -> str:
     """Return the word for how far somebody turns."""
-    return "slightly" if degrees < SLIGHT else "around" if degrees > AROUND else ""
+    if degrees < SLIGHT:
+        return "slightly"
+    return "around" if degrees > AROUND else ""
 
 
 def _sides(left: bool) -> dict[str, str]:
@@ -117,12 +121,15 @@ def _sides(left: bool) -> dict[str, str]:
 
 
 def _distance_word(metres: float) -> str:
-    return "a small" if metres < 0.35 else "a" if metres < 0.5 else "a big"
+    if metres < 0.35:
+        return "a small"
+    return "a" if metres < 0.5 else "a big"
 
 
 def _reach_height(joints: np.ndarray, hand: int) -> str:
     """Return in words where the wrist is when it is farthest from the shoulder's vertical."""
-    wrist, shoulder = joints[:, WRISTS[hand]], joints[:, Joint.LEFT_SHOULDER + hand]
+    wrist = joints[:, WRISTS[hand]]
+    shoulder = joints[:, Joint.LEFT_SHOULDER + hand]
     out = np.linalg.norm((wrist - joints[:, Joint.PELVIS])[:, [0, 2]], axis=1)
     frame = int(out.argmax())
     height = float(wrist[frame, 1])

@@ -92,7 +92,8 @@ def _one_object_lost(rows: list[Row]) -> list[Row]:
 def _objects_untracked(rows: list[Row]) -> list[Row]:
     """Remove all poses of objects in the middle third of the recording."""
     times = sorted({int(row[adt.OBJECT_TIME]) for row in rows} - {adt.STATIC_TIME})
-    first, last = times[len(times) // 3], times[2 * len(times) // 3]
+    first = times[len(times) // 3]
+    last = times[2 * len(times) // 3]
     return [row for row in rows if not first <= int(row[adt.OBJECT_TIME]) < last]
 
 

@@ -99,7 +99,8 @@ def _shift_a_third(rows: Rows) -> Rows:
 
 def _lose_an_object(rows: Rows) -> Rows:
     """Remove a quarter of one object's instants, RGB and SLAM rows alike."""
-    uid, seen = rows[0][0], 0
+    uid = rows[0][0]
+    seen = 0
     kept = []
     for row in rows:
         seen += row[0] == uid

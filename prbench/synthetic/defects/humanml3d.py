@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.storage import atomic_path
 from prbench.synthetic.defects import Damage, Defect
 

@@ -44,7 +44,8 @@ def _with_rows(part: str, name: str, change: Callable[[np.ndarray], np.ndarray])
     def apply(root: Path, recording: str) -> None:
         with h5py.File(_file(root, recording, part), "r+") as file:
             entry = _dataset(file, name)
-            rows, attributes = np.array(entry), dict(entry.attrs)
+            rows = np.array(entry)
+            attributes = dict(entry.attrs)
             del file[name]
             file.create_dataset(name, data=change(rows)).attrs.update(attributes)
 

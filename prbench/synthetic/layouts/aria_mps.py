@@ -97,7 +97,8 @@ def _velocities(trajectory: mps.AriaTrajectory) -> tuple[Float[np.ndarray, "n 3"
 
 def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:
     """Return columns in the schema of two eyes, which here look in parallel."""
-    yaw, yaw_range = np.round(gaze.yaw, 6), np.round(gaze.yaw_range, 6)
+    yaw = np.round(gaze.yaw, 6)
+    yaw_range = np.round(gaze.yaw_range, 6)
     n = len(yaw)
     return {
         mps.TIME_COLUMN: gaze.time_us,

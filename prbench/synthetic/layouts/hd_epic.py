@@ -49,7 +49,7 @@ _SHARE = msgspec.json.Decoder(_Share)
 
 
 def slam_number(video: str) -> str:
-    """Return the number of the SLAM archive that holds an invented video: its own, at the end of its name."""
+    """Return the number of the SLAM archive that holds a synthetic video: its own, at the end of its name."""
     return str(int(video.rpartition("_")[2]))
 
 
@@ -63,7 +63,8 @@ def _write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     own = data / hd_epic.VIDEOS_FOLDER / readings.participant_id
     write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", _time_columns(readings.clock))
     write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", _log(readings.clock))
-    base, number = data / hd_epic.MPS_FOLDER / readings.participant_id, slam_number(readings.video)
+    base = data / hd_epic.MPS_FOLDER / readings.participant_id
+    number = slam_number(readings.video)
     _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, _SLAM_ROLES)
     name = f"mps_{readings.video}_vrs"
     _write_archive(base / hd_epic.GAZE_FOLDER / f"{name}.zip", name, readings.glasses, _GAZE_ROLES)
@@ -89,7 +90,8 @@ def _time_columns(clock: hd_epic.VideoClock) -> dict[str, object]:
 
 
 def _log(clock: hd_epic.VideoClock) -> dict[str, int]:
-    first, last = int(clock.device_ns[0]), int(clock.device_ns[-1])
+    first = int(clock.device_ns[0])
+    last = int(clock.device_ns[-1])
     skipped = int((np.diff(clock.device_ns) > 1.5e9 / hd_epic.FPS).sum())
     return {
         "num_mp4_frames": len(clock.device_ns),

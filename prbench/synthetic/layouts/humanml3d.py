@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.activities import NarratedMotion
@@ -43,7 +43,8 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
     stride = round(motion.rate / layout.RATE)
     motions = []
     for number in range(0, len(rows) - 1, 2):
-        first, second = rows[number], rows[number + 1]
+        first = rows[number]
+        second = rows[number + 1]
         if second.end - first.start > _LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
             continue
         begin, stop = (round(time * motion.rate) for time in (first.start, second.end))

@@ -119,7 +119,8 @@ def _scene_entry(body: mogaze.MogazeBody) -> _SceneEntry:
     kind = mogaze.kind_of_body(body.name)
     known = load_manifest("mogaze").object_extents.get(kind)
     shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
-    mesh = "" if body.name == mogaze.GOGGLES else f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
+    own_mesh = f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
+    mesh = "" if body.name == mogaze.GOGGLES else own_mesh
     return _SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
 
 

@@ -131,7 +131,8 @@ def _hand_over(
 def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:
     if plan.preset.work_pose is not None:
         return _offset_from_shoulder(plan, trunk, hand, plan.preset.work_pose) + sway.hands[:, hand]
-    body, side = plan.person.body, (1.0 if hand == 0 else -1.0)
+    body = plan.person.body
+    side = 1.0 if hand == 0 else -1.0
     outside = _OUTSIDE_SHOULDER * body.stature
     length = np.sqrt((_HANGING * body.arm) ** 2 - outside**2)
     angle = side * plan.person.habits.arm_swing * sway.arm_swing
@@ -177,7 +178,9 @@ def pose_arms(
         wrists: Wanted wrists.
         poles: Where the elbows point, chest frame; :func:`elbow_poles` if None.
     """
-    elbows, reached, hinges = [], [], []
+    elbows = []
+    reached = []
+    hinges = []
     poles = elbow_poles(flare, trunk, wrists) if poles is None else poles
     for hand in (0, 1):
         shoulder = trunk.shoulders[hand]

@@ -158,7 +158,9 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.
 def _translate(position: np.ndarray, times: np.ndarray, segment: Segment) -> None:
     first = int(np.searchsorted(times, segment.translation_begin))
     duration = segment.arrival - segment.translation_begin
-    up, down = min(0.5 / duration, 0.45), min(0.65 / duration, 0.5)
+    up = min(0.5 / duration, 0.45)
+    down = min(0.65 / duration, 0.5)
     progress = eased_trapezoid((times[first:] - segment.translation_begin) / duration, up, down)
-    origin, goal = np.array([segment.start.x, segment.start.z]), np.array([segment.goal.x, segment.goal.z])
+    origin = np.array([segment.start.x, segment.start.z])
+    goal = np.array([segment.goal.x, segment.goal.z])
     position[first:] = origin + progress[:, None] * (goal - origin)

@@ -79,7 +79,8 @@ def _resting(item: Item) -> _Track:
 
 
 def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndarray, times: np.ndarray) -> _Track:
-    n, rest = times.size, _resting(item)
+    n = times.size
+    rest = _resting(item)
     track = _Track(np.tile(rest.position, (n, 1)), np.tile(rest.rotation, (n, 1)), np.full(n, -1))
     for reach, following in zip(reaches, (*reaches[1:], None), strict=False):
         first = int(np.searchsorted(times, reach.event))

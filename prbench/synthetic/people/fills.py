@@ -45,7 +45,11 @@ class FillDrawer:
         avoid: list[Avoidance],
         rng: np.random.Generator,
     ) -> None:
-        self.plan, self.base, self.eye, self.times, self.rng = plan, base, eye, times, rng
+        self.plan = plan
+        self.base = base
+        self.eye = eye
+        self.times = times
+        self.rng = rng
         self.points = np.array([item.point for item in avoid]).reshape(-1, 3)
         self.spans = np.array([(item.start, item.end) for item in avoid]).reshape(-1, 2)
 
@@ -72,7 +76,8 @@ class FillDrawer:
         return self.points[(self.spans[:, 0] <= end + 0.1) & (self.spans[:, 1] >= start)]
 
     def _candidate(self, index: int, walking: bool, previous: np.ndarray | None) -> np.ndarray:
-        rng, eye = self.rng, self.eye[index]
+        rng = self.rng
+        eye = self.eye[index]
         if previous is not None:
             point = self._near_direction(eye, previous)
         elif walking and rng.random() < 0.5:
@@ -130,7 +135,8 @@ class FillDrawer:
     def _misses(self, point: np.ndarray, index: int, avoided: np.ndarray) -> bool:
         if not len(avoided):
             return True
-        sight, goals = point - self.eye[index], avoided - self.eye[index]
+        sight = point - self.eye[index]
+        goals = avoided - self.eye[index]
         distance = np.linalg.norm(goals, axis=1)
         cosine = goals @ sight / (distance * np.linalg.norm(sight))
         return bool(np.all(np.arccos(np.clip(cosine, -1.0, 1.0)) > np.arctan(0.16 / distance) + np.deg2rad(3.0)))

@@ -135,11 +135,16 @@ class _Scheduler:
     def __init__(
         self, plan: Plan, base: BasePath, eye: np.ndarray, times: np.ndarray, rng: np.random.Generator
     ) -> None:
-        self.plan, self.base, self.eye, self.times, self.rng = plan, base, eye, times, rng
+        self.plan = plan
+        self.base = base
+        self.eye = eye
+        self.times = times
+        self.rng = rng
 
     def kind(self, reach: Reach) -> str:
         """Draw whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
-        preset, chance = self.plan.preset, self.rng.random()
+        preset = self.plan.preset
+        chance = self.rng.random()
         if reach.action == "hover":
             return "unseen"
         if reach.tag != "plain":
@@ -150,7 +155,8 @@ class _Scheduler:
 
     def prime_time(self, reach: Reach) -> float:
         """Draw when the first look at the goal begins."""
-        preset, rng = self.plan.preset, self.rng
+        preset = self.plan.preset
+        rng = self.rng
         if reach.twist.gap is not None:
             return reach.event - reach.twist.gap
         after_motor_start = not preset.gap

@@ -14,11 +14,15 @@ UP = np.array([0.0, 1.0, 0.0])
 
 def turn(yaw: np.ndarray | float, pitch: np.ndarray | float, vector: np.ndarray) -> np.ndarray:
     """Apply Ry(yaw) Rx(pitch) to a vector; all arguments broadcast over the leading axes."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
+    x = vector[..., 0]
+    y = vector[..., 1]
+    z = vector[..., 2]
+    cos_pitch = np.cos(pitch)
+    sin_pitch = np.sin(pitch)
     tipped_y = y * cos_pitch - z * sin_pitch
     tipped_z = y * sin_pitch + z * cos_pitch
-    cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
+    cos_yaw = np.cos(yaw)
+    sin_yaw = np.sin(yaw)
     turned_x = x * cos_yaw + tipped_z * sin_yaw
     turned = np.empty((*np.broadcast_shapes(np.shape(turned_x), np.shape(tipped_y)), 3))
     turned[..., 0], turned[..., 1], turned[..., 2] = turned_x, tipped_y, tipped_z * cos_yaw - x * sin_yaw
@@ -46,7 +50,9 @@ def direction(yaw: np.ndarray | float, pitch: np.ndarray | float) -> np.ndarray:
 
 def yaw_and_pitch(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the yaw and pitch of a direction; inverse of :func:`direction` up to full turns."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    x = vector[..., 0]
+    y = vector[..., 1]
+    z = vector[..., 2]
     return np.asarray(np.arctan2(x, z)), np.asarray(-np.arctan2(y, np.hypot(x, z)))
 
 
@@ -116,8 +122,12 @@ def quaternion(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*b
         ],
         axis=-1,
     )
-    wx, wy, wz = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
-    xy, xz, yz = (m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1])
+    wx = m[..., 2, 1] - m[..., 1, 2]
+    wy = m[..., 0, 2] - m[..., 2, 0]
+    wz = m[..., 1, 0] - m[..., 0, 1]
+    xy = m[..., 0, 1] + m[..., 1, 0]
+    xz = m[..., 0, 2] + m[..., 2, 0]
+    yz = m[..., 1, 2] + m[..., 2, 1]
     w2, x2, y2, z2 = np.moveaxis(squares, -1, 0)
     candidates = np.stack(
         [

@@ -94,7 +94,8 @@ def place_feet(
     spots = [_plant(person, base.pose(0), foot, 0.0, ahead) for foot in (0, 1)]
     ball = np.stack([np.tile(spot[0], (n, 1)) for spot in spots], axis=1)
     yaw = np.stack([np.full(n, spot[1]) for spot in spots], axis=1)
-    pitch, planted = np.zeros((n, 2)), np.ones((n, 2), dtype=bool)
+    pitch = np.zeros((n, 2))
+    planted = np.ones((n, 2), dtype=bool)
     for step in steps:
         middle = np.searchsorted(times, step.lift + 1.38 * step.period)
         index = int(min(middle, n - 1))
@@ -246,7 +247,8 @@ def pose_legs(
 ) -> Legs:
     """Find the knees by two-bone kinematics; a swinging foot follows the ankle where the leg is too short for it."""
     wanted = ankles(body, feet)
-    knees, reached = [], []
+    knees = []
+    reached = []
     for side in (0, 1):
         heading = 0.5 * (pelvis_yaw + feet.yaw[:, side])
         knee, ankle = two_bone(

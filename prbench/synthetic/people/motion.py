@@ -137,7 +137,8 @@ def assemble(
     misses: tuple[float, ...],
 ) -> Motion:
     """Assemble the body from its parts: legs below the hips, neck and head above the chest, hands at the wrists."""
-    body, habits = plan.person.body, plan.person.habits
+    body = plan.person.body
+    habits = plan.person.habits
     legs = pose_legs(body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
     neck_yaw = trunk.yaws[3] + habits.neck_share * (head.yaw - trunk.yaws[3])
     neck_pitch = trunk.pitches[3] + habits.neck_share * (head.pitch - trunk.pitches[3])

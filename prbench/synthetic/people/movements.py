@@ -150,7 +150,8 @@ def make_reach(
         rng: Of the plan.
         provoker: Of the provocations.
     """
-    action, tag = movement.action, movement.tag
+    action = movement.action
+    tag = movement.tag
     arrival = movement.motor_start if stand.segment is None else stand.segment.arrival
     reach_start = max(movement.motor_start, arrival - float(rng.uniform(0.15, 0.45)))
     length = (0.62 + 0.35 * rng.random()) * person.habits.reach_time + rng.uniform(0.03, 0.12)
@@ -196,6 +197,7 @@ def _draw_twist(
     if tag == "early":
         return ReachChange(gap=min(event - float(draw(0.6, 1.7)), _LONGEST_GAP))
     if tag == "lost":
-        before, after = float(draw(0.1, 0.5)), float(draw(0.2, 0.5))
+        before = float(draw(0.1, 0.5))
+        after = float(draw(0.2, 0.5))
         return ReachChange(lost=(event - before, event + after))
     return ReachChange()

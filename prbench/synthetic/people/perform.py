@@ -57,7 +57,8 @@ def _bystander_acts(
     Returns:
         None if the recording is too short for it.
     """
-    preset, participant = wearer.preset, f"B{index:04d}"
+    preset = wearer.preset
+    participant = f"B{index:04d}"
     person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
     taken = [_stand_in(wearer, reach.item, reach.centre) for reach in wearer.reaches]
     room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
@@ -133,7 +134,8 @@ def perform(
     """
     if preset not in PRESETS:
         raise UsageError(f"synthetic preset '{preset}' is unknown. Take one of: {', '.join(PRESETS)}.")
-    constants, source = PRESETS[preset], Source(seed, preset, world)
+    constants = PRESETS[preset]
+    source = Source(seed, preset, world)
     assigned = assign(source, index, split_rule)
     person = draw_person(constants, f"S{assigned.person:03d}", source.generator("person", assigned.person, "body"))
     room_rng = source.generator("room", assigned.room, "plan")
@@ -213,7 +215,8 @@ def _acted(
 
 def _looked(source: Source, index: int, plan: Plan, motion: Motion, times: np.ndarray) -> tuple[GazePlan, np.ndarray]:
     """Return the true gaze, after moving fills that would prime a goal too early; the head stays as it was."""
-    gaze_plan, shifts = motion.gaze_plan, source.generator("recording", index, "repair")
+    gaze_plan = motion.gaze_plan
+    shifts = source.generator("recording", index, "repair")
     gaze = np.empty((0, 3))
     for left in reversed(range(_REPAIRS + 1)):
         gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))

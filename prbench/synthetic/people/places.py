@@ -72,7 +72,11 @@ class Reachability:
     """One person in one room; all draws come from the plan's generator."""
 
     def __init__(self, preset: Preset, person: Person, room: Room, rng: np.random.Generator, is_seated: bool) -> None:
-        self.preset, self.person, self.room, self.rng, self.is_seated = preset, person, room, rng, is_seated
+        self.preset = preset
+        self.person = person
+        self.room = room
+        self.rng = rng
+        self.is_seated = is_seated
         self.pelvis_height = seated_pelvis_height(person.body) if is_seated else None
 
     def hand_for(self, base: BasePose, centre: np.ndarray) -> int:
@@ -124,9 +128,11 @@ class Reachability:
             turned = base.heading - held.heading
             grasp = held.grasp.moved(held.centre, goal.centre, turned)
             return held.yaw + turned, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
-        centre, half = goal.centre, goal.half_extents
+        centre = goal.centre
+        half = goal.half_extents
         if goal.handle is not None and goal.handle_half is not None:
-            centre, half = goal.centre + turn(goal.yaw, 0.0, goal.handle), goal.handle_half
+            centre = goal.centre + turn(goal.yaw, 0.0, goal.handle)
+            half = goal.handle_half
 
         def grasp_in(posture: Posture) -> Grasp:
             shoulder = shoulder_in_posture(self.person, base, hand, posture, self.pelvis_height)
@@ -151,7 +157,8 @@ class Reachability:
     def _feet_may_stay(self, base: BasePose, centre: np.ndarray) -> bool:
         offset = centre - base.point
         offset[1] = 0.0
-        lateral, ahead = abs(float(offset @ base.left)), float(offset @ base.forward)
+        lateral = abs(float(offset @ base.left))
+        ahead = float(offset @ base.forward)
         farthest = 0.31 * self.person.body.stature + 0.30
         return lateral <= 0.38 and ahead > 0.2 and float(np.linalg.norm(offset)) <= farthest
 

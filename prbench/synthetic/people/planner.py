@@ -110,8 +110,13 @@ class _Planner:
         shares: Mapping[str, float],
         provoker: np.random.Generator,
     ) -> None:
-        self.preset, self.person, self.room, self.rng, self.is_seated = preset, person, room, rng, is_seated
-        self.shares, self.provoker = shares, provoker
+        self.preset = preset
+        self.person = person
+        self.room = room
+        self.rng = rng
+        self.is_seated = is_seated
+        self.shares = shares
+        self.provoker = provoker
         self.weights = np.array([surface.weight for surface in room.surfaces])
         self.kinds = [preset.objects[i] for i in rng.permutation(len(preset.objects))]
         self.reachability = Reachability(preset, person, room, rng, is_seated)

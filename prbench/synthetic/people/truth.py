@@ -64,7 +64,8 @@ def _true_event(
     reach: Reach, prime: float | None, tag: str, scene: Scene, motion: ObjectMotion, recording_id: str
 ) -> TrueEvent:
     event_time = _exact_event_time(reach, motion, scene.times)
-    low, high = reach.centre - reach.half_world, reach.centre + reach.half_world
+    low = reach.centre - reach.half_world
+    high = reach.centre + reach.half_world
     sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event_time)
     expected, margin = _expected(reach, sight, scene)
     return TrueEvent(

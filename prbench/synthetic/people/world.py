@@ -113,7 +113,8 @@ def draw_item_shape(kind: ObjectKind, rng: np.random.Generator) -> tuple[np.ndar
 
 def world_half_extents(half_extents: Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "3"]:
     """Return half extents of the world-aligned box around a box turned by ``yaw``."""
-    cosine, sine = abs(np.cos(yaw)), abs(np.sin(yaw))
+    cosine = abs(np.cos(yaw))
+    sine = abs(np.sin(yaw))
     x, y, z = half_extents
     return np.array([cosine * x + sine * z, y, sine * x + cosine * z])
 
@@ -252,19 +253,26 @@ def assign(source: Source, index: int, rule: SplitRule) -> Assignment:
     """
     rng = source.generator("recording", index, "split")
     chance = rng.random()
-    people, rooms = _ranked(source, "person"), _ranked(source, "room")
+    people = _ranked(source, "person")
+    rooms = _ranked(source, "room")
     if rule == "recording":
-        person, room = people[int(rng.integers(len(people)))], rooms[int(rng.integers(len(rooms)))]
-        split = "test" if chance < TEST_SHARE else "validation" if chance < TEST_SHARE + 0.07 else "train"
+        person = people[int(rng.integers(len(people)))]
+        room = rooms[int(rng.integers(len(rooms)))]
+        if chance < TEST_SHARE:
+            return Assignment(room, person, "test")
+        split = "validation" if chance < TEST_SHARE + 0.07 else "train"
         return Assignment(room, person, split)
-    n_test_people, n_test_rooms = round(TEST_SHARE * len(people)), round(TEST_SHARE * len(rooms))
+    n_test_people = round(TEST_SHARE * len(people))
+    n_test_rooms = round(TEST_SHARE * len(rooms))
     is_test = chance < TEST_SHARE
     people_here = people[:n_test_people] if is_test else people[n_test_people:]
     rooms_here = rooms[:n_test_rooms] if is_test else rooms[n_test_rooms:]
     person = people_here[int(rng.integers(len(people_here)))]
     room = rooms_here[int(rng.integers(len(rooms_here)))]
     for_validation = people[n_test_people : n_test_people + round(VALIDATION_SHARE * len(people))]
-    split = "test" if is_test else "validation" if person in for_validation else "train"
+    if is_test:
+        return Assignment(room, person, "test")
+    split = "validation" if person in for_validation else "train"
     return Assignment(room, person, split)
 
 

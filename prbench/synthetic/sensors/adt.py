@@ -77,7 +77,7 @@ def clock_start_us(performance: Performance) -> int:
 
 
 def _glasses_serial(performance: Performance, other: int = 0) -> str:
-    """Return an invented serial of the wearer's glasses, or of those of another person in the scene."""
+    """Return a synthetic serial of the wearer's glasses, or of those of another person in the scene."""
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
 
@@ -99,7 +99,8 @@ def _sense_glasses(
     cpf_from_device = invert_rigid(device_from_cpf(GLASSES_SIZE))
     rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
     position = interpolate(performance.times, performance.eye, times) + cpf.apply(cpf_from_device[:3, 3])
-    rng, scale = sensor_generator(performance, "pose-noise"), strength(switches.pose_noise, noise)
+    rng = sensor_generator(performance, "pose-noise")
+    scale = strength(switches.pose_noise, noise)
     offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
     turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
     lost = sensor_generator(performance, "pose-losses").random(len(times)) < _POSE_LOSS * strength(
@@ -271,6 +272,7 @@ def _suit_noise(
     scale = strength(switches.body_wobble, noise)
     if scale == 0:
         return shift
-    rng, segments = sensor_generator(performance, f"body-wobble-{number}"), suit_segments()
+    rng = sensor_generator(performance, f"body-wobble-{number}")
+    segments = suit_segments()
     slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * (segments.max() + 1))]
     return shift + np.stack(slow, axis=1).reshape(len(times), -1, 3)[:, segments] * scale

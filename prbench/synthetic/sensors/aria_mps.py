@@ -186,7 +186,8 @@ def _sense_poses(
     times = performance.times[0] + since_start / 1e6
     position, rotation = _true_device_poses(performance, times)
     shift, turn = _drift(performance, times, strength(switches.pose_drift, noise))
-    rng, scale = sensor_generator(performance, "mps-pose-noise"), strength(switches.pose_noise, noise)
+    rng = sensor_generator(performance, "mps-pose-noise")
+    scale = strength(switches.pose_noise, noise)
     shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
     turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
     quality = np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0)
@@ -226,7 +227,8 @@ def _sense_gaze(
     performance: Performance, start_us: int, noise: float, switches: Switches, gaze_kind: mps.GazeKind
 ) -> mps.GazeAngles:
     since_start = _steps(performance, _GAZE_START_US, GAZE_RATE)
-    times, n = performance.times[0] + since_start / 1e6, len(since_start)
+    times = performance.times[0] + since_start / 1e6
+    n = len(since_start)
     angles = gaze_measurements(performance, times, noise=noise, switches=switches, gaze_kind=gaze_kind)
     time_us = start_us + since_start + gaze_clock_us(performance, n, noise=noise, switches=switches)
     depth = sensor_generator(performance, "mps-gaze-depth").uniform(*_DEPTH, n)
@@ -249,7 +251,8 @@ def _sense_hands(performance: Performance, start_us: int, noise: float, switches
     times = performance.times[0] + since_start / 1e6
     wrist = interpolate(performance.times, performance.joints[:, list(WRISTS)], times)
     palm = (wrist + interpolate(performance.times, performance.finger_bases, times)) / 2
-    rng, scale = sensor_generator(performance, "mps-hand-noise"), strength(switches.hand_noise, noise)
+    rng = sensor_generator(performance, "mps-hand-noise")
+    scale = strength(switches.hand_noise, noise)
     error = rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
     confidence = _hand_confidence(performance, times, wrist, strength(switches.hand_losses, noise))
     seen = (confidence > 0)[..., None]

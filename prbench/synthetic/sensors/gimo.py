@@ -62,7 +62,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         switches: Which errors are on; all if None.
     """
     switches = switches or Switches()
-    segment, transform = _segment_of(performance), _scene_transform(performance)
+    segment = _segment_of(performance)
+    transform = _scene_transform(performance)
     body_from_room = invert_rigid(transform.room_from_body())
     return gimo.GimoReadings(
         recording_id=performance.recording_id,
@@ -159,7 +160,8 @@ def looked_at(
     boxes = performance.objects
     places = np.concatenate([[motion.position[0] for motion in boxes], origin])
     margin = np.array([_BEHIND_FURNITURE, 0.0, _BEHIND_FURNITURE])
-    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    low = places.min(axis=0) - margin
+    high = places.max(axis=0) + margin
     low[1], high[1] = 0.0, max(float(high[1]), _CEILING)
     _, distance = _crossings(origin, direction, low, high)
     for motion in boxes:
@@ -197,7 +199,8 @@ def _sense_poses(
     pelvis = transform_points(
         body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     )
-    rng, scale = sensor_generator(performance, "fit-noise"), strength(switches.body_noise, noise)
+    rng = sensor_generator(performance, "fit-noise")
+    scale = strength(switches.body_noise, noise)
     pelvis = pelvis + rng.normal(0.0, _ROOT_NOISE, pelvis.shape) * scale
     turned = Rotation.from_quat(
         slerp(performance.times, performance.rotations[:, Joint.PELVIS], times), scalar_first=True
@@ -230,7 +233,8 @@ def _sense_skeleton(
         local = turned[joint] if parent < 0 else turned[parent].inv() * turned[joint]
         columns.append(local.as_euler("YXZ", degrees=True))
     values = np.concatenate(columns, axis=1)
-    rng, scale = sensor_generator(performance, "suit-noise"), strength(switches.body_noise, noise)
+    rng = sensor_generator(performance, "suit-noise")
+    scale = strength(switches.body_noise, noise)
     size = np.full(values.shape[1], _ANGLE_NOISE)
     size[:3] = _ROOT_NOISE * _CENTIMETRES
     values += rng.normal(0.0, 1.0, values.shape) * size * scale

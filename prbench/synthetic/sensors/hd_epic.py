@@ -135,7 +135,8 @@ def sense_video_clock(performance: Performance, noise: float, switches: Switches
     rng = sensor_generator(performance, "video-clock")
     jitter = rng.uniform(-_CLOCK_JITTER_NS, _CLOCK_JITTER_NS, n) * scale
     image = np.arange(n)
-    repeated, skipped = rng.random(n) < _REPEATED * scale, rng.random(n) < _SKIPPED * scale
+    repeated = rng.random(n) < _REPEATED * scale
+    skipped = rng.random(n) < _SKIPPED * scale
     shown = np.maximum.accumulate(np.clip(image - repeated + skipped, 0, n - 1))
     since_start = np.rint(np.arange(n) * 1e9 / hd_epic.FPS + jitter).astype(np.int64)
     return hd_epic.VideoClock(clock_start_us(performance) * 1000 + since_start[shown])

@@ -126,7 +126,8 @@ def synthetic_priming(
     entries = []
     for number, track in enumerate(tracks):
         forgotten = rng.random(2) < _FORGOTTEN
-        start, end = round(track.start * hd_epic.FPS), round(track.end * hd_epic.FPS)
+        start = round(track.start * hd_epic.FPS)
+        end = round(track.end * hd_epic.FPS)
         for mask in track.masks:
             if mask.location is None or mask.frame not in (start, end) or forgotten[int(mask.frame == end)]:
                 continue

@@ -189,7 +189,8 @@ def _sense_hand(
     joint = Joint.LEFT_WRIST + side
     wrist = interpolate(performance.times, performance.joints[:, joint], times)
     segment = Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
-    rng, scale = sensor_generator(performance, f"hand-noise-{side}"), strength(switches.hand_noise, noise)
+    rng = sensor_generator(performance, f"hand-noise-{side}")
+    scale = strength(switches.hand_noise, noise)
     sensed = wrist + rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
     if _has_wrong_start(performance, noise, switches):
         sensed[times < times[0] + _WRONG_START] += (0.0, _WRONG_BY, 0.0)

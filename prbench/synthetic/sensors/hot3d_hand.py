@@ -1,4 +1,4 @@
-"""An invented hand in UmeTrack's form: 80 vertices, 21 landmarks, and how it follows a performance.
+"""A synthetic hand in UmeTrack's form: 80 vertices, 21 landmarks, and how it follows a performance.
 
 Model frame as in the dataset: x from the wrist along the middle finger, y out of the back of the hand, z towards the
 thumb. All lengths are shares of the distance from the wrist to the base of the middle finger.
@@ -41,7 +41,8 @@ def synthetic_hand(length: float) -> HandModel:
     joints = _joints()
     bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
     tips = np.array([joints[first + 3] + _TIP * _unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
-    points, weights = [], []
+    points = []
+    weights = []
     for bone, joint in enumerate(bones, start=2):
         end = tips[(bone - 2) // 3] if (bone - 2) % 3 == 2 else joints[joint + 1]
         # The middle joint of three belongs to the base: a base phalanx is skinned to the wrist as well.
@@ -98,7 +99,8 @@ def _joints() -> Float[np.ndarray, "22 3"]:
 
 def _ring(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 3"]:
     """Return four points around a bone, a fifth of the way along it."""
-    centre, along = start + 0.2 * (end - start), _unit(end - start)
+    centre = start + 0.2 * (end - start)
+    along = _unit(end - start)
     aside = _unit(np.cross(along, (0.0, 1.0, 0.0)))
     above = np.cross(aside, along)
     return centre + _THICKNESS * np.array([aside, above, -aside, -above])

@@ -97,7 +97,8 @@ def _sense_body(
     joints = interpolate(performance.times, performance.joints, times)
     turned = [_turned(performance, performance.rotations[:, joint], times) for joint in range(joints.shape[1])]
     solved = solve_body(joints, np.stack(turned, axis=1))
-    rng, scale = sensor_generator(performance, "body-noise-0"), strength(switches.body_noise, noise)
+    rng = sensor_generator(performance, "body-noise-0")
+    scale = strength(switches.body_noise, noise)
     shift = rng.normal(0.0, _ROOT_NOISE, (len(times), 3))
     tremble = rng.normal(0.0, _BODY_TURN, (len(times), solved.state.shape[1] - 3))
     return solved.state + np.hstack([shift, tremble]) * scale, solved.fixed
@@ -139,7 +140,8 @@ def _sense_gaze(
     points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * _depth(performance, times)[:, None] * 1e3
     rng = sensor_generator(performance, "gaze-quality")
     points[rng.random(len(times)) < _MIRRORED] *= -1.0
-    confidence, doubt = rng.uniform(*_CONFIDENT, len(times)), rng.uniform(*_BLINKING, len(times))
+    confidence = rng.uniform(*_CONFIDENT, len(times))
+    doubt = rng.uniform(*_BLINKING, len(times))
     garbage = rng.normal(0.0, 300.0, points.shape)
     closed = _blinks(performance, times, strength(switches.blinks, noise))
     return np.where(closed[:, None], garbage, points), np.where(closed, doubt, confidence)
@@ -227,7 +229,8 @@ def _segments(performance: Performance, names: dict[str, str], n_frames: int) ->
 
 def _carries(performance: Performance, names: dict[str, str], n_frames: int) -> list[tuple[int, int, str]]:
     """Return first and last frame of every movement, in order; an object never put down moves until the end."""
-    carries, held = [], dict[str, int]()
+    carries = []
+    held = dict[str, int]()
     for event in sorted(events(performance), key=lambda event: event.event_time):
         frame = round((event.event_time - float(performance.times[0])) * mogaze.RATE)
         if event.expected == "not_an_event":

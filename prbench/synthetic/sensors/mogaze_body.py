@@ -67,8 +67,10 @@ def solve_body(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray,
 def _link_rotations(places: dict[str, np.ndarray], rotations: np.ndarray) -> dict[str, Rotation]:
     """Return the rotations that take each link to the world (Y up)."""
     segment = {joint: Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint}
-    trunk, leg = Rotation.from_matrix(_SEGMENT_AXES), Rotation.from_matrix(_LEG_AXES)
-    pelvis, chest = segment[Joint.PELVIS] * trunk, segment[Joint.SPINE3] * trunk
+    trunk = Rotation.from_matrix(_SEGMENT_AXES)
+    leg = Rotation.from_matrix(_LEG_AXES)
+    pelvis = segment[Joint.PELVIS] * trunk
+    chest = segment[Joint.SPINE3] * trunk
     turned = {
         "base": _tipped(pelvis, "Z", places["pelvis"] - places["base"]),
         "pelvis": _tipped(pelvis, "Z", places["torso"] - places["pelvis"]),
@@ -99,7 +101,8 @@ def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> R
     present = frames.as_matrix()[:, :, "XYZ".index(axis)]
     wanted = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     about = np.cross(present, wanted)
-    sine, cosine = np.linalg.norm(about, axis=1, keepdims=True), np.einsum("ni,ni->n", present, wanted)[:, None]
+    sine = np.linalg.norm(about, axis=1, keepdims=True)
+    cosine = np.einsum("ni,ni->n", present, wanted)[:, None]
     angle = np.arctan2(sine, cosine)
     return Rotation.from_rotvec(about * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-12)) * frames
 

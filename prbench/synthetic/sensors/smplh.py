@@ -1,4 +1,4 @@
-"""An invented body model with SMPL-H's keys, and procedural people in its terms.
+"""A synthetic body model with SMPL-H's keys, and procedural people in its terms.
 
 Sixteen shape directions are the sixteen lengths in which people of all presets differ, so that rest joints are exact
 (docs/specification/synthetic-recordings.md#native-layouts). Nothing of the licensed model is in it.
@@ -54,7 +54,7 @@ _EXACT = 1e-7  # metres; people are made of these lengths
 
 @cache
 def synthetic_smplh() -> ego.SmplhRest:
-    """Return the invented model: rest joints of a mean person, and what each of the 16 shape numbers adds to them."""
+    """Return the synthetic model: rest joints of a mean person, and what each of the 16 shape numbers adds to them."""
     bones = np.stack([_group_bones(group) for group in _GROUPS], axis=-1) * _STATURE
     joints = np.zeros_like(bones)
     for child in range(1, N_JOINTS):
@@ -71,7 +71,8 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
     Raises:
         ValueError: if the model cannot express the person: a preset whose bodies differ in other lengths.
     """
-    rest, wanted = synthetic_smplh(), _rest_bones(performance)
+    rest = synthetic_smplh()
+    wanted = _rest_bones(performance)
     wanted[Joint.HEAD] = _HEAD_BONE * performance.person.stature
     directions = np.stack([_bones_of(rest.directions[..., k]) for k in range(ego.N_BETAS)], axis=-1)
     missing = (wanted - _bones_of(rest.template)).reshape(-1)

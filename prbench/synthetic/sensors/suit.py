@@ -67,7 +67,7 @@ def suit_joints(
 
 
 def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:
-    """Return the invented markers: three along each of 19 bones."""
+    """Return synthetic markers: three along each of 19 bones."""
     first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
     share = np.array(_MARKERS_ALONG_BONE)[:, None]
     points = joints[:, first, None] * (1 - share) + joints[:, second, None] * share

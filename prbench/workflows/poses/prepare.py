@@ -45,7 +45,7 @@ class Prepared:
 
     @property
     def outputs(self) -> Path:
-        """Where EgoAllo writes."""
+        """The folder into which EgoAllo writes."""
         return self.folder / ego.OUTPUT_FOLDER
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.readers.egoallo_files import model, output, rewrite, times_ns, walk, write
 
 from prbench.errors import InputFileError
 from prbench.readers.egoallo import NO_OUTPUTS, find_outputs, poses_folder, read_bodies
 from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
+from tests.readers.egoallo_files import model, output, rewrite, times_ns, walk, write
 
 
 @pytest.fixture(autouse=True)

@@ -6,11 +6,11 @@ import io
 
 import numpy as np
 import pytest
-from tests.readers.egoallo_files import model, output, rewrite, times_ns, write
 
 from prbench.errors import InputFileError
 from prbench.readers.egoallo.joints import read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, read_output
+from tests.readers.egoallo_files import model, output, rewrite, times_ns, write
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 from prbench.cli.main import main
 from prbench.errors import TableError
 from prbench.sequences import CorpusTable, SequenceTable
-from prbench.sequences.unchanged import UnverifiedTableWarning
+from prbench.sequences.digests import UnverifiedTableWarning
 from tests.fakes import fake_dataset
 from tests.training.tables import corpus_table
 

@@ -1,4 +1,4 @@
-"""Somebody on an empty floor: the state between activities, and the small movements of which they are made."""
+"""The script of a recording: commands of the activities, and the writer who knows where the person is between them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ class Arc:
 
     def at(self, progress: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, z and heading after a share of the way."""
-        radius, first = self.length / self.turn, self.start.heading
+        radius = self.length / self.turn
+        first = self.start.heading
         heading = first + progress * self.turn
         x = self.start.x + radius * (np.cos(first) - np.cos(heading))
         z = self.start.z + radius * (np.sin(heading) - np.sin(first))
@@ -135,11 +136,12 @@ _EYE_HEIGHT, _SEATED_EYE_HEIGHT = 0.93, 0.71  # of the stature
 _ARC_START, _ARC_STOP = 0.5, 0.65  # s
 
 
-class Stage:
+class ScriptWriter:
     """Adds movements to a script; knows where the person is and whether they sit."""
 
     def __init__(self, person: Person, rng: np.random.Generator) -> None:
-        self.person, self.rng = person, rng
+        self.person = person
+        self.rng = rng
         self.base = BasePose(0.0, 0.0, float(rng.uniform(-np.pi, np.pi)))
         self.script = Script(person, self.base)
         self.now = 0.0
@@ -191,7 +193,8 @@ class Stage:
         """Walk along an arc."""
         speed = self.person.habits.walk_speed * pace * (1.0 - np.exp(-(length + 0.15) / 0.75))
         end = self.now + length / speed + 0.5 * (_ARC_START + _ARC_STOP)
-        start, heading = self.base, self.base.heading
+        start = self.base
+        heading = self.base.heading
         plain = Segment("walk", start, start, self.now, end, end, float(speed), heading, 0.0, 0.0, self.now)
         goal = Arc(start, self.now, end, length, turn, plain).goal
         segment = Segment("walk", start, goal, self.now, end, end, float(speed), heading, 0.0, 0.0, self.now)
