@@ -18,7 +18,7 @@ from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.shown import clean
 from prbench.skeleton import invert_rigid, transform_points
-from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
+from prbench.viewing.event_story import EventStory, StoryMotion, StoryStage, Verdict
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
 """The stages in the order in which curation asks."""

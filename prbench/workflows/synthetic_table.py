@@ -15,11 +15,10 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.layouts import layout_for
+from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, assign
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.recordings import synthetic_recording
 
 Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""
@@ -152,5 +151,5 @@ def build_synthetic_table(
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
     """Recording ``index`` by name and split, not yet acted out."""
-    casting = cast(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
+    casting = assign(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
     return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), casting.split)

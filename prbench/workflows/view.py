@@ -13,12 +13,10 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.table import find_sequence_id, smallest_by_hash
 from prbench.storage import turn_into_paths
 from prbench.submitted.verification import RunChecker
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.file_kind import file_kind
-from prbench.viewing.replay.read import read_scenes
-from prbench.viewing.replay.run_motions import RunMotions, run_labels
+from prbench.viewing.replay.parts import METHOD_COLOURS
+from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene
-from prbench.viewing.replay.write import write_view
+from prbench.viewing.replay.write import file_kind, write_view
 from prbench.workflows.surroundings import Surroundings
 from prbench.workflows.tables_of_runs import require_in_run, tables_of_runs
 
@@ -63,8 +61,8 @@ class ViewRequest:
             raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
         if self.sequences and self.limit is not None:
             raise UsageError("--sequence names the sequences already; leave --limit out.")
-        if len(self.runs) > len(palette.METHODS):
-            raise UsageError(f"expected at most {len(palette.METHODS)} runs in one view, found {len(self.runs)}.")
+        if len(self.runs) > len(METHOD_COLOURS):
+            raise UsageError(f"expected at most {len(METHOD_COLOURS)} runs in one view, found {len(self.runs)}.")
         if len(set(self.runs)) < len(self.runs):
             raise UsageError("a run folder is named more than once.")
 

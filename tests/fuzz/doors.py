@@ -20,7 +20,7 @@ from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.methods.programs.description import read_description
 from prbench.submitted.offline import ConditionsFile, read_conditions, read_conditions_file
-from prbench.synthetic.corpus_tree import synthesize_corpus_tree
+from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.training.configuration import load_configuration
 from prbench.training.weights import read_weights

@@ -16,8 +16,7 @@ from prbench.evaluation.text_to_motion.words import GloveCaptions, WordVectors
 from prbench.randomness import named_generator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.text import TextEncoder, text_encoder
-from prbench.training.motion import Motion, cut, encoded
-from prbench.training.rows import frame_rate, open_table, read_rows
+from prbench.training.motions import Motion, cut, encoded, frame_rate, open_table, read_rows
 
 _SHORTER = 1 / 3
 

@@ -27,7 +27,7 @@ from prbench.evaluation.text_to_motion.measure import (
     measure_motions,
     measure_pairs,
 )
-from prbench.training.rows import open_table
+from prbench.training.motions import open_table
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench.workflows.text_to_motion.evaluator_file import LoadedEvaluator, load_evaluator
 from prbench.workflows.text_to_motion.generated import Generator, MethodRequest, Prompt

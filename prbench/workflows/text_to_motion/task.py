@@ -12,8 +12,7 @@ import torch
 from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion.configuration import GLOVE, EvaluatorConfiguration
 from prbench.representation import N_FEATURES, Statistics
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, read_weights
 from prbench.workflows.text_to_motion.clips import token_vectors
 from prbench.workflows.text_to_motion.training import (
