@@ -6,12 +6,15 @@ import hashlib
 import tomllib
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from typing import Literal, TypeVar
 
 import msgspec
 
 from prbench.boundary import foreign_input
+from prbench.datasets import find_reader, folder_of, own_datasets, readable_datasets
 from prbench.errors import InputFileError, UsageError
+from prbench.shown import quoted
 
 Redistribution = Literal["none", "non-commercial", "yes"]
 
@@ -199,15 +202,26 @@ def digest_of(constants: msgspec.Struct) -> str:
 
 @cache
 def load_manifest(dataset: str) -> Manifest:
-    """The manifest of a dataset.
+    """Load the manifest of a dataset: prbench's own, or the one beside an installed package's reader.
 
     Raises:
-        UsageError: for a dataset without manifest.
-        InputFileError: if the file does not fit the data class (naming the key).
+        UsageError: for a dataset without manifest, or whose package cannot be used.
+        InputFileError: if the file is missing or does not fit the data class (naming the key).
     """
+    if dataset in own_datasets():
+        return read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
     if dataset not in dataset_names():
         raise UsageError(f"unknown dataset '{dataset}'; known ones are: {', '.join(dataset_names())}.")
-    return read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
+    file = folder_of(find_reader(dataset)) / f"{dataset}.toml"
+    manifest = _convert_toml(file, Manifest)
+    if manifest.name != dataset or manifest.kind != "benchmark":
+        raise InputFileError(
+            file,
+            "",
+            expected=f"name = '{dataset}' and kind = 'benchmark'",
+            found=f"name = '{quoted(manifest.name)}' and kind = '{manifest.kind}'",
+        )
+    return manifest
 
 
 @cache
@@ -223,22 +237,24 @@ def load_citations() -> Citations:
 
 
 def dataset_names() -> tuple[str, ...]:
-    """Names of the datasets that have a manifest, sorted."""
-    files = resources.files("prbench_data_manifests").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    """Names of prbench's own datasets and corpora, and of the datasets of installed packages, sorted."""
+    return tuple(sorted({*own_datasets(), *readable_datasets()}))
 
 
-Loaded = TypeVar("Loaded", bound=msgspec.Struct)
+_Loaded = TypeVar("_Loaded", bound=msgspec.Struct)
 
 
-@foreign_input()
-def read_toml(package: str, name: str, form: type[Loaded]) -> Loaded:
-    """A TOML file of a data package as a data class.
+def read_toml(package: str, name: str, form: type[_Loaded]) -> _Loaded:
+    """Read a TOML file of a data package as a data class.
 
     Raises:
         InputFileError: if the file does not fit the data class (naming the key).
     """
-    file = resources.files(package) / name
+    return _convert_toml(resources.files(package) / name, form)
+
+
+@foreign_input()
+def _convert_toml(file: Traversable, form: type[_Loaded]) -> _Loaded:
     try:
         return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:

@@ -10,8 +10,9 @@ import msgspec
 import pytest
 
 from prbench.boundary import foreign_input
+from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, TableError, UnforeseenInput
-from prbench.readers import READER_MODULES, files, reader_for
+from prbench.readers import files, reader_for
 from prbench.readers.files import decode_json
 
 
@@ -69,7 +70,7 @@ def test_where_no_path_is_known_the_place_given_is_named():
         raise KeyError("x")
 
 
-@pytest.mark.parametrize("dataset", READER_MODULES)
+@pytest.mark.parametrize("dataset", readable_datasets())
 def test_every_reader_stands_behind_the_boundary(dataset):
     reader = reader_for(dataset)
     for door in (reader.find, reader.read):

@@ -14,10 +14,9 @@ from prbench.bounded import open_regular, read_text, read_whole, require_unpacka
 from prbench.errors import InputFileError, PrbenchError, TableError
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files
-from prbench.readers.digests import remembered_digest
 from prbench.readers.files import decode_json, read_columns
-from prbench.readers.last_line import require_whole_last_line
-from prbench.readers.zipped import ZippedFile, read_all
+from prbench.readers.parse_cache import remembered_digest
+from prbench.readers.zipped import ZippedFile, read_all, require_whole_last_line
 from prbench.runs.predictions.numbered import index_numbered
 from prbench.runs.predictions.rows import Numbering
 from prbench.storage import file_digest

@@ -17,10 +17,11 @@ from prbench.contract import Condition
 from prbench.corpora import build_corpus, plan_corpus
 from prbench.curation import build_dataset, plan_build
 from prbench.curation.differences import compare_builds
+from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.evaluation.request import RunRequest
 from prbench.leaderboard.comparison import compare_runs
-from prbench.readers import READER_MODULES, reader_for
+from prbench.readers import reader_for
 from prbench.release import export_release, import_release
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
@@ -229,7 +230,7 @@ CALLS = {
     "CorpusInfo": lambda _: CorpusInfo.read(NOWHERE),
     "RunFolder": lambda _: RunFolder.open(NOWHERE),
     "Predictions": lambda _: Predictions.open(NOWHERE),
-    **{f"reader of {name}": lambda _, name=name: reader_for(name).find(NOWHERE) for name in READER_MODULES},
+    **{f"reader of {name}": lambda _, name=name: reader_for(name).find(NOWHERE) for name in readable_datasets()},
 }
 
 

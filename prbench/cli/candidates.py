@@ -20,7 +20,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         example="prbench candidates gimo --root /data/GIMO --out candidates.csv",
         execute=_candidates,
     )
-    parser.add_argument("dataset", help="gimo: its events are annotated by hand")
+    parser.add_argument("dataset", help="a dataset whose events are annotated by hand, such as gimo")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="new CSV file; never overwritten")
     add_reader_options(parser)
@@ -42,7 +42,7 @@ def _candidates(arguments: argparse.Namespace) -> int:
         )
     unread = [proposal for proposal in proposals if proposal.problem]
     for proposal in unread:
-        print(f"{proposal.segment.name}: {proposal.problem}", file=sys.stderr)
+        print(f"{proposal.line.recording_id}: {proposal.problem}", file=sys.stderr)
     proposed = sum(proposal.candidate is not None for proposal in proposals)
     print(f"{proposed} proposals for {len(proposals)} segments, {len(unread)} not read")
     print(f"look at the videos, write yes or no into the column 'confirmed', and build with it: {arguments.out}")

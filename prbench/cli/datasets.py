@@ -35,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 
 
 def _datasets(arguments: argparse.Namespace) -> int:
-    from prbench.workflows.catalogue import catalogue
+    from prbench.workflows.catalogue import catalogue, unusable_readers
 
     entries = catalogue(arguments.root, arguments.name)
     if arguments.name is not None:
@@ -59,6 +59,8 @@ def _datasets(arguments: argparse.Namespace) -> int:
     for entry in entries:
         for line in entry.missing:
             print(f"{entry.manifest.name}: {line}")
+    for line in unusable_readers():
+        print(f"! {line}")
     print("`prbench datasets NAME` tells how to obtain one and which files it consists of.")
     return 0
 

@@ -32,7 +32,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("estimator", choices=["egoallo"], help="what estimates bodies")
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
-    parser.add_argument("--dataset", metavar="NAME", help="hd-epic, hot3d or adt (default: what the folder holds)")
+    parser.add_argument("--dataset", metavar="NAME", help="such as adt (default: what the folder holds)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="how to run EgoAllo; without it, says what to do")
     parser.add_argument("--recordings", default="*", metavar="GLOB", help="only recordings whose name matches")
     add_recordings(parser)

@@ -22,8 +22,8 @@ from prbench.readers import (
     reader_for,
     require_one_origin,
 )
-from prbench.readers.cut_short import cut_short
-from prbench.readers.digests import remembered_digest
+from prbench.readers.extents import cut_short
+from prbench.readers.parse_cache import remembered_digest
 from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording
 from prbench.storage import text_digest

@@ -1,24 +1,18 @@
-"""What package metadata say about installed methods, read so that one damaged package never hides the others.
-
-``importlib.metadata.entry_points`` gives up on the first line that it cannot parse, and with it every command that
-names a method. Here each package is read by itself, and what is wrong with it is said beside its name.
-"""
+"""Installed methods as package metadata name them (:mod:`prbench.entry_points`), and who may use which name."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.metadata import EntryPoint
 
 from prbench.contract import ENTRY_POINT_GROUP
+from prbench.entry_points import installed_entries
 from prbench.errors import AdapterError, did_you_mean
 from prbench.methods.names import BUILT_IN_METHODS, has_form, name_problem
 from prbench.shown import quoted
 
-_OURS = "prbench"  # the distribution whose methods are built in
 _UNKNOWN = "unknown"
-_TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
 _PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".m")
 
 
@@ -50,11 +44,9 @@ def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
 
 def entry_points_of(group: str) -> Iterator[EntryPoint]:
     """The readable entry points of a group; unreadable ones, and names that belong to prbench, are passed over."""
-    for distribution in _distributions():
-        for line in _lines(distribution, group):
-            name, separator, value = (part.strip() for part in line.partition("="))
-            if separator and name and value and (_is_ours(distribution) or name_problem(name) is None):
-                yield EntryPoint(name, value, group)
+    for entry in installed_entries(group):
+        if entry.name and entry.target and (entry.ours or name_problem(entry.name) is None):
+            yield EntryPoint(entry.name, entry.target, group)
 
 
 def no_such_method(name: str, known: Iterable[str]) -> AdapterError:
@@ -79,16 +71,10 @@ def _as_program(name: str) -> str:
 
 
 def _adapters() -> Iterator[InstalledAdapter]:
-    for distribution in _distributions():
-        lines = _lines(distribution, ENTRY_POINT_GROUP)
-        if lines:
-            package, version = (
-                _field(distribution, "Name") or _folder_name(distribution),
-                _field(distribution, "Version"),
-            )
-            for line in lines:
-                adapter = _adapter(line, quoted(package or _UNKNOWN), quoted(version or _UNKNOWN))
-                yield _with_right_to_its_name(adapter, ours=_is_ours(distribution))
+    for entry in installed_entries(ENTRY_POINT_GROUP):
+        name = entry.name or _UNKNOWN
+        adapter = InstalledAdapter(name, entry.package, entry.version, entry.target, entry.problem)
+        yield _with_right_to_its_name(adapter, ours=entry.ours)
 
 
 def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> InstalledAdapter:
@@ -98,64 +84,3 @@ def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> Install
     problem = adapter.problem or name_problem(adapter.name) or ""
     name = adapter.name if has_form(adapter.name) else quoted(adapter.name)
     return replace(adapter, name=name, problem=problem)
-
-
-def _is_ours(distribution: Distribution) -> bool:
-    return _normalised(distribution) == _OURS
-
-
-def _adapter(line: str, package: str, version: str) -> InstalledAdapter:
-    name, separator, target = (part.strip() for part in line.partition("="))
-    if not separator or not name:
-        problem = f"entry_points.txt: expected 'name = module:callable', found '{quoted(line, longest=60)}'"
-        return InstalledAdapter(name or _UNKNOWN, package, version, target, problem)
-    if not _TARGET.fullmatch(target):
-        problem = f"entry point: expected 'module:callable', found '{quoted(target, longest=60)}'"
-        return InstalledAdapter(name, package, version, target, problem)
-    return InstalledAdapter(name, package, version, target)
-
-
-def _distributions() -> Iterator[Distribution]:
-    """Installed packages; of two copies the one that stands first on the path, as an import would find it."""
-    seen = set()
-    for distribution in distributions():
-        name = _normalised(distribution)
-        if name not in seen:
-            seen.add(name)
-            yield distribution
-
-
-def _normalised(distribution: Distribution) -> str:
-    return re.sub(r"[-_.]+", "-", _folder_name(distribution) or _field(distribution, "Name")).lower()
-
-
-def _folder_name(distribution: Distribution) -> str:
-    """The package's name as its ``.dist-info`` folder has it, which costs no reading.
-
-    A source checkout has ``name.egg-info`` without a version.
-    """
-    stem, _, suffix = str(getattr(getattr(distribution, "_path", None), "name", "")).rpartition(".")
-    return stem.partition("-")[0] if suffix in ("dist-info", "egg-info") else ""
-
-
-def _field(distribution: Distribution, name: str) -> str:
-    """``Name`` or ``Version`` from a package's metadata; empty if they cannot be read."""
-    try:
-        return str(distribution.metadata.get(name) or "")  # type: ignore[attr-defined]  # an email.message.Message
-    except Exception:  # whatever a strange installation raises, the others are still to be listed
-        return ""
-
-
-def _lines(distribution: Distribution, group: str) -> list[str]:
-    """The lines of one group of a package's entry points, comments left out."""
-    try:
-        text = distribution.read_text("entry_points.txt") or ""
-    except (OSError, ValueError):  # unreadable, or no UTF-8
-        return []
-    found, section = [], ""
-    for line in map(str.strip, text.splitlines()):
-        if line.startswith("[") and line.endswith("]"):
-            section = line[1:-1].strip()
-        elif line and line[0] not in "#;" and section == group:
-            found.append(line)
-    return found

@@ -1,4 +1,4 @@
-"""What is below a folder: every dataset that some reader recognises, without reading a recording."""
+"""Find every dataset below a folder that some reader recognises, without reading a recording."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import InputFileError, PrbenchError
-from prbench.readers import READER_MODULES, Reader, RecordingFiles, read_synthetic_tree, reader_for
+from prbench.datasets import installed_readers, readable_datasets
+from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
+from prbench.manifests import load_manifest
+from prbench.readers import Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE
 
@@ -56,12 +58,14 @@ def discover(root: Path | str) -> Discovery:
         raise InputFileError(root, "", expected="a folder", found="a file" if root.is_file() else "nothing")
     found: list[FoundDataset] = []
     broken: list[BrokenDataset] = []
-    for dataset in READER_MODULES:
+    readers, unusable = usable_readers()
+    for reader in readers:
+        dataset = reader.dataset
         for folder in (root, *_subfolders(root)):
             claimed = folder != root and any(_lies_in(folder, other.recordings) for other in found)
             if claimed or (folder != root and any(other.dataset == dataset and other.root == root for other in found)):
                 continue
-            answer = _ask(reader_for(dataset), folder)
+            answer = _ask(reader, folder)
             if isinstance(answer, BrokenDataset):
                 if all(answer.message != other.message for other in broken):  # a damaged mark, told to every reader
                     broken.append(answer)
@@ -71,27 +75,46 @@ def discover(root: Path | str) -> Discovery:
         raise InputFileError(
             root,
             "",
-            expected=f"recordings of {', '.join(READER_MODULES)}, here or one folder below",
+            expected=f"recordings of {', '.join(reader.dataset for reader in readers)}, here or one folder below",
             found=names_in(root),
-            remedy="`prbench datasets` says which files each dataset consists of.",
+            remedy=" ".join(["`prbench datasets` says which files each dataset consists of.", *unusable]),
         )
     return Discovery(tuple(sorted(found, key=lambda each: (each.dataset, str(each.root)))), tuple(broken))
 
 
+def usable_readers() -> tuple[tuple[Reader, ...], tuple[str, ...]]:
+    """Import every reader.
+
+    Returns:
+        The readers by name, and one message for each that a package offers and that cannot be used.
+    """
+    readers = []
+    unusable = [f"{reader.origin}: {reader.problem}." for reader in installed_readers() if reader.problem]
+    for dataset in readable_datasets():
+        try:
+            load_manifest(dataset)
+            readers.append(reader_for(dataset))
+        except PrbenchError as error:
+            unusable.append(str(error))
+    return tuple(readers), tuple(unusable)
+
+
 def _ask(reader: Reader, folder: Path) -> FoundDataset | BrokenDataset | None:
-    """What one reader says about one folder; None if it is none of its."""
+    """Ask one reader about one folder; None if the folder holds nothing of its dataset."""
     try:
         tree = read_synthetic_tree(folder)
         if tree is not None and tree.preset != reader.dataset:
             return None
         if tree is None and any((below / SYNTHETIC_FILE).is_file() for below in _subfolders(folder)):
             return None  # a folder of synthetic trees is none itself; each carries its own mark and splits
-        recordings = reader.find(folder)
+        with foreign_input(folder):
+            recordings = reader.find(folder)
     except InputFileError as error:
         # A reader that found nothing names the folder, or the file in it that would mark the dataset; one that
         # stumbled names a file that is there, or one farther down.
         places = (folder, folder.expanduser().resolve())
         nothing = error.path in places or (error.path.parent in places and not error.path.exists())
+        nothing = nothing and not isinstance(error, UnforeseenInput)
         return None if nothing else BrokenDataset(reader.dataset, folder, str(error))
     except PrbenchError as error:
         return BrokenDataset(reader.dataset, folder, str(error))

@@ -1,13 +1,27 @@
 """From when to when each stream of a recording reaches, and which of them stop before the recording does.
 
 A text file that was cut between two lines reads as whole, and what happened after the cut is missing without a word.
-Only the other streams of the recording can tell: they go on. Each dataset says in its ``ends.py`` which streams it has.
+Only the other streams of the recording can tell: they go on. A reader with a method ``extents`` says which streams its
+recordings have (:class:`prbench.readers.KnowsEnds`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from prbench.bounded import open_regular
+from prbench.errors import PrbenchError
+from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
+from prbench.readers import KnowsEnds, RecordingFiles, reader_for
+from prbench.readers.files import header_names
+from prbench.readers.found import InputFile
+from prbench.readers.zipped import opened, source_of
+from prbench.recording import Recording
 
 ONE_SYSTEM = 0.5
 """Seconds by which two streams that one tracking system writes frame by frame may end apart: half of what a person
@@ -24,7 +38,7 @@ class Extent:
     """From when to when one stream reaches."""
 
     stream: str
-    """What it holds, as a person would say it."""
+    """Name of the stream in messages."""
     file: str
     """Name of the file."""
     first: float | None
@@ -32,11 +46,31 @@ class Extent:
     last: float | None
     """Time of its last sample; None if it holds none."""
     tells_span: bool = True
-    """Whether the recording lasts at least as long. Not so where a dataset's sensors run on without ground truth."""
+    """True where the recording lasts at least as long. Not so where a dataset's sensors run on without ground truth."""
     may_start_late: bool = False
-    """Whether a late start is normal."""
+    """True where a late start is normal."""
     slack: float = ONE_SYSTEM
     """Seconds by which it may begin after the recording or end before it."""
+
+
+def cut_short(found: RecordingFiles, recording: Recording | None = None) -> tuple[str, ...]:
+    """Hold the ends of all streams of a recording against its span.
+
+    Args:
+        found: The recording's files; only their ends are looked at.
+        recording: What reading it gave, where somebody has: it tells what the ends of files in archives do not.
+
+    Returns:
+        One message a stream that ends early or begins late. None of a recording whose files cannot be made out
+        (reading it says why), or whose reader does not know the ends.
+    """
+    reader = reader_for(found.dataset)
+    if not isinstance(reader, KnowsEnds):
+        return ()
+    try:
+        return shortfalls(reader.extents(found, recording))
+    except (PrbenchError, OSError):
+        return ()
 
 
 def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
@@ -54,12 +88,13 @@ def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
     ends = [extent.last for extent in extents if extent.tells_span and extent.last is not None]
     if not starts or not ends:
         return ()
-    start, end = min(starts), max(ends)
+    start = min(starts)
+    end = max(ends)
     return tuple(message for extent in extents for message in _told(extent, start, end))
 
 
 def _told(extent: Extent, start: float, end: float) -> Iterator[str]:
-    """What is to be said of one stream of a recording that lasts from ``start`` to ``end``, seconds."""
+    """Say where one stream falls short of a recording that lasts from ``start`` to ``end``, seconds."""
     named = f"{extent.stream} ({extent.file})"
     if extent.last is None:
         yield f"{named} holds no sample with a time: events may be missing; {_REMEDY}"
@@ -74,3 +109,86 @@ def _told(extent: Extent, start: float, end: float) -> Iterator[str]:
             f"{named} begins {extent.first - start:.1f} s after the recording does: earlier events may be missing;"
             f" {_REMEDY}"
         )
+
+
+_END = 1 << 18
+"""Bytes that are read of each end. The static objects of an ADT recording take 60 kB before the first one that moves;
+a frame of a skeleton, printed with one number a line, 130 kB."""
+_NAMED_TIME = re.compile(rb'"(?:tracking_)?timestamp_ns"\s*:\s*(\d{1,19})(?=[\s,}])')
+
+Span = tuple[float | None, float | None]
+"""First and last time, seconds; None where an end holds none."""
+
+
+def can_be_looked_at(file: InputFile) -> bool:
+    """Return True where the ends of a file can be seen without much work."""
+    return not file.member or file.size <= LARGEST_UNPACKED_FOR_ITS_END
+
+
+def csv_extent(stream: str, file: InputFile, column: str, seconds: float) -> Extent:
+    """The extent of a CSV file.
+
+    Args:
+        stream: What it holds.
+        file: The file.
+        column: Name of its time column; negative times are none.
+        seconds: Length of the column's unit.
+    """
+    head, tail = _both_ends(file)
+    header, _, rows = head.partition(b"\n")
+    first = None
+    last = None
+    place = _place(header, column)
+    if place is not None:
+        first = min(_cells(rows.splitlines()[:-1] if len(head) == _END else rows.splitlines(), place), default=None)
+        last = max(_cells(tail.splitlines()[1:], place), default=None)
+    return Extent(stream, _name(file), *_scaled(first, last, seconds))
+
+
+def json_extent(stream: str, file: InputFile) -> Extent:
+    """The extent of a JSON or JSON lines file whose frames have a ``timestamp_ns``."""
+    head, tail = _both_ends(file)
+    first = min((float(time) for time in _NAMED_TIME.findall(head)), default=None)
+    last = max((float(time) for time in _NAMED_TIME.findall(tail)), default=None)
+    return Extent(stream, _name(file), *_scaled(first, last, 1e-9))
+
+
+def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
+    """The first and the last bytes; of a small file or a member of an archive all of it where that is less."""
+    if not file.member:
+        with open_regular(file.path) as plain:
+            head = plain.read(_END)
+            plain.seek(max(os.fstat(plain.fileno()).st_size - _END, 0))
+            return head, plain.read()
+    with opened(source_of(file)) as member:
+        content = member.read(LARGEST_UNPACKED_FOR_ITS_END)
+    return content[:_END], content[-_END:]
+
+
+def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
+    """The numbers of one column that can be times."""
+    for line in lines:
+        values = line.split(b",", place + 1)
+        try:
+            time = float(values[place])
+        except (IndexError, ValueError):
+            continue
+        if np.isfinite(time) and time >= 0:
+            yield time
+
+
+def _scaled(first: float | None, last: float | None, seconds: float) -> Span:
+    return (None if first is None else first * seconds), (None if last is None else last * seconds)
+
+
+def _place(header: bytes, column: str) -> int | None:
+    """Return the index of a column; None where the file has none of that name."""
+    try:
+        names = header_names(header)
+    except UnicodeDecodeError:
+        return None
+    return names.index(column) if column in names else None
+
+
+def _name(file: InputFile) -> str:
+    return file.member.rpartition("/")[2] or file.path.name

@@ -17,8 +17,7 @@ from prbench.boundary import foreign_input
 from prbench.bounded import require_size, too_long_line
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
-from prbench.readers.last_line import require_whole_last_line
-from prbench.readers.zipped import RememberingTail, Source, opened, read_all, shown
+from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
 
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 """A time in a JSON file; NumPy has no larger integers."""
@@ -57,7 +56,7 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
 
 
 def arrow_types(columns: Mapping[str, Column]) -> dict[str, pa.DataType]:
-    """What the columns are parsed to."""
+    """Map the columns' types to those of Arrow."""
     return {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
 
 
@@ -249,7 +248,8 @@ def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool)
 
 def _watched(path: Source, batches: pyarrow.csv.CSVStreamingReader) -> pa.Table:
     """The table of a long file, refused as soon as it is larger than any table: cells may be longer than their text."""
-    kept, size = [], 0
+    kept = []
+    size = 0
     for batch in batches:
         kept.append(batch)
         size += batch.nbytes

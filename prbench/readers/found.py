@@ -1,4 +1,4 @@
-"""What a reader's cheap search returns: recordings on disk, with their input files and sizes."""
+"""Recordings on disk with their input files and sizes: the result of a reader's cheap search."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class InputFile:
     """One file that reading a recording depends on."""
 
     role: str
-    """What the reader takes it for; unique within a recording."""
+    """Role of the file for the reader; unique within a recording."""
     path: Path
     size: int
     """Bytes; of the member alone where it lies in an archive."""
@@ -55,11 +55,11 @@ class FilesOnDemand(Sequence[InputFile]):
         return self._files[index]
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return the number of files."""
         return len(self._files)
 
     def __eq__(self, other: object) -> bool:
-        """Whether these are the same files in the same order."""
+        """Return True where these are the same files in the same order."""
         return isinstance(other, Sequence) and self._files == tuple(other)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -80,7 +80,7 @@ class RecordingFiles:
     split: Literal["train", "validation", "test"] | None = None
     """The dataset's official split, where its files tell it; None = by the split rule."""
     skip_reason: str | None = None
-    """Why a build must leave it out, told in its report as skipped and not as failed; None for all that are fine."""
+    """Reason why a build must leave it out, reported as skipped and not as failed; None for all that are fine."""
 
     def path(self, role: str) -> Path | None:
         """The file of one role, or None where it was not found."""
@@ -114,7 +114,7 @@ def input_file(role: str, path: Path) -> InputFile:
 
 
 def is_present(path: Path) -> bool:
-    """Whether something has this name: a file, or a folder or a broken link in its place.
+    """Return True where something has this name: a file, or a folder or a broken link in its place.
 
     An optional file is absent only where nothing has its name. What stands there otherwise is listed, and reading it
     says that it cannot be read; a result that was made without it would pass for one that never had it.
@@ -123,7 +123,7 @@ def is_present(path: Path) -> bool:
 
 
 def names_in(folder: Path) -> str:
-    """What lies in a folder, for a message: the first names, and how many more there are."""
+    """List a folder for a message: the first names, and how many more there are."""
     return _first_names([path.name for path in sorted(folder.iterdir())]) or "an empty folder"
 
 

@@ -1,4 +1,4 @@
-"""Whether a file is whole, found out from its ends alone: what an interrupted download or a full disk leaves behind.
+"""Find out from a file's ends alone if it is whole: an interrupted download or a full disk leaves it cut off.
 
 None of this parses a file; a file that passes may still be refused when it is read.
 """
@@ -24,7 +24,7 @@ _TAIL = 65536  # bytes; longer than any line of the formats that are read
 
 
 def damage(file: InputFile) -> str:
-    """What is wrong with an input file, in a few words; empty if nothing seems to be."""
+    """Say in a few words what is wrong with an input file; empty if nothing seems to be."""
     try:
         with foreign_input(file.path):
             return _damage(file)

@@ -66,7 +66,9 @@ def _described(value: Any) -> str:
     if isinstance(value, Path):
         value = value.expanduser()
         return file_digest(value) if value.is_file() else value.name
-    return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+    if value is None:
+        return ""
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _path(kind: type, value: Any) -> Any:

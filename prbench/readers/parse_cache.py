@@ -1,15 +1,19 @@
-"""What was parsed from large text files, kept in the user's cache so that the next read is a small binary one.
+"""Keep what was parsed from large text files in the user's cache, so that the next read is a small binary one.
 
 An entry belongs to one file and is used only while that file is the same: path, size, times of change (of content and
 of status), and a digest of its first and last bytes (of a file in an archive: its checksum and the archive's times).
 ``PRBENCH_PARSE_CACHE`` switches it off (``off``) or bounds it (megabytes; 2048 by default); the least recently used
 entries go first.
+
+Digests of files are remembered likewise: hashing a gigabyte takes longer than reading what is needed of it. A digest is
+always that of a file's content, and is taken again as soon as size, times of change or number on the disk differ.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import shutil
 import time
@@ -20,9 +24,9 @@ import pyarrow as pa
 import pyarrow.ipc
 
 from prbench.errors import StorageError, UsageError
-from prbench.locks import sole_file
+from prbench.locks import sole_file, sole_writer
 from prbench.readers.zipped import Source, ZippedFile
-from prbench.storage import cache_folder, text_digest
+from prbench.storage import cache_folder, file_digest, text_digest, write_json
 
 CACHE_VARIABLE = "PRBENCH_PARSE_CACHE"
 _DEFAULT_MEGABYTES = 2048
@@ -48,7 +52,7 @@ def limit_bytes() -> int:
 
 
 def load_parsed(source: Source, wish: bytes) -> pa.Table | None:
-    """What was parsed from a source before; None if that is not known, or the source or the wish has changed.
+    """Return what was parsed from a source before; None if that is not known, or the source or the wish has changed.
 
     Args:
         source: A plain file, or one in an archive.
@@ -143,3 +147,48 @@ def _shrink(folder: Path, limit: int) -> None:
         with contextlib.suppress(OSError):  # in use, on systems that then keep it
             path.unlink()
         total -= size
+
+
+_WORTH_REMEMBERING = 2**20  # bytes; a smaller file is hashed in a millisecond
+
+
+def remembered_digest(path: Path) -> str:
+    """SHA-256 of a file's bytes, as hexadecimal text.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        InputFileError: if it is a folder, a pipe or a device.
+    """
+    before = _identity(path)
+    now = time.time_ns()
+    if before["size"] < _WORTH_REMEMBERING or not limit_bytes():
+        return file_digest(path)
+    entry = cache_folder() / "digests" / f"{text_digest(str(path.resolve()))[:32]}.json"
+    known = _load(entry)
+    if known.get("identity") == before and isinstance(known.get("sha256"), str):
+        return known["sha256"]
+    digest = file_digest(path)
+    settled = now - max(before["mtime_ns"], before["ctime_ns"]) > _SETTLED_NS  # else it may change within one tick
+    if settled and _identity(path) == before:
+        with contextlib.suppress(StorageError), sole_writer(entry):
+            write_json(entry, {"identity": before, "sha256": digest})
+    return digest
+
+
+def _identity(path: Path) -> dict[str, int]:
+    status = path.stat()
+    return {
+        "size": status.st_size,
+        "mtime_ns": status.st_mtime_ns,
+        "ctime_ns": status.st_ctime_ns,
+        "inode": status.st_ino,
+        "device": status.st_dev,
+    }
+
+
+def _load(entry: Path) -> dict:
+    try:
+        known = json.loads(entry.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # none, or a damaged one
+        return {}
+    return known if isinstance(known, dict) else {}

@@ -14,13 +14,13 @@ from typing import Literal
 
 import msgspec
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.files import decode_json
 from prbench.readers.found import is_present
 
 SYNTHETIC_FILE = "synthetic.json"
-SYNTHETIC_PREFIX = "synthetic-"
-INVENTED_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
+_SYNTHETIC_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
 """Stands in the name of every invented recording."""
 
 
@@ -68,7 +68,7 @@ def synthetic_tree_around(folder: Path, root: Path) -> SyntheticTree | None:
 
 def lacks_mark(recording_id: str, dataset: str) -> bool:
     """Return True for an invented recording that would pass as a real one, because its mark was not copied."""
-    return INVENTED_NAME.search(recording_id) is not None and not dataset.startswith(SYNTHETIC_PREFIX)
+    return _SYNTHETIC_NAME.search(recording_id) is not None and not dataset.startswith(SYNTHETIC_PREFIX)
 
 
 def require_marked(root: Path, recordings: Mapping[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Which body frames can be believed (docs/specification/adt.md#joints)."""
+"""Find the plausible body frames (docs/specification/adt.md#joints)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which hand reached: the wrist nearest to the place of an event, or no answer where the wrists do not decide.
+"""Find the hand that reached: the wrist nearest to the place of an event, or none where the wrists do not decide.
 
 A wrist is known from hand tracking, else from the body. Glasses lose a hand more often than a body estimate does, and
 the one that they lose may be the one that reached: so a single known wrist counts only close to the place.
@@ -17,12 +17,12 @@ from prbench.recording.streams import BodyStream, HandSource, HandStream, Side
 from prbench.skeleton import WRISTS
 from prbench.timelines import covered, interpolate
 
-LONGEST_WRIST_GAP = 0.15
+_LONGEST_WRIST_GAP = 0.15
 """Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz."""
-FARTHEST_LONE_WRIST = 0.20
+_FARTHEST_LONE_WRIST = 0.20
 """Metres from the place at which the only known wrist is still the one that reached. On synthetic HD-EPIC 99 % of the
 reaching wrists are within 0.17 m of the annotated point."""
-FARTHEST_WRIST = 0.40
+_FARTHEST_WRIST = 0.40
 """Metres from the place at which the nearer of two known wrists is still the one that reached: a pan is held by its
 handle, and estimated bodies end decimetres from where the hand was."""
 LEAST_DIFFERENCE = 0.02
@@ -59,12 +59,14 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
     """
     wrists = []
     for side, joint in zip(_SIDES, WRISTS, strict=True):
-        position, source = None, "tracked"
+        position = None
+        source = "tracked"
         for stream in hands:
             if stream.side == side and stream.contact == "wrist" and position is None:
                 position = _point_at(stream.times, stream.points[:, 0], stream.valid, time)
         if position is None and body is not None:
-            position, source = _point_at(body.times, body.joints[:, joint], body.valid, time), "body"
+            position = _point_at(body.times, body.joints[:, joint], body.valid, time)
+            source = "body"
         if position is not None:
             wrists.append(Wrist(side, position, source))
     return tuple(wrists)
@@ -83,7 +85,7 @@ def reaching_hand(wrists: Sequence[Wrist], place: Float[np.ndarray, "3"]) -> Rea
         return None
     distances = [float(np.linalg.norm(wrist.position - place)) for wrist in wrists]
     nearest = int(np.argmin(distances))
-    if distances[nearest] > (FARTHEST_LONE_WRIST if len(wrists) == 1 else FARTHEST_WRIST):
+    if distances[nearest] > (_FARTHEST_LONE_WRIST if len(wrists) == 1 else _FARTHEST_WRIST):
         return None
     if len(wrists) == 2 and abs(distances[0] - distances[1]) < LEAST_DIFFERENCE:
         return None
@@ -94,9 +96,9 @@ def _point_at(
     times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], valid: np.ndarray, time: float
 ) -> Float[np.ndarray, "3"] | None:
     """A point between two valid samples that are close to each other; None elsewhere."""
-    near = slice(*np.searchsorted(times, [time - LONGEST_WRIST_GAP, time + LONGEST_WRIST_GAP]))
+    near = slice(*np.searchsorted(times, [time - _LONGEST_WRIST_GAP, time + _LONGEST_WRIST_GAP]))
     instant = np.array([time])
-    if not covered(times[near], valid[near], instant, max_gap=LONGEST_WRIST_GAP).all():
+    if not covered(times[near], valid[near], instant, max_gap=_LONGEST_WRIST_GAP).all():
         return None
     usable = valid[near]
     return interpolate(times[near][usable], points[near][usable], instant)[0]

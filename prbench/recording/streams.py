@@ -26,7 +26,7 @@ Side = Literal["left", "right"]
 Action = Literal["pick", "put"]
 ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
 HandSource = Literal["annotated", "contact", "tracked", "body", "movement"]
-"""What told the hand of an event: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, or
+"""Source of an event's hand: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, or
 which wrist moved more before the event."""
 
 
@@ -52,7 +52,7 @@ def _require_distinct(what: str, ids: Sequence[str]) -> None:
 
 @dataclass(frozen=True)
 class GazeStream:
-    """Where the wearer looks: rays in the world."""
+    """The wearer's gaze: rays in the world."""
 
     times: Float[np.ndarray, " n"]
     origin: Float[np.ndarray, "n 3"]
@@ -131,7 +131,7 @@ class ObjectTrack:
     """Lower corner in the object's frame; equal to ``box_max`` where the dataset knows points only."""
     box_max: Float[np.ndarray, "3"]
     movable: bool
-    """Whether the dataset tracks it; only such objects can be picked up."""
+    """True where the dataset tracks it; only such objects can be picked up."""
     surface: Occluder | None = None
     """Its mesh, in its own frame; only where a reader is asked for meshes."""
 
@@ -169,7 +169,7 @@ class OtherPerson:
 
 @dataclass(frozen=True)
 class PublishedPriming:
-    """What the dataset itself says about the priming of an event."""
+    """The dataset's own result about the priming of an event."""
 
     outcome: Literal["primed", "not_primed", "excluded"]
     prime_time: float | None
@@ -195,7 +195,7 @@ class AnnotatedEvent:
     """A pick or put that the dataset itself lists."""
 
     native_key: str
-    """What identifies it in the dataset."""
+    """The event's identifier in the dataset."""
     action: Action
     object_id: str
     object_name: str
@@ -228,7 +228,7 @@ class Recording:
     recording_id: str
     participant_id: str
     pose_source: str
-    """Where the body comes from (``adt-optitrack``, ``egoallo``, …); ``none`` without a body."""
+    """Source of the body (``adt-optitrack``, ``egoallo``, …); ``none`` without a body."""
     head_tilt_deg: float
     """Rest tilt of that body's neck-head bone, degrees (docs/specification/humanml3d.md#head-forward-vector)."""
     span: tuple[float, float]
@@ -252,7 +252,7 @@ class Recording:
     world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
     messages: tuple[str, ...] = ()
-    """What the reader noticed and the user should know."""
+    """Messages of the reader for the user."""
     shortfalls: tuple[str, ...] = ()
     """One message for each stream that ends before the recording does; its file may be cut off."""
 

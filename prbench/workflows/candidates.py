@@ -11,43 +11,33 @@ from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
 from prbench.locks import sole_writer
-from prbench.readers import RecordingFiles, reader_for
-from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.segments import row_of
+from prbench.readers import AnnotatedByHand, AnnotationLine, RecordingFiles, reader_for
+from prbench.readers.discover import usable_readers
 from prbench.shown import csv_text
 from prbench.storage import atomic_path
-
-DATASETS = ("gimo",)
-"""Datasets whose events a person has to annotate."""
-COLUMNS = (*gimo.EVENT_COLUMNS, gimo.CONFIRMED_COLUMN, "confidence", "reason", "activity")
 
 _IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """The picks proposed in one segment."""
+    """The picks proposed in one recording."""
 
-    segment: gimo.Segment
+    line: AnnotationLine
     candidate: Candidate | None
     problem: str = ""
-    """The reason why the segment could not be read; empty for those that were."""
+    """The reason why the recording could not be read; empty for those that were."""
 
     def row(self) -> dict[str, object]:
-        """The line of the table; a segment without a proposal has one too, for a person to fill in."""
-        segment, found = self.segment, self.candidate
+        """The line of the table; a recording without a proposal has one too, for a person to fill in."""
+        found = self.candidate
         return {
-            "scene": segment.scene,
-            "sequence_path": segment.sequence,
-            "start_frame": segment.start_frame,
-            "end_frame": segment.end_frame,
-            "event_frame": "" if found is None else round(found.time * gimo.FRAME_RATE),
+            **self.line.cells,
+            "event_frame": "" if found is None else round(found.time * self.line.frame_rate),
             "action": "pick",
             "hand": "" if found is None else found.hand,
-            gimo.CONFIRMED_COLUMN: "",
             "confidence": "" if found is None else f"{found.confidence:.2f}",
             "reason": self.problem or ("nothing looks like reaching" if found is None else found.reason),
-            "activity": segment.activity,
         }
 
 
@@ -63,7 +53,7 @@ def write_candidates(
     """Propose one event a segment and write them as a table that the reader ignores until a person confirms lines.
 
     Args:
-        dataset: ``gimo``.
+        dataset: One whose events are annotated by hand.
         root: Its folder.
         out: A file that does not exist yet: annotations are never overwritten.
         options: Options of the reader.
@@ -75,47 +65,52 @@ def write_candidates(
         StorageError: if ``out`` exists or cannot be written.
         InputFileError: if there is nothing to read.
     """
-    if dataset not in DATASETS:
-        raise UsageError(
-            f"events of '{dataset}' need no annotation by hand; candidates are for: {', '.join(DATASETS)}."
-        )
+    reader = _reader(dataset, options)
     with sole_writer(out):
         if out.exists():
             raise StorageError(
                 f"{out}: exists already, and annotations are never overwritten. Name another file, and merge the two."
             )
-        found = reader_for(dataset, options).find(root)
+        found = reader.find(root)
         proposals = []
         for proposal in engine.map(Proposer(dataset, tuple(sorted((options or {}).items()))), found):
             proposals.append(proposal)
             if progress is not None:
-                progress(len(proposals), len(found), proposal.segment.name)
-        _write(out, proposals)
+                progress(len(proposals), len(found), proposal.line.recording_id)
+        _write(out, reader.annotation_columns, proposals)
     return tuple(proposals)
 
 
 @dataclass(frozen=True)
 class Proposer:
-    """Reads one segment and proposes its pick."""
+    """Reads one recording and proposes its pick."""
 
     dataset: str
     options: tuple[tuple[str, str], ...]
 
     def __call__(self, found: RecordingFiles) -> Proposal:
-        """Read and propose; a segment that cannot be read keeps its line with the reason."""
-        segment = row_of(found)[0].segment
+        """Read and propose; a recording that cannot be read keeps its line with the reason."""
+        reader = _reader(self.dataset, dict(self.options))
+        line = reader.annotation_line(found)
         try:
-            recording = reader_for(self.dataset, dict(self.options)).read(found)
+            recording = reader.read(found)
         except PrbenchError as error:
-            return Proposal(segment, None, f"not read: {error}")
-        hint = None if segment.hint is None else segment.hint / gimo.FRAME_RATE
-        return Proposal(segment, propose_pick(recording, hint=hint))
+            return Proposal(line, None, f"not read: {error}")
+        return Proposal(line, propose_pick(recording, hint=line.hint))
 
 
-def _write(path: Path, proposals: Iterable[Proposal]) -> None:
+def _reader(dataset: str, options: Mapping[str, str] | None) -> AnnotatedByHand:
+    reader = reader_for(dataset, options)
+    if not isinstance(reader, AnnotatedByHand):
+        others = [each.dataset for each in usable_readers()[0] if isinstance(each, AnnotatedByHand)]
+        raise UsageError(f"events of '{dataset}' need no annotation by hand; candidates are for: {', '.join(others)}.")
+    return reader
+
+
+def _write(path: Path, columns: tuple[str, ...], proposals: Iterable[Proposal]) -> None:
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(columns)
         for proposal in proposals:
             row = proposal.row()
-            writer.writerow([csv_text(row[name]) for name in COLUMNS])
+            writer.writerow([csv_text(row[name]) for name in columns])

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import prbench
+from prbench.datasets import own_datasets, readable_datasets
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
-from prbench.readers import READER_MODULES, reader_for
-from prbench.readers.discover import Discovery, FoundDataset, discover
+from prbench.readers import reader_for
+from prbench.readers.discover import Discovery, FoundDataset, discover, usable_readers
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.shown import clean
@@ -49,12 +50,15 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         UsageError: for an unknown name, with the nearest known one.
         InputFileError: if ``root`` does not exist or holds no dataset.
     """
-    if name is not None and name not in dataset_names():
-        hint = did_you_mean(name, dataset_names())
-        raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(dataset_names())}.")
+    names = tuple(sorted({*own_datasets(), *(reader.dataset for reader in usable_readers()[0])}))
+    if name is not None:
+        if name not in dataset_names():
+            hint = did_you_mean(name, names)
+            raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(names)}.")
+        names = (name,)
     discovery, corpora = (None, ()) if root is None else _look(root)
     entries = []
-    for dataset in dataset_names() if name is None else (name,):
+    for dataset in names:
         here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
         broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
         entries.append(
@@ -69,6 +73,11 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
             )
         )
     return tuple(entries)
+
+
+def unusable_readers() -> tuple[str, ...]:
+    """Say of each package that offers a reader which cannot be used what is wrong with it."""
+    return usable_readers()[1]
 
 
 def _look(root: Path) -> tuple[Discovery | None, tuple[FoundCorpus, ...]]:
@@ -94,7 +103,7 @@ def _missing(found: Sequence[FoundDataset], manifest: Manifest) -> Iterator[str]
 
 
 def _reader_options(dataset: str) -> tuple[str, ...]:
-    if dataset not in READER_MODULES:
+    if dataset not in readable_datasets():
         return ()
     options = reader_for(dataset).options
     return tuple(

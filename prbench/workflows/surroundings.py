@@ -21,12 +21,11 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, UsageError
 from prbench.limits import LARGEST_FILE
 from prbench.meshes import import_open3d
-from prbench.readers import RecordingFiles, reader_for
+from prbench.readers import AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.zipped import Source, opened, shown
 from prbench.recording import ObjectTrack, Recording
 from prbench.sequences import SequenceChunk
 from prbench.skeleton import Joint, invert_rigid, transform_points
-from prbench.workflows.poses.inputs import find_points
 
 _BETWEEN_POINTS = 0.02  # metres; what is drawn
 _POINTS_ON_AREA = 3 / _BETWEEN_POINTS**2  # a square metre gets more than are drawn, so that no cell stays empty
@@ -95,7 +94,7 @@ class Surroundings:
 
     def _read(self, found: RecordingFiles) -> tuple[_Piece, ...]:
         recording = self._reader.read(found)
-        cloud = find_points(found)
+        cloud = self._reader.point_cloud(found) if isinstance(self._reader, AriaGlasses) else None
         pieces = _surfaces(recording)
         if cloud is None:
             return pieces

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
-from prbench.readers import READER_MODULES, reader_for
+from prbench.readers import reader_for
 from prbench.readers.discover import discover
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.inspection import missing_files
@@ -18,7 +19,7 @@ from prbench.workflows.inspection import missing_files
 def copies(tmp_path_factory) -> Path:
     """A synthetic tree of every dataset side by side; not to be changed."""
     root = tmp_path_factory.mktemp("copies")
-    for dataset in READER_MODULES:
+    for dataset in readable_datasets():
         synthesize_tree(dataset, root / dataset, recordings=1, seed=3, n_events=2)
     return root
 
@@ -27,12 +28,12 @@ def test_each_tree_is_recognised_by_its_own_reader_alone(copies) -> None:
     found = discover(copies)
     assert found.broken == ()
     assert [(each.name, each.root) for each in found.found] == [
-        (f"synthetic-{dataset}", copies / dataset) for dataset in sorted(READER_MODULES)
+        (f"synthetic-{dataset}", copies / dataset) for dataset in sorted(readable_datasets())
     ]
     assert discover(copies / "hot3d").found[0].recordings == reader_for("hot3d").find(copies / "hot3d")
 
 
-@pytest.mark.parametrize("dataset", READER_MODULES)
+@pytest.mark.parametrize("dataset", readable_datasets())
 def test_the_mark_is_seen_from_the_folder_above_too(copies, dataset) -> None:
     try:
         found = reader_for(dataset).find(copies)
@@ -48,11 +49,11 @@ def test_without_their_marks_the_readers_still_agree(copies, tmp_path) -> None:
     for mark in root.glob("*/synthetic.json"):
         mark.unlink()
     assert [(each.name, each.recordings[0].folder.is_relative_to(root)) for each in discover(root).found] == [
-        (dataset, True) for dataset in sorted(READER_MODULES)
+        (dataset, True) for dataset in sorted(readable_datasets())
     ]
 
 
-@pytest.mark.parametrize("dataset", READER_MODULES)
+@pytest.mark.parametrize("dataset", readable_datasets())
 def test_a_whole_copy_has_every_required_file(copies, dataset) -> None:
     manifest = load_manifest(dataset)
     assert manifest.required_roles, "a manifest says which files a recording cannot do without"

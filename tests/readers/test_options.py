@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from prbench.datasets import readable_datasets
 from prbench.errors import UsageError
-from prbench.readers import READER_MODULES, described_options, reader_for
+from prbench.readers import described_options, reader_for
 
 
-@pytest.mark.parametrize("dataset", READER_MODULES)
+@pytest.mark.parametrize("dataset", readable_datasets())
 def test_defaults_describe_themselves_without_places_of_this_machine(dataset) -> None:
     described = described_options(reader_for(dataset).options)
     assert set(described) == set(reader_for(dataset).options.names())

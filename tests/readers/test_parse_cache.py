@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
-from prbench.readers import digests, parse_cache
+from prbench.readers import parse_cache
 from prbench.readers.aria_mps import ZippedFile, trajectory
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.aria_mps.wanted import NearGaze, NearTimes
-from prbench.readers.digests import remembered_digest
-from prbench.readers.parse_cache import clear_parse_cache
+from prbench.readers.parse_cache import clear_parse_cache, remembered_digest
 from prbench.storage import file_digest
 from tests.readers.mps_files import trajectory_lines, write_lines, zipped
 
@@ -197,8 +196,8 @@ def test_an_archive_that_lost_a_member_is_refused_as_without_the_cache(path) -> 
 @pytest.fixture
 def hashed(monkeypatch) -> list[Path]:
     done = []
-    monkeypatch.setattr(digests, "file_digest", lambda path: done.append(path) or file_digest(path))
-    monkeypatch.setattr(digests, "_SETTLED_NS", -1)  # no need to wait
+    monkeypatch.setattr(parse_cache, "file_digest", lambda path: done.append(path) or file_digest(path))
+    monkeypatch.setattr(parse_cache, "_SETTLED_NS", -1)  # no need to wait
     return done
 
 
@@ -229,7 +228,7 @@ def test_a_digest_follows_a_change_that_keeps_size_and_time(tmp_path, hashed) ->
 
 
 def test_a_digest_of_a_file_that_just_changed_is_not_remembered(tmp_path, hashed, monkeypatch) -> None:
-    monkeypatch.setattr(digests, "_SETTLED_NS", 2_000_000_000)
+    monkeypatch.setattr(parse_cache, "_SETTLED_NS", 2_000_000_000)
     path = tmp_path / "large.bin"
     path.write_bytes(bytes(2**21))
     remembered_digest(path)

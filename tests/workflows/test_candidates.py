@@ -12,7 +12,8 @@ from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
 from prbench.errors import StorageError, UsageError
 from prbench.readers.gimo import format as gimo
-from prbench.workflows.candidates import COLUMNS, write_candidates
+from prbench.readers.gimo.format import CANDIDATE_COLUMNS as COLUMNS
+from prbench.workflows.candidates import write_candidates
 from tests.readers import gimo_sample as sample
 
 

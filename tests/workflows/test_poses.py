@@ -17,7 +17,6 @@ from prbench.readers import reader_for
 from prbench.skeleton import Joint
 from prbench.synthetic.egoallo import write_smplh_model
 from prbench.workflows.poses import make_poses, pose_states, read_config
-from prbench.workflows.poses.inputs import find_inputs
 from prbench.workflows.poses.prepare import prepare
 from prbench.workflows.poses.states import Selection
 
@@ -178,14 +177,14 @@ def test_what_a_recording_lacks_is_told_before_anything_runs(root, config):
 
 def test_the_prepared_points_are_turned_or_invented(root, tmp_path):
     found = reader_for("adt").find(root)[0]
-    prepared = prepare(find_inputs(root, found), tmp_path / "flat")
+    prepared = prepare(reader_for("adt").egoallo_inputs(root, found), tmp_path / "flat")
     text = gzip.decompress((prepared.folder / "slam" / "semidense_points.csv.gz").read_bytes()).decode()
     assert {line.split(",")[4] for line in text.splitlines()[1:]} == {"0"}
     own = found.folder / "mps" / "slam"
     own.mkdir(parents=True)
     header = "uid,graph_uid,px_world,py_world,pz_world,inv_dist_std,dist_std\n"
     (own / "semidense_points.csv.gz").write_bytes(gzip.compress(f"{header}1,g,1.5,0.25,-3.0,0.00001,0.001\n".encode()))
-    prepared = prepare(find_inputs(root, found), tmp_path / "turned")
+    prepared = prepare(reader_for("adt").egoallo_inputs(root, found), tmp_path / "turned")
     text = gzip.decompress((prepared.folder / "slam" / "semidense_points.csv.gz").read_bytes()).decode()
     assert text.splitlines()[1].split(",")[2:5] == ["1.5", "3", "0.25"]
 

@@ -15,7 +15,6 @@ from prbench.readers import reader_for
 from prbench.readers.aria_mps import read_trajectory
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.poses import make_poses, pose_states, read_config
-from prbench.workflows.poses.inputs import find_inputs
 from prbench.workflows.poses.prepare import prepare
 from prbench.workflows.poses.states import Selection
 
@@ -101,7 +100,7 @@ def test_poses_of_other_worlds_are_left_out_of_what_egoallo_sees(trees, tmp_path
     rows[:50] = [f"UNDEFINED_ROW,{row.partition(',')[2]}" for row in rows[:50]]
     path.write_text("\n".join([header, *rows]) + "\n")
     (found,) = reader_for("hot3d").find(root)
-    prepared = prepare(find_inputs(root, found), tmp_path / "prepared")
+    prepared = prepare(reader_for("hot3d").egoallo_inputs(root, found), tmp_path / "prepared")
     written = read_trajectory(prepared.trajectory)
     assert len(written.time_us) == len(rows) - 50
     np.testing.assert_array_equal(written.position, read_trajectory(path).position)

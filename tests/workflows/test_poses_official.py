@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.readers.adt import find_recordings
+from prbench.readers.adt import READER, find_recordings
 from prbench.readers.adt.format import Z_UP_FROM_SCENE
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.layouts.adt import write
 from prbench.synthetic.people import perform
-from prbench.workflows.poses.inputs import find_inputs
 from prbench.workflows.poses.prepare import prepare
 
 official = pytest.importorskip(
@@ -25,7 +24,7 @@ def folders(tmp_path_factory):
     root = tmp_path_factory.mktemp("adt")
     write(layout_for("adt").sense(perform("adt", seed=11, index=3, n_events=1, provocations={})), root / "seq")
     (found,) = find_recordings(root)
-    return prepare(find_inputs(root, found), root / "prepared"), root / "seq"
+    return prepare(READER.egoallo_inputs(root, found), root / "prepared"), root / "seq"
 
 
 def test_the_official_reader_sees_the_same_path_with_z_up(folders):

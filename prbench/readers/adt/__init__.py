@@ -8,11 +8,14 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
-from prbench.readers.adt.layouts import find_recordings
-from prbench.readers.adt.options import AdtOptions
+from prbench.readers.adt.for_egoallo import adt_inputs, point_cloud
+from prbench.readers.adt.layouts import AdtOptions, extents, find_recordings
 from prbench.readers.adt.readings import read_readings
 from prbench.readers.adt.to_recording import recording_from_adt
+from prbench.readers.egoallo.inputs import EgoalloInputs
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.zipped import Source
 from prbench.recording import Recording
 
 __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]
@@ -47,6 +50,18 @@ class AdtReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :func:`read_recording`."""
         return read_recording(found, self.options)
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
+
+    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return adt_inputs(root, found)
+
+    def point_cloud(self, found: RecordingFiles) -> Source | None:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return point_cloud(found)
 
 
 READER = AdtReader()

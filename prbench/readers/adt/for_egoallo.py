@@ -8,13 +8,18 @@ takes Z for up, so that bodies would lie on their sides.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, glasses_stream
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
-from prbench.readers.aria_mps.streams import part_poses
+from prbench.readers.aria_mps.to_recording import part_poses
+from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs, aria_inputs, require_trajectory
+from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
 from prbench.timelines import interpolate, slerp
 
@@ -25,6 +30,28 @@ _GRAPH_UID = "adt-scene-z-up"
 def glasses_z_up(glasses: adt.GlassesPoses, size: GlassesSize | None) -> PoseStream:
     """The glasses' central pupil frame in the scene turned to Z up, device seconds: what EgoAllo's outputs refer to."""
     return part_poses(_device_z_up(glasses), device_from_cpf(size or ASSUMED_SIZE))
+
+
+def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
+    """Look for what EgoAllo needs of a recording.
+
+    Raises:
+        InputFileError: if it has no trajectory.
+    """
+    require_trajectory(found, adt.TRAJECTORY_FILE)
+    return replace(
+        aria_inputs(root, found),
+        points=point_cloud(found),
+        glasses_size=ASSUMED_SIZE,
+        turned=_turned,
+    )
+
+
+def point_cloud(found: RecordingFiles) -> Path | None:
+    """The semi-dense point cloud of the Machine Perception Services; None where there is none."""
+    folder = found.folder / adt.MPS_FOLDER
+    places = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
+    return next((place for place in places if place.is_file()), None)
 
 
 def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
@@ -46,6 +73,13 @@ def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
         up=np.array([0.0, 0.0, 1.0]),
         graph_uids=(_GRAPH_UID,),
         left_out=0,
+    )
+
+
+def _turned(trajectory: AriaTrajectory) -> AriaTrajectory:
+    """The poses of an ADT trajectory as EgoAllo must see them."""
+    return prepared_trajectory(
+        adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     )
 
 

@@ -14,13 +14,15 @@ from jaxtyping import Float, Int
 from prbench.readers.aria_mps.format import GazeAngles, GlassesSize
 from prbench.readers.egoallo.format import EgoAlloBody
 
-METADATA_FILE, METADATA_FILE_BEFORE_1_1 = "metadata.json", "gt-metadata.json"
+METADATA_FILE = "metadata.json"
+METADATA_FILE_BEFORE_1_1 = "gt-metadata.json"
 INSTANCES_FILE = "instances.json"
 OBJECTS_FILE = "scene_objects.csv"
 BOXES_FILE = "3d_bounding_box.csv"
 TRAJECTORY_FILE = "aria_trajectory.csv"
 GAZE_FILE = "eyegaze.csv"
-ASSOCIATION_FILE, ASSOCIATION_FILE_BEFORE_1_1 = "skeleton_aria_association.json", "SkeletonMetaData.json"
+ASSOCIATION_FILE = "skeleton_aria_association.json"
+ASSOCIATION_FILE_BEFORE_1_1 = "SkeletonMetaData.json"
 MPS_FOLDER = "mps"
 
 TIME_DOMAIN = "DEVICE_CAPTURE"
@@ -77,7 +79,7 @@ _HINGED_WORDS = ("Door", "Drawer")
 
 
 def is_hinged(name: str, category: str) -> bool:
-    """Whether an object is a door, a drawer or another part of furniture that turns or slides in its place.
+    """Return True for a door, a drawer or another part of furniture that turns or slides in its place.
 
     The files hold no joints of furniture, so category and name decide: categories ``door``, ``drawer`` and
     ``part of a cabinet/wardrobe``, and names that contain ``Door`` or ``Drawer``.
@@ -92,8 +94,9 @@ def body_joints(joints: Float[np.ndarray, "n 51 3"], mapping: Sequence[str]) -> 
         joints: Native joints, metres.
         mapping: Native name of each of the 22 joints; ``a+b`` is the mean of two.
     """
-    pairs = [(names[0], names[-1]) for names in (entry.split("+") for entry in mapping)]
-    first, second = (np.array([JOINT_NAMES.index(pair[side]) for pair in pairs]) for side in (0, 1))
+    named = [entry.split("+") for entry in mapping]
+    first = [JOINT_NAMES.index(names[0]) for names in named]
+    second = [JOINT_NAMES.index(names[-1]) for names in named]
     return (joints[:, first] + joints[:, second]) / 2
 
 
@@ -142,7 +145,7 @@ class AdtSkeleton:
 
 @dataclass(frozen=True)
 class AdtReadings:
-    """What the sensors of one ADT recording say: the content of its files, before or after the text.
+    """Readings of one ADT recording's sensors: the content of its files, before or after the text.
 
     Scene frame: metres, Y up. Times: the glasses' device clock, in integers as the files hold them.
     """
@@ -163,4 +166,4 @@ class AdtReadings:
     """EgoAllo's estimate, in the scene turned to Z up (:data:`Z_UP_FROM_SCENE`); None where there is none or none was
     asked for."""
     messages: tuple[str, ...] = ()
-    """What reading the files brought up."""
+    """Messages of reading the files."""

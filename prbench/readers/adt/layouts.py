@@ -1,26 +1,53 @@
-"""Where the files of ADT recordings lie: one flat folder each (v2.0), or one sub-folder a device (v1.x)."""
+"""Find the files of ADT recordings: one flat folder each (v2.0), or one sub-folder a device (v1.x)."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
 from prbench.boundary import foreign_input
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
-from prbench.readers.adt.options import AdtOptions
 from prbench.readers.aria_mps import find_gaze_file
-from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE
+from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
 from prbench.readers.egoallo import find_outputs
+from prbench.readers.egoallo.places import body_extent
+from prbench.readers.extents import Extent, csv_extent, json_extent
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.options import ReaderOptions
+from prbench.readers.synthetic_tree import read_synthetic_tree
+from prbench.recording import Recording
 from prbench.storage import inside
 
-METADATA, INSTANCES, OBJECTS, BOXES = "metadata", "instances", "objects", "boxes"
-TRAJECTORY, GAZE, ASSOCIATION, CALIBRATION = "trajectory", "gaze", "association", "calibration"
-GAZE_STATUS, SLAM_STATUS = "gaze status", "slam status"
+
+class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
+    """Options of the reader of Aria Digital Twin."""
+
+    poses: Literal["native", "egoallo"] = "native"
+    """Source of bodies: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's."""
+    smplh_model: Path | None = None
+    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
+    poses_root: Path | None = None
+    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
+    gaze: Literal["release", "personalized"] = "release"
+    """Source of gaze: the release's ``eyegaze.csv``, or the services' personalized one where a recording has it."""
+
+
+METADATA = "metadata"
+INSTANCES = "instances"
+OBJECTS = "objects"
+BOXES = "boxes"
+TRAJECTORY = "trajectory"
+GAZE = "gaze"
+ASSOCIATION = "association"
+CALIBRATION = "calibration"
+GAZE_STATUS = "gaze status"
+SLAM_STATUS = "slam status"
 SKELETON_PREFIX = "skeleton:"
 """Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
 
@@ -45,7 +72,7 @@ _STATUS_OF = {GAZE: GAZE_STATUS, CALIBRATION: SLAM_STATUS}
 """Streams that the Machine Perception Services made, and the role of their status beside them."""
 
 
-class Subtour(msgspec.Struct):
+class _Subtour(msgspec.Struct):
     """One pair of glasses of a v1.x sequence, with its sub-folder."""
 
     subtour_name: str
@@ -58,14 +85,14 @@ class Metadata(msgspec.Struct):
     gt_time_domain: str | None = None
     """Checked when the recording is read."""
     serial: str | None = None
-    """Of the glasses; absent in v1.x, where every subtour has its own."""
+    """Serial number of the glasses; absent in v1.x, where every subtour has its own."""
     headset: str | None = None
     """None: only HOT3D's metadata names it."""
     concurrent_sequence: str | None = None
     dataset_version: str = adt.FIRST_VERSION
-    subtours: dict[str, Subtour] | tuple[Subtour, ...] | None = None
+    subtours: dict[str, _Subtour] | tuple[_Subtour, ...] | None = None
 
-    def subtour_list(self) -> tuple[Subtour, ...]:
+    def subtour_list(self) -> tuple[_Subtour, ...]:
         """The subtours of a v1.x sequence, by name; none in v2.0."""
         if self.subtours is None:
             return ()
@@ -114,7 +141,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
-def metadata_file(folder: Path) -> Path | None:
+def _metadata_file(folder: Path) -> Path | None:
     """The metadata of a sequence, under its present or its old name; None if there is none."""
     names = (adt.METADATA_FILE, adt.METADATA_FILE_BEFORE_1_1)
     return next((folder / name for name in names if (folder / name).is_file()), None)
@@ -123,7 +150,7 @@ def metadata_file(folder: Path) -> Path | None:
 def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) -> list[RecordingFiles]:
     if not _is_recording(folder):
         return []
-    metadata_path = metadata_file(folder)
+    metadata_path = _metadata_file(folder)
     metadata = [] if metadata_path is None else [input_file(METADATA, metadata_path)]
     places = [] if metadata_path is None else _subtour_places(metadata_path)
     return [
@@ -150,8 +177,8 @@ def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
 
 
 @foreign_input()
-def subtour_folder(metadata_path: Path, tour: Subtour) -> Path:
-    """Where the files of one pair of glasses lie.
+def subtour_folder(metadata_path: Path, tour: _Subtour) -> Path:
+    """Return the folder with the files of one pair of glasses.
 
     Raises:
         InputFileError: if its name leads out of the sequence, or cannot be the name of a folder.
@@ -166,22 +193,22 @@ def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtO
 
 
 def _is_recording(folder: Path) -> bool:
-    """Whether a folder is a recording or a v1.x sequence; one that lacks its metadata is, and reading it says so."""
-    metadata_path = metadata_file(folder)
+    """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
+    metadata_path = _metadata_file(folder)
     if metadata_path is None:
         return any((folder / name).is_file() for name in _OWN_FILES)
     return _is_adt(metadata_path)
 
 
 def _is_adt(metadata_path: Path) -> bool:
-    """Whether metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
+    """Return True where metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
     try:
         return decode_json(metadata_path, METADATA_DECODER).headset is None
     except InputFileError:
         return True  # reported when the recording is read
 
 
-def _subtours(metadata_path: Path) -> tuple[Subtour, ...]:
+def _subtours(metadata_path: Path) -> tuple[_Subtour, ...]:
     """Subtours of a sequence; none where its metadata is damaged, so that one bad folder does not hide the others."""
     try:
         return decode_json(metadata_path, METADATA_DECODER).subtour_list()
@@ -205,3 +232,23 @@ def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
             files.append(input_file(_STATUS_OF[role], status))
     skeletons = sorted(folder.glob("Skeleton_*.json"))
     return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The streams of one recording, on the device clock.
+
+    Glasses and objects come from one tracking system, and tell how long there is ground truth. Gaze and the suit run
+    longer; the suit may begin late.
+    """
+    streams = []
+    for file in found.files:
+        if file.role == TRAJECTORY:
+            streams.append(csv_extent("glasses", file, TIME_COLUMN, 1e-6))
+        elif file.role == OBJECTS:
+            streams.append(csv_extent("objects", file, adt.OBJECT_TIME, 1e-9))
+        elif file.role == GAZE:
+            streams.append(replace(csv_extent("gaze", file, TIME_COLUMN, 1e-6), tells_span=False))
+        elif file.role.startswith(SKELETON_PREFIX):
+            streams.append(replace(json_extent("body", file), tells_span=False, may_start_late=True))
+    body = body_extent(found)
+    return tuple(streams) if body is None else (*streams, body)

@@ -36,14 +36,15 @@ def read_instances(path: Path) -> dict[int, Instance]:
     return {instance.instance_id: instance for instance in decode_json(path, _INSTANCES).values()}
 
 
-def read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
+def _read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
     """Lower and upper corner of each object's box in its own frame, metres.
 
     Raises:
         InputFileError: if the file or a column is missing, or a corner is no number.
     """
     table = read_columns(path, {adt.OBJECT_ID: int, **dict.fromkeys((*adt.BOX_MIN, *adt.BOX_MAX), float)})
-    lower, upper = column_vectors(table, adt.BOX_MIN), column_vectors(table, adt.BOX_MAX)
+    lower = column_vectors(table, adt.BOX_MIN)
+    upper = column_vectors(table, adt.BOX_MAX)
     bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
@@ -63,7 +64,8 @@ def read_objects(
     Raises:
         InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
     """
-    instances, boxes = read_instances(instances_path), read_boxes(boxes_path)
+    instances = read_instances(instances_path)
+    boxes = _read_boxes(boxes_path)
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}
     poses = _read_poses(poses_path)
     complete = sorted(known & boxes.keys() & poses.keys())
@@ -96,7 +98,8 @@ def _read_poses(path: Path) -> dict[int, _Poses]:
     """Times, positions and rotations of each object, in the order of time."""
     numbers = dict.fromkeys((*adt.OBJECT_POSITION, *adt.OBJECT_ROTATION), float)
     table = read_columns(path, {adt.OBJECT_ID: int, adt.OBJECT_TIME: int, **numbers})
-    ids, times = table[adt.OBJECT_ID].to_numpy(), table[adt.OBJECT_TIME].to_numpy()
+    ids = table[adt.OBJECT_ID].to_numpy()
+    times = table[adt.OBJECT_TIME].to_numpy()
     position = column_vectors(table, adt.OBJECT_POSITION)
     rotation = column_vectors(table, adt.OBJECT_ROTATION)
     require_poses(path, position, rotation)
@@ -104,7 +107,9 @@ def _read_poses(path: Path) -> dict[int, _Poses]:
     order = np.argsort(codes.astype(np.int32), kind="stable")
     _require_clock(path, codes[order], times[order], order)
     bounds = np.searchsorted(codes[order], np.arange(len(distinct) + 1))
-    times, position, rotation = times[order], position[order], rotation[order]
+    times = times[order]
+    position = position[order]
+    rotation = rotation[order]
     return {
         int(key): (times[start:stop], position[start:stop], rotation[start:stop])
         for key, start, stop in zip(distinct, bounds, bounds[1:], strict=False)
@@ -127,5 +132,6 @@ def _require_clock(
         )
     backwards = np.flatnonzero(same_object & (np.diff(times) <= 0))
     if backwards.size:
-        earlier, later = backwards[0], backwards[0] + 1
+        earlier = backwards[0]
+        later = backwards[0] + 1
         require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)

@@ -2,26 +2,53 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
 from prbench.readers.adt import layouts
 from prbench.readers.adt.for_egoallo import glasses_z_up
-from prbench.readers.adt.gaze import read_gaze
+from prbench.readers.adt.layouts import AdtOptions
 from prbench.readers.adt.objects import read_objects
-from prbench.readers.adt.options import AdtOptions
 from prbench.readers.adt.skeletons import read_skeletons
 from prbench.readers.aria_mps import (
     AriaTrajectory,
     OnlineCalibration,
     read_first_calibration,
+    read_gaze_angles,
     read_trajectory,
 )
-from prbench.readers.aria_status import read_warnings
+from prbench.readers.aria_mps.find import read_warnings
+from prbench.readers.aria_mps.format import GazeAngles
 from prbench.readers.egoallo import read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
+
+_BEHIND = np.pi / 2  # radians; no eye looks there
+_TOO_MANY = 0.2  # share of rows
+
+
+def read_gaze(path: Path) -> GazeAngles:
+    """Read a gaze file and refuse angles that are no radians.
+
+    Raises:
+        InputFileError: as :func:`prbench.readers.aria_mps.read_gaze_angles`; or if many angles would look backwards.
+    """
+    gaze = read_gaze_angles(path)
+    largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
+    known = largest[np.isfinite(largest)]
+    if len(known) and (known > _BEHIND).mean() > _TOO_MANY:
+        raise InputFileError(
+            path,
+            "yaw and pitch",
+            expected="angles in radians, below 1.57",
+            found=f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows",
+            remedy="They look like degrees; use the file as it was released.",
+        )
+    return gaze
+
 
 _DEFAULTS = AdtOptions()
 
@@ -59,7 +86,8 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
 
 def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
     """The optional calibration, and remarks; one whose own services call it an error is left aside."""
-    path, status = found.path(layouts.CALIBRATION), found.path(layouts.SLAM_STATUS)
+    path = found.path(layouts.CALIBRATION)
+    status = found.path(layouts.SLAM_STATUS)
     if path is None:
         return None, ()
     try:

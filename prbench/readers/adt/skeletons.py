@@ -22,7 +22,7 @@ from prbench.readers.files import decode_json, require_increasing
 from prbench.readers.found import RecordingFiles
 
 
-class Association(msgspec.Struct):
+class _Association(msgspec.Struct):
     """One tracked person and the glasses that the person wears; ``NONE`` stands for nobody."""
 
     serial: str = msgspec.field(name="AssociatedDeviceSerial")
@@ -30,10 +30,10 @@ class Association(msgspec.Struct):
     name: str = msgspec.field(name="SkeletonName")
 
 
-class Associations(msgspec.Struct):
+class _Associations(msgspec.Struct):
     """The association file."""
 
-    people: tuple[Association, ...] = msgspec.field(name="SkeletonMetadata")
+    people: tuple[_Association, ...] = msgspec.field(name="SkeletonMetadata")
 
 
 class _Frame(msgspec.Struct):
@@ -45,11 +45,11 @@ class _SkeletonFile(msgspec.Struct):
     frames: list[_Frame]
 
 
-_ASSOCIATIONS = msgspec.json.Decoder(Associations)
+_ASSOCIATIONS = msgspec.json.Decoder(_Associations)
 _SKELETON = msgspec.json.Decoder(_SkeletonFile)
 
 
-def read_associations(found: RecordingFiles) -> tuple[Association, ...]:
+def _read_associations(found: RecordingFiles) -> tuple[_Association, ...]:
     """The tracked people of a recording; none where it has no association file.
 
     Raises:
@@ -65,10 +65,10 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
     Raises:
         InputFileError: if a skeleton's file is missing or damaged, or is not the skeleton of 51 joints.
     """
-    return tuple(_read_skeleton(found, person) for person in read_associations(found))
+    return tuple(_read_skeleton(found, person) for person in _read_associations(found))
 
 
-def _read_skeleton(found: RecordingFiles, person: Association) -> adt.AdtSkeleton:
+def _read_skeleton(found: RecordingFiles, person: _Association) -> adt.AdtSkeleton:
     path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
     frames = decode_json(path, _SKELETON, nan_is_null=True).frames
     if not frames:

@@ -15,7 +15,7 @@ from prbench.errors import InputFileError
 from prbench.manifests import Manifest
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, GlassesSize, cpf_from_rgb, device_from_cpf
-from prbench.readers.aria_mps.streams import gaze_in_world, part_poses
+from prbench.readers.aria_mps.to_recording import gaze_in_world, part_poses
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import (
@@ -33,7 +33,7 @@ from prbench.skeleton import invert_rigid
 from prbench.timelines import require_overlap
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"
-"""Of glasses whose size no file tells (choice: the public sample's)."""
+"""Size of glasses where no file tells it (choice: the public sample's)."""
 _SIDES: tuple[Side, Side] = ("left", "right")
 _CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
     ("wrist", adt.WRIST_JOINTS),
@@ -72,13 +72,13 @@ def recording_from_adt(
         same_instant=adt.SAME_INSTANT,
     )
     wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
-    suit, hands = (None, ()) if wearer is None else body_and_hands(wearer, manifest, span)
+    suit, hands = (None, ()) if wearer is None else _body_and_hands(wearer, manifest, span)
     body, source = (
         (suit, manifest.body) if poses == "native" else (_estimated(readings, head), manifest.other_bodies[poses])
     )
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
-    rooms = {track.object_id for track in tracks if encloses_room(track, gaze)}
+    rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
     _check_overlap(readings, span, gaze, suit, tracks)
     return Recording(
         dataset=dataset,
@@ -93,7 +93,7 @@ def recording_from_adt(
         body=body,
         hands=hands,
         objects=tuple(track for track in tracks if track.object_id not in rooms),
-        other_people=tuple(OtherPerson(person.name, body_and_hands(person, manifest, span)[1]) for person in others),
+        other_people=tuple(OtherPerson(person.name, _body_and_hands(person, manifest, span)[1]) for person in others),
         split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
@@ -111,7 +111,7 @@ def _estimated(readings: adt.AdtReadings, head: PoseStream) -> BodyStream | None
     return body_stream(readings.estimated_body, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
 
 
-def body_and_hands(
+def _body_and_hands(
     person: adt.AdtSkeleton, manifest: Manifest, span: tuple[float, float]
 ) -> tuple[BodyStream, tuple[HandStream, ...]]:
     """The 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
@@ -148,8 +148,8 @@ def object_track(entry: adt.AdtObject, *, start: float) -> ObjectTrack:
     )
 
 
-def encloses_room(track: ObjectTrack, gaze: GazeStream) -> bool:
-    """Whether a box encloses the room, so that every ray would hit it.
+def _encloses_scene(track: ObjectTrack, gaze: GazeStream) -> bool:
+    """Return True where a box encloses the room, so that every ray would hit it.
 
     That is the dataset's own room (``ApartmentEnv``), and any box with a side above 3 m that holds a ray's origin.
     """
@@ -206,7 +206,8 @@ def _check_overlap(
         track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
     ]
     if moving:
-        starts, ends = [track.times[0] for track in moving], [track.times[-1] for track in moving]
+        starts = [track.times[0] for track in moving]
+        ends = [track.times[-1] for track in moving]
         ranges["objects"] = float(min(starts)), float(max(ends))
     require_overlap(ranges, recording=readings.recording_id)
 
@@ -218,7 +219,7 @@ def _remarks(
     body: BodyStream | None,
     wearer: adt.AdtSkeleton | None,
 ) -> tuple[str, ...]:
-    """What a user should know about these readings."""
+    """Tell the user what is unusual about these readings."""
     remarks = []
     if readings.glasses_size is None:
         remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
@@ -249,7 +250,7 @@ def _remarks(
 
 
 def _estimate_remarks(readings: adt.AdtReadings, body: BodyStream | None) -> tuple[str, ...]:
-    """What a user should know about the estimated body."""
+    """Tell the user what is unusual about the estimated body."""
     if readings.estimated_body is None or body is None:
         return (NO_OUTPUTS,)
     invalid = int((~body.valid).sum())

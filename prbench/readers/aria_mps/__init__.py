@@ -6,14 +6,17 @@ what comes back to :func:`prbench.readers.aria_mps.to_recording.mps_streams`.
 
 from __future__ import annotations
 
-from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
-from prbench.readers.aria_mps.check import TrajectoryCheck, check_trajectory
 from prbench.readers.aria_mps.find import UNREADABLE, find_gaze_file, find_mps_files
 from prbench.readers.aria_mps.format import AriaTrajectory
-from prbench.readers.aria_mps.gaze import read_gaze_angles
-from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
-from prbench.readers.aria_mps.readings import read_mps
-from prbench.readers.aria_mps.trajectory import read_trajectory
+from prbench.readers.aria_mps.readings import (
+    OnlineCalibration,
+    read_first_calibration,
+    read_gaze_angles,
+    read_hand_tracking,
+    read_mps,
+    read_wrists,
+)
+from prbench.readers.aria_mps.trajectory import TrajectoryCheck, check_trajectory, read_trajectory
 from prbench.readers.zipped import Source, ZippedFile, source_of
 
 __all__ = [

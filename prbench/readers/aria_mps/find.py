@@ -1,17 +1,20 @@
-"""Where the files of the Machine Perception Services lie: by name, below a folder or in archives.
+"""Find the files of the Machine Perception Services: by name, below a folder or in archives.
 
 Source: docs/specification/aria-mps.md#folder-tree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
+
+import msgspec
 
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, input_file, is_present
-from prbench.readers.zipped import archive_members
+from prbench.readers.zipped import Source, archive_members, shown
 
 _ROLES: dict[str, tuple[str, ...]] = {
     mps.TRAJECTORY: (mps.TRAJECTORY_FILE,),
@@ -61,7 +64,7 @@ def find_gaze_file(folder: Path) -> Path | None:
 
 
 def is_personalized(file: InputFile) -> bool:
-    """Whether a gaze file was made with the wearer's own calibration."""
+    """Return True where a gaze file was made with the wearer's own calibration."""
     return _name(file) in mps.PERSONALIZED_GAZE_FILES
 
 
@@ -110,3 +113,46 @@ def _folder(file: InputFile) -> PurePosixPath:
     """The folder of a file; an archive counts as one."""
     path = file.path / file.member if file.member else file.path
     return PurePosixPath(path.as_posix()).parent
+
+
+_ANYTHING = msgspec.json.Decoder()
+
+
+def read_warnings(path: Source) -> tuple[str, ...]:
+    """Read what the operators of a stream warn of; their names vary between versions, and none is required.
+
+    Returns:
+        One remark for each operator with the status WARNING.
+
+    Raises:
+        InputFileError: if the file is damaged, or an operator reports an ERROR: the stream is then not to be used.
+    """
+    warnings = []
+    for operator, report in _reports(decode_json(path, _ANYTHING)):
+        if report["status"] == "ERROR":
+            raise InputFileError(
+                shown(path),
+                operator,
+                expected="no operator with the status ERROR",
+                found=f"ERROR{_reason(report)}",
+                remedy="The services could not compute this stream; leave the recording out, or request it again.",
+            )
+        if report["status"] == "WARNING":
+            warnings.append(f"{shown(path).parent.name}: {operator} warns{_reason(report)}")
+    return tuple(warnings)
+
+
+def _reports(summary: object) -> Iterator[tuple[str, dict]]:
+    """Every entry that has a status, with the name of its operator; some operators hold a list of them."""
+    if not isinstance(summary, dict):
+        return
+    for operator, value in summary.items():
+        for report in value if isinstance(value, list) else [value]:
+            if isinstance(report, dict) and "status" in report:
+                yield str(operator), report
+
+
+def _reason(report: dict) -> str:
+    details = [report.get("message"), *report.get("errors", []), *report.get("warnings", [])]
+    said = "; ".join(str(detail) for detail in details if detail)
+    return f" ({said[:160]})" if said else ""

@@ -24,8 +24,10 @@ GRAVITY_COLUMNS = ("gravity_x_world", "gravity_y_world", "gravity_z_world")
 QUALITY_COLUMN = "quality_score"
 UNDEFINED_GRAPH = "UNDEFINED_ROW"
 
-YAW, PITCH = "yaw_rads_cpf", "pitch_rads_cpf"
-LEFT_YAW, RIGHT_YAW = "left_yaw_rads_cpf", "right_yaw_rads_cpf"
+YAW = "yaw_rads_cpf"
+PITCH = "pitch_rads_cpf"
+LEFT_YAW = "left_yaw_rads_cpf"
+RIGHT_YAW = "right_yaw_rads_cpf"
 LEFT_YAW_RANGE = ("left_yaw_low_rads_cpf", "left_yaw_high_rads_cpf")
 RIGHT_YAW_RANGE = ("right_yaw_low_rads_cpf", "right_yaw_high_rads_cpf")
 YAW_RANGE = ("yaw_low_rads_cpf", "yaw_high_rads_cpf")
@@ -46,16 +48,24 @@ CALIBRATION_FILE = "online_calibration.jsonl"
 WRISTS_FILE = "wrist_and_palm_poses.csv"
 HAND_TRACKING_FILE = "hand_tracking_results.csv"
 SUMMARY_FILE = "summary.json"
-SLAM_FOLDER, GAZE_FOLDER, HAND_FOLDER = "slam", "eye_gaze", "hand_tracking"
+SLAM_FOLDER = "slam"
+GAZE_FOLDER = "eye_gaze"
+HAND_FOLDER = "hand_tracking"
 
-TRAJECTORY, GAZE, CALIBRATION = "trajectory", "gaze", "calibration"
-WRISTS, HAND_TRACKING = "wrists", "hand_tracking"
-SLAM_SUMMARY, GAZE_SUMMARY, HAND_SUMMARY = "slam_summary", "gaze_summary", "hand_summary"
+TRAJECTORY = "trajectory"
+GAZE = "gaze"
+CALIBRATION = "calibration"
+WRISTS = "wrists"
+HAND_TRACKING = "hand_tracking"
+SLAM_SUMMARY = "slam_summary"
+GAZE_SUMMARY = "gaze_summary"
+HAND_SUMMARY = "hand_summary"
 """Roles of the files of one recording."""
 
 SIDES = ("left", "right")
-WRIST_LANDMARK, PALM_LANDMARK = 5, 20
-"""Of the 21 points in :data:`HAND_TRACKING_FILE`."""
+WRIST_LANDMARK = 5
+PALM_LANDMARK = 20
+"""Indices among the 21 points in :data:`HAND_TRACKING_FILE`."""
 
 LONGEST_POSE_STEP = 0.05
 """Seconds; a longer step is a gap that is never bridged (choice)."""
@@ -65,7 +75,7 @@ LEAST_QUALITY = 0.5
 """A pose with a lower quality score is invalid (choice)."""
 POSE_RATE = 30.0
 """Hz; of the 1 kHz poses those around the gaze times and around a grid of this rate are read."""
-SLAM_BASELINE_LIMIT = 0.1404
+_SLAM_BASELINE_LIMIT = 0.1404
 """Metres between the two SLAM cameras: shorter means DVT-S, longer DVT-L."""
 
 _DEVICE_FROM_CPF_ROTATION = (
@@ -94,7 +104,8 @@ def device_from_cpf(size: GlassesSize) -> Float[np.ndarray, "4 4"]:
 
 def cpf_from_rgb() -> Float[np.ndarray, "4 4"]:
     """Nominal pose of the RGB camera: left temple, 8 degrees down, mounted on its side (image x points down)."""
-    cosine, sine = np.cos(_RGB_PITCH), np.sin(_RGB_PITCH)
+    cosine = np.cos(_RGB_PITCH)
+    sine = np.sin(_RGB_PITCH)
     transform = np.eye(4)
     transform[:3, :3] = np.transpose([(0.0, -cosine, -sine), (1.0, 0.0, 0.0), (0.0, -sine, cosine)])
     transform[:3, 3] = _RGB_IN_CPF
@@ -103,7 +114,7 @@ def cpf_from_rgb() -> Float[np.ndarray, "4 4"]:
 
 def glasses_size(slam_baseline: float) -> GlassesSize:
     """Size of the glasses from the distance between their SLAM cameras, metres."""
-    return "DVT-S" if slam_baseline < SLAM_BASELINE_LIMIT else "DVT-L"
+    return "DVT-S" if slam_baseline < _SLAM_BASELINE_LIMIT else "DVT-L"
 
 
 def gaze_directions_cpf(yaw: Float[np.ndarray, " n"], pitch: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
@@ -151,7 +162,7 @@ class AriaTrajectory:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know about the rows that were left out."""
+        """Tell the user about the rows that were left out."""
         if not self.left_out:
             return ()
         others = len(self.graph_uids) - 1
@@ -188,7 +199,7 @@ class WristPositions:
 
 @dataclass(frozen=True)
 class MpsReadings:
-    """What the Machine Perception Services say of one recording: the content of their files."""
+    """Readings of one recording by the Machine Perception Services: the content of their files."""
 
     trajectory: AriaTrajectory
     gaze: GazeAngles
@@ -200,7 +211,7 @@ class MpsReadings:
     device_from_rgb: Float[np.ndarray, "4 4"] | None
     """Calibrated pose of the RGB camera; None where no file tells."""
     messages: tuple[str, ...] = ()
-    """What reading the files brought up."""
+    """Messages of reading the files."""
 
 
 def wanted_times_us(
@@ -234,7 +245,8 @@ def grid_times_us(first_us: int, from_us: int, until_us: int, rate: float = POSE
     before, after = (int((time_us - first_us) * rate / 1e6) for time_us in (from_us, until_us))
     steps = np.arange(max(before - 1, 0), after + 3)
     times = first_us + np.rint(steps * (1e6 / rate)).astype(np.int64)
-    first, last = np.searchsorted(times, from_us, side="right"), np.searchsorted(times, until_us)
+    first = np.searchsorted(times, from_us, side="right")
+    last = np.searchsorted(times, until_us)
     return times[max(int(first) - 1, 0) : int(last) + 1]
 
 

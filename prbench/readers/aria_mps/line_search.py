@@ -16,7 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 from numpy.lib.stride_tricks import sliding_window_view
 
-NEWLINE, COMMA, QUOTE = b"\n"[0], b","[0], b'"'[0]
+NEWLINE = b"\n"[0]
+_COMMA = b","[0]
+QUOTE = b'"'[0]
 _ANCHOR_STEP = 2**16  # bytes between the lines whose times are looked at first
 _PROPORTIONAL_TURNS = 4  # then the middle is guessed, which always ends
 _MOST_TURNS = 64
@@ -44,7 +46,7 @@ class Lines:
     """Some neighbouring pairs of lines, sorted; of a wanted time before the first line both are the first line."""
 
     first: Int[np.ndarray, " n"]
-    """Where the first line of each pair begins."""
+    """Offsets at which the first line of each pair begins."""
     second: Int[np.ndarray, " n"]
 
 
@@ -137,7 +139,9 @@ class TimedLines:
         high_time: Int[np.ndarray, " n"],
     ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
         """Neighbouring lines around each wanted time, from a line before it and a line at or after it."""
-        first, second, open_ = np.empty_like(low), np.empty_like(low), np.arange(len(low))
+        first = np.empty_like(low)
+        second = np.empty_like(low)
+        open_ = np.arange(len(low))
         for turn in range(_MOST_TURNS):
             if open_.size == 0:
                 return first, second
@@ -149,7 +153,8 @@ class TimedLines:
             middle_time = self.times(middle)
             early = middle_time < wanted
             beside = np.empty_like(middle)
-            beside[early], beside[~early] = self._at_or_after(middle[early] + 1), self._before(middle[~early])
+            beside[early] = self._at_or_after(middle[early] + 1)
+            beside[~early] = self._before(middle[~early])
             beside_time = self.times(beside)
             if ((beside_time > middle_time) != early).any():
                 raise NotSearchable("times do not increase")
@@ -157,8 +162,10 @@ class TimedLines:
             first[open_[done]] = np.where(early, middle, beside)[done]
             second[open_[done]] = np.where(early, beside, middle)[done]
             # Of the others both lines lie on one side of the wanted time; the nearer one is the new bound.
-            low, low_time = np.where(early, beside, low), np.where(early, beside_time, low_time)
-            high, high_time = np.where(early, high, beside), np.where(early, high_time, beside_time)
+            low = np.where(early, beside, low)
+            low_time = np.where(early, beside_time, low_time)
+            high = np.where(early, high, beside)
+            high_time = np.where(early, high_time, beside_time)
             wanted, low, low_time, high, high_time, open_ = (
                 values[~done] for values in (wanted, low, low_time, high, high_time, open_)
             )
@@ -178,7 +185,7 @@ def _cell_bounds(
     n, width = window.shape
     if n == 0:
         return skipped, skipped
-    separators = np.flatnonzero((window == COMMA) | (window == NEWLINE))
+    separators = np.flatnonzero((window == _COMMA) | (window == NEWLINE))
     own = np.arange(n) * width
     number = np.searchsorted(separators, own + skipped) + column  # of the separator that ends the cell
     if number[-1] >= len(separators) or (separators[number] >= own + width).any():

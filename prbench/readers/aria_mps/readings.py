@@ -2,17 +2,201 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
 from prbench.errors import InputFileError
+from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
+from prbench.ranges import require_column
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.calibration import OnlineCalibration, read_first_calibration
-from prbench.readers.aria_mps.find import UNREADABLE, is_personalized
-from prbench.readers.aria_mps.gaze import read_gaze_angles
-from prbench.readers.aria_mps.hands import read_hand_tracking, read_wrists
+from prbench.readers.aria_mps.find import UNREADABLE, is_personalized, read_warnings
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 from prbench.readers.aria_mps.wanted import NearGaze
-from prbench.readers.aria_status import read_warnings
+from prbench.readers.files import column_vectors, read_columns, read_header, require_increasing, require_poses
 from prbench.readers.found import InputFile, RecordingFiles
-from prbench.readers.zipped import archive_members, source_of
+from prbench.readers.zipped import Source, archive_members, opened, shown, source_of
+
+_LIKE_DEGREES = "Such angles look like degrees, or are damaged; use the file as it was released."
+
+
+def read_gaze_angles(path: Source) -> mps.GazeAngles:
+    """Read one gaze file of any of the three schemas, told apart by columns (docs/specification/aria-mps.md#eye-gaze).
+
+    Two yaws (schema B) become one; bounds that a schema lacks are NaN, and so is a missing depth.
+
+    Raises:
+        InputFileError: if the file or a column is missing, it has no rows, or time runs backwards.
+    """
+    names = read_header(path)
+    two_eyes = mps.YAW not in names and mps.LEFT_YAW in names
+    yaws = (mps.LEFT_YAW, mps.RIGHT_YAW) if two_eyes else (mps.YAW,)
+    optional = (
+        *mps.YAW_RANGE,
+        *mps.LEFT_YAW_RANGE,
+        *mps.RIGHT_YAW_RANGE,
+        *mps.PITCH_RANGE,
+        mps.DEPTH,
+    )
+    wanted = (*yaws, mps.PITCH, *(name for name in optional if name in names))
+    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(wanted, float)})
+    if len(table) == 0:
+        raise InputFileError(
+            shown(path),
+            "",
+            expected="gaze rows",
+            found="none",
+            remedy="Without gaze nothing is primed; download it again.",
+        )
+    require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    for name in (*yaws, mps.PITCH):  # their bounds steer no ray
+        require_column(shown(path), name, columns[name], largest=LARGEST_ANGLE, unit="rad", remedy=_LIKE_DEGREES)
+    if mps.DEPTH in columns:
+        require_column(shown(path), mps.DEPTH, columns[mps.DEPTH], largest=FARTHEST_POSITION, unit="m")
+    unknown = np.full(len(table), np.nan)
+
+    def pair(names: tuple[str, str]) -> np.ndarray:
+        return np.column_stack([columns.get(name, unknown) for name in names])
+
+    yaw = mps.combined_yaw(columns[mps.LEFT_YAW], columns[mps.RIGHT_YAW]) if two_eyes else columns[mps.YAW]
+    yaw_range = (
+        mps.combined_yaw(pair(mps.LEFT_YAW_RANGE), pair(mps.RIGHT_YAW_RANGE)) if two_eyes else pair(mps.YAW_RANGE)
+    )
+    return mps.GazeAngles(
+        columns[mps.TIME_COLUMN],
+        yaw,
+        columns[mps.PITCH],
+        columns.get(mps.DEPTH, unknown),
+        yaw_range,
+        pair(mps.PITCH_RANGE),
+    )
+
+
+_Columns = Callable[[str], tuple[str, ...]]
+
+
+def read_wrists(path: Source) -> mps.WristPositions:
+    """Read ``wrist_and_palm_poses.csv``, old or new.
+
+    A hand counts as seen where its confidence is above 0 and its wrist is a number; where it was not, other columns
+    may say -1 or 0.
+
+    Raises:
+        InputFileError: if the file or a column is missing, time runs backwards.
+    """
+    return _read(path, lambda side: _axes(f"{side}_wrist_device"), lambda side: _axes(f"{side}_palm_device"))
+
+
+def read_hand_tracking(path: Source) -> mps.WristPositions:
+    """Read wrists and palms of ``hand_tracking_results.csv``: landmarks 5 and 20 of 21.
+
+    Raises:
+        InputFileError: as :func:`read_wrists`.
+    """
+    return _read(
+        path,
+        lambda side: _axes(f"{side}_landmark_{mps.WRIST_LANDMARK}_device"),
+        lambda side: _axes(f"{side}_landmark_{mps.PALM_LANDMARK}_device"),
+    )
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f"t{axis}_{name}" for axis in "xyz")
+
+
+def _read(path: Source, wrist: _Columns, palm: _Columns) -> mps.WristPositions:
+    confidences = tuple(f"{side}_tracking_confidence" for side in mps.SIDES)
+    numbers = (*confidences, *(name for side in mps.SIDES for name in (*wrist(side), *palm(side))))
+    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(numbers, float)})
+    time_us = table[mps.TIME_COLUMN].to_numpy()
+    require_increasing(path, time_us, unit="us")
+    wrists = _points(table, wrist)
+    palms = _points(table, palm)
+    confidence = np.nan_to_num(column_vectors(table, confidences), nan=0.0)
+    seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
+    return mps.WristPositions(
+        time_us,
+        np.where(seen, confidence, np.minimum(confidence, 0.0)),
+        np.where(seen[..., None], wrists, np.nan),
+        np.where(seen[..., None], palms, np.nan),
+    )
+
+
+def _points(table: pa.Table, columns: _Columns) -> np.ndarray:
+    return np.stack([column_vectors(table, columns(side)) for side in mps.SIDES], axis=1)
+
+
+class _Translation(msgspec.Struct):
+    translation: tuple[float, float, float] = msgspec.field(name="Translation")
+    quaternion: tuple[float, tuple[float, float, float]] = msgspec.field(name="UnitQuaternion")
+
+
+class _Camera(msgspec.Struct):
+    label: str = msgspec.field(name="Label")
+    pose: _Translation = msgspec.field(name="T_Device_Camera")
+
+
+class _CalibrationRow(msgspec.Struct):
+    tracking_timestamp_us: int
+    cameras: tuple[_Camera, ...] = msgspec.field(name="CameraCalibrations")
+
+
+@dataclass(frozen=True)
+class OnlineCalibration:
+    """Places of the cameras on the glasses, at one instant."""
+
+    time_us: int
+    device_from_camera: dict[str, Float[np.ndarray, "4 4"]]
+    """Maps a camera's label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``) to its pose."""
+
+    @property
+    def slam_baseline(self) -> float:
+        """Distance between the two SLAM cameras, metres; it tells the size of the glasses."""
+        left, right = (self.device_from_camera[f"camera-slam-{side}"] for side in ("left", "right"))
+        return float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
+
+    @property
+    def size(self) -> mps.GlassesSize:
+        """Size of the glasses."""
+        return mps.glasses_size(self.slam_baseline)
+
+
+def read_first_calibration(path: Source) -> OnlineCalibration:
+    """Read the first record of ``online_calibration.jsonl``; later ones differ by fractions of a millimetre.
+
+    Raises:
+        InputFileError: if the file is missing or empty, or its first line is no calibration of the three cameras.
+    """
+    try:
+        with opened(path) as file:
+            row = msgspec.json.decode(file.readline(LONGEST_LINE), type=_CalibrationRow)
+    except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputFileError(shown(path), "line 1", expected="a calibration record", found=str(error)) from error
+    for camera in row.cameras:
+        quaternion = np.array([(camera.pose.quaternion[0], *camera.pose.quaternion[1])])
+        require_poses(path, np.array([camera.pose.translation]), quaternion)
+    poses = {camera.label: _transform(camera.pose) for camera in row.cameras}
+    missing = {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys()
+    if missing:
+        raise InputFileError(
+            shown(path), "line 1", expected=f"the camera {min(missing)}", found=", ".join(sorted(poses))
+        )
+    return OnlineCalibration(row.tracking_timestamp_us, poses)
+
+
+def _transform(pose: _Translation) -> np.ndarray:
+    transform = np.eye(4)
+    quaternion = (pose.quaternion[0], *pose.quaternion[1])
+    transform[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    transform[:3, 3] = pose.translation
+    return transform
+
 
 _REQUIRED = {
     mps.TRAJECTORY: f"{mps.SLAM_FOLDER}/{mps.TRAJECTORY_FILE}",
@@ -78,7 +262,8 @@ def _read_calibration(found: RecordingFiles) -> OnlineCalibration | None:
 
 def _read_wrists(found: RecordingFiles) -> tuple[mps.WristPositions | None, tuple[str, ...]]:
     """Wrists and palms: of the file made for them (10 Hz), else of the landmarks; None where neither is usable."""
-    wrists, landmarks = _file(found, mps.WRISTS), _file(found, mps.HAND_TRACKING)
+    wrists = _file(found, mps.WRISTS)
+    landmarks = _file(found, mps.HAND_TRACKING)
     if wrists is None and landmarks is None:
         return None, ()
     try:

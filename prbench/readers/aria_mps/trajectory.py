@@ -5,23 +5,76 @@ Source: docs/specification/aria-mps.md#closed-loop-trajectory.
 
 from __future__ import annotations
 
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.csv
 from jaxtyping import Bool, Int
 
+from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.kept import keep_trajectory, load_trajectory
 from prbench.readers.aria_mps.line_search import NotSearchable
 from prbench.readers.aria_mps.sparse_rows import search_rows
 from prbench.readers.aria_mps.wanted import NearTimes, Wanted
-from prbench.readers.files import Column, column_vectors, read_columns, require_increasing, require_poses
-from prbench.readers.zipped import Source, shown
+from prbench.readers.files import (
+    Column,
+    arrow_types,
+    column_vectors,
+    read_columns,
+    read_header,
+    require_column_names,
+    require_increasing,
+    require_integers,
+    require_poses,
+)
+from prbench.readers.parse_cache import keep_parsed, load_parsed
+from prbench.readers.zipped import RememberingTail, Source, opened, require_whole_last_line, shown
 
-NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
-COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(NUMBERS, float)}
-"""What is read; the velocities are unreliable and stay unread."""
+_FACTS = b"prbench.trajectory"
+_WISH = b"aria trajectory 1 "
+_KEPT_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
+
+
+def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
+    """Return what was read before from a file that has not changed since; None if nothing was."""
+    table = load_parsed(source, _WISH + wish)
+    if table is None:
+        return None
+    facts = json.loads(table.schema.metadata[_FACTS])
+    numbers = np.column_stack([table[name].to_numpy() for name in _KEPT_NUMBERS])
+    return mps.AriaTrajectory(
+        time_us=table["time_us"].to_numpy(),
+        position=numbers[:, :3],
+        rotation=numbers[:, 3:7],
+        quality=numbers[:, 7],
+        up=np.array(facts["up"]),
+        graph_uids=tuple(facts["graph_uids"]),
+        left_out=facts["left_out"],
+    )
+
+
+def _keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory) -> None:
+    """Keep what was read from a file."""
+    numbers = np.column_stack([trajectory.position, trajectory.rotation, trajectory.quality])
+    facts = {
+        "up": trajectory.up.tolist(),
+        "graph_uids": list(trajectory.graph_uids),
+        "left_out": trajectory.left_out,
+    }
+    columns = {name: numbers[:, index] for index, name in enumerate(_KEPT_NUMBERS)}
+    table = pa.table({"time_us": trajectory.time_us, **columns})
+    keep_parsed(source, _WISH + wish, table.replace_schema_metadata({_FACTS: json.dumps(facts)}))
+
+
+_NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
+COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
+"""Columns that are read; the velocities are unreliable and stay unread."""
 
 
 def read_trajectory(source: Source, *, near_us: Int[np.ndarray, " m"] | None = None) -> mps.AriaTrajectory:
@@ -52,16 +105,16 @@ def read_near(source: Source, wanted: Wanted) -> mps.AriaTrajectory:
     Raises:
         InputFileError: as :func:`read_trajectory`, for what was looked at.
     """
-    kept = load_trajectory(source, wanted.key())
+    kept = _load_trajectory(source, wanted.key())
     if kept is not None:
         return kept
     try:
         table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
         require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
-        trajectory = trajectory_of(source, table)
+        trajectory = _trajectory_of(source, table)
     except (NotSearchable, pa.ArrowInvalid, InputFileError):
         trajectory = _read_whole(source, wanted)  # it names the line of what is wrong
-    keep_trajectory(source, wanted.key(), trajectory)
+    _keep_trajectory(source, wanted.key(), trajectory)
     return trajectory
 
 
@@ -70,14 +123,14 @@ def _read_whole(source: Source, wanted: Wanted | None = None) -> mps.AriaTraject
     time_us = table[mps.TIME_COLUMN].to_numpy()
     require_increasing(source, time_us, unit="us")
     if wanted is None or len(table) == 0:
-        return trajectory_of(source, table)
+        return _trajectory_of(source, table)
     rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
     rows = wanted.rows(time_us)
-    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & has_world(table))
-    return trajectory_of(source, table.take(rows))
+    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
+    return _trajectory_of(source, table.take(rows))
 
 
-def trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
+def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     """The poses of one world in a table of :data:`COLUMNS`.
 
     Raises:
@@ -106,7 +159,7 @@ def trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     )
 
 
-def has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
+def _has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
     """Rows that hold a pose at all."""
     undefined = pc.call_function("equal", [table[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
     return ~undefined.to_numpy(zero_copy_only=False)
@@ -115,8 +168,83 @@ def has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
 def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
     """World frames of a trajectory, most frequent first, and the rows of the first."""
     encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
-    names, codes = encoded.dictionary.to_pylist(), encoded.indices.to_numpy(zero_copy_only=False)
+    names = encoded.dictionary.to_pylist()
+    codes = encoded.indices.to_numpy(zero_copy_only=False)
     counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
     ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
     kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
     return ranked, kept
+
+
+_BLOCK = 2**20  # bytes
+
+
+@dataclass(frozen=True)
+class TrajectoryCheck:
+    """Facts that hold for all rows of a sound trajectory."""
+
+    rows: int
+    first_us: int
+    last_us: int
+    gaps: int
+    """Steps above 50 ms."""
+    longest_step_us: int
+    low_quality: int
+    """Rows with a quality below 0.5."""
+    worlds: dict[str, int]
+    """Rows of each world frame; rows without a world are under ``UNDEFINED_ROW``."""
+
+
+@foreign_input()
+def check_trajectory(source: Source) -> TrajectoryCheck:
+    """Look at every row: what a searching read cannot notice shows here.
+
+    Raises:
+        InputFileError: if the file is missing or empty, a column is missing, a line is cut or holds no numbers, a pose
+            is no pose, or time does not increase; naming the line.
+    """
+    worlds: Counter[str] = Counter()
+    first_us = last_us = None
+    rows = low_quality = gaps = longest = 0
+    with opened(source) as file:
+        stream = RememberingTail(file)
+        for table in _tables(source, stream):
+            time_us = table[mps.TIME_COLUMN].to_numpy()
+            known = time_us if last_us is None else np.append(last_us, time_us)
+            require_increasing(source, known, unit="us", first=rows + 2 - (last_us is not None))
+            _require_poses(source, table, first=rows + 2)
+            steps = np.diff(known)
+            gaps += int((steps > mps.LONGEST_POSE_STEP * 1e6).sum())
+            longest = max(longest, int(steps.max(initial=0)))
+            low_quality += int((table[mps.QUALITY_COLUMN].to_numpy() < mps.LEAST_QUALITY).sum())
+            counts = table[mps.GRAPH_COLUMN].value_counts()
+            worlds.update(
+                dict(zip(counts.field("values").to_pylist(), counts.field("counts").to_pylist(), strict=True))
+            )
+            first_us = time_us[0] if first_us is None else first_us
+            last_us = time_us[-1]
+            rows += len(table)
+    require_whole_last_line(shown(source), COLUMNS, read_header(source), tail=stream.tail)
+    if first_us is None or last_us is None:
+        raise InputFileError(shown(source), "", expected="poses of the glasses", found="none")
+    return TrajectoryCheck(rows, int(first_us), int(last_us), gaps, longest, low_quality, dict(worlds))
+
+
+def _tables(source: Source, stream: RememberingTail) -> Iterator[pa.Table]:
+    require_column_names(source, read_header(source), COLUMNS)
+    convert = pyarrow.csv.ConvertOptions(column_types=arrow_types(COLUMNS), include_columns=list(COLUMNS))
+    read = pyarrow.csv.ReadOptions(block_size=_BLOCK, use_threads=False)
+    try:
+        for batch in pyarrow.csv.open_csv(stream, read_options=read, convert_options=convert):
+            if len(batch):
+                table = pa.Table.from_batches([batch])
+                require_integers(source, table, COLUMNS)
+                yield table
+    except pa.ArrowInvalid:
+        read_columns(source, COLUMNS)  # names the line
+        raise
+
+
+def _require_poses(source: Source, table: pa.Table, *, first: int) -> None:
+    position, rotation = (column_vectors(table, names) for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS))
+    require_poses(source, position, rotation, used=_has_world(table), first=first)

@@ -1,4 +1,4 @@
-"""Which rows of a trajectory are wanted: those around some times, or those that curation needs."""
+"""Choose the rows of a trajectory: those around some times, or those that curation needs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Wanted(Protocol):
         ...
 
     def beyond(self, last_us: int) -> bool:
-        """Whether a time after that of the last row is wanted: the last row then counts."""
+        """True where a time after that of the last row is wanted: the last row then counts."""
         ...
 
     def rows(self, time_us: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:

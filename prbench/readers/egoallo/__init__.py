@@ -6,8 +6,7 @@ head poses of the recording and gives what comes back to :func:`prbench.readers.
 
 from __future__ import annotations
 
-from prbench.readers.egoallo.belonging import check_output
-from prbench.readers.egoallo.bodies import NO_OUTPUTS, read_bodies
+from prbench.readers.egoallo.bodies import NO_OUTPUTS, check_output, read_bodies
 from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE, find_model, find_outputs, poses_folder
 
 __all__ = [

@@ -21,23 +21,29 @@ POSES_FOLDER = "egoallo"
 """Folder below a dataset's root that holds outputs by recording id."""
 ARGUMENTS_SUFFIX = "_args.yaml"
 
-WORLD_FROM_CPF, WORLD_FROM_ROOT, BODY_QUATS = "Ts_world_cpf", "Ts_world_root", "body_quats"
-BETAS, TIMES = "betas", "timestamps_ns"
-LEFT_HAND_QUATS, RIGHT_HAND_QUATS, CONTACTS, FRAME_NUMS = (
-    "left_hand_quats",
-    "right_hand_quats",
-    "contacts",
-    "frame_nums",
-)
+WORLD_FROM_CPF = "Ts_world_cpf"
+WORLD_FROM_ROOT = "Ts_world_root"
+BODY_QUATS = "body_quats"
+BETAS = "betas"
+TIMES = "timestamps_ns"
+LEFT_HAND_QUATS = "left_hand_quats"
+RIGHT_HAND_QUATS = "right_hand_quats"
+CONTACTS = "contacts"
+FRAME_NUMS = "frame_nums"
 JOINTS = "joints"
-"""Of files that other pipelines make: joints instead of rotations."""
-N_BODY_QUATS, N_HAND_QUATS, N_BETAS = 21, 15, 16
+"""Key in files that other pipelines make: joints instead of rotations."""
+N_BODY_QUATS = 21
+N_HAND_QUATS = 15
+N_BETAS = 16
 
 MODEL_FILE = "smplh/neutral/model.npz"
-REGRESSOR, TEMPLATE, SHAPES = "J_regressor", "v_template", "shapedirs"
+REGRESSOR = "J_regressor"
+TEMPLATE = "v_template"
+SHAPES = "shapedirs"
 N_MODEL_JOINTS = 52
 
-WINDOW_FRAMES, WINDOW_OVERLAP = 128, 32
+WINDOW_FRAMES = 128
+WINDOW_OVERLAP = 32
 """EgoAllo's defaults, in output frames."""
 INPUT_STEP = 33
 """Every so many poses of a 1 kHz trajectory are used: ``int(rate // 30)``, so 30.3 Hz and not 30."""
@@ -80,7 +86,7 @@ class BodyWindow:
     samples: int = 1
     """Guesses in the file, of which the first is taken."""
     guidance: str = ""
-    """What EgoAllo was told to follow (``guidance_mode``: ``no_hands``, ``aria_wrist_only``, …); empty if unknown."""
+    """EgoAllo's ``guidance_mode`` (``no_hands``, ``aria_wrist_only``, …); empty if unknown."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,7 @@ class EgoAlloBody:
     joints: Float[np.ndarray, "n 22 3"]
     """World of the trajectory that the outputs were made from, metres."""
     messages: tuple[str, ...] = ()
-    """What the user should know about them."""
+    """Messages for the user about them."""
 
 
 @dataclass(frozen=True)

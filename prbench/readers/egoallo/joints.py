@@ -7,20 +7,106 @@ import io
 import re
 import zipfile
 import zlib
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from prbench.boundary import foreign_input
 from prbench.bounded import read_whole, require_regular
 from prbench.errors import InputFileError, StorageError
 from prbench.locks import sole_file
+from prbench.numpy_files import Archive
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.model import HOW_TO_GET, model_digest, read_smplh_rest
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
 from prbench.readers.egoallo.to_recording import window_joints
 from prbench.readers.found import is_present
 from prbench.storage import bytes_digest, cache_folder
+
+HOW_TO_GET = (
+    "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration)"
+    " and give its smplh/neutral/model.npz with --option smplh_model=FILE, in the environment variable"
+    " PRBENCH_SMPLH_MODEL, or as smplh/neutral/model.npz below the dataset's root. It is needed once: the joints are"
+    " kept."
+)
+_CONVERT = (
+    "Some copies hold Python objects, which prbench never unpickles. If yours is from the official site, convert it"
+    " once: python -c \"import numpy as np; m = np.load('model.npz', allow_pickle=True);"
+    " np.savez('plain.npz', **{k: np.asarray(m[k].todense() if hasattr(m[k], 'todense') else m[k])"
+    " for k in ('J_regressor', 'v_template', 'shapedirs')})\""
+)
+_KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
+
+
+@foreign_input()
+def read_smplh_rest(path: Path) -> ego.SmplhRest:
+    """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
+
+    Raises:
+        InputFileError: if the file is missing, damaged, lacks a key, or holds arrays of other shapes or objects.
+    """
+    path = path.expanduser()
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise InputFileError(
+            path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
+        ) from error
+    return _read((path, state.st_size, state.st_mtime_ns))
+
+
+def _model_digest(path: Path) -> str:
+    """SHA-256 of the rest joints' template and directions, which tells two models apart.
+
+    Raises:
+        InputFileError: see :func:`read_smplh_rest`.
+    """
+    rest = read_smplh_rest(path)
+    return bytes_digest(np.ascontiguousarray(rest.template).tobytes() + np.ascontiguousarray(rest.directions).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
+    """Read once a process; size and time of change make a changed file another one."""
+    path = state[0]
+    arrays = _load(path)
+    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
+        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
+            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
+            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
+    regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
+    points = regressor.shape[1]
+    for key, array, shape in (
+        (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
+        (ego.TEMPLATE, template, (points, 3)),
+        (ego.SHAPES, shapes[..., : ego.N_BETAS], (points, 3, ego.N_BETAS)),
+    ):
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputFileError(
+                path,
+                key,
+                expected="52 joints, as many points everywhere, at least 16 shapes, finite numbers (SMPL-H, extended)",
+                found=f"the shape {arrays[key].shape}",
+                remedy=HOW_TO_GET,
+            )
+    body = regressor[:22]
+    return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
+    missing = [key for key in _KEYS if key not in archive.members]
+    if missing:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"an array '{missing[0]}'",
+            found=", ".join(archive.members) or "nothing",
+            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
+        )
+    return archive.load(_KEYS)
+
 
 _GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
 _OPTIONS_BYTES = 65536
@@ -46,7 +132,7 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
     head = output.world_from_cpf[:, 4:].astype(np.float64)
     samples = len(output.world_from_root)
     kept = cache_folder() / "egoallo" / f"{bytes_digest(content)}.npz"
-    wanted = None if model is None else model_digest(model)
+    wanted = None if model is None else _model_digest(model)
     joints = _kept_joints(kept, wanted, frames=len(output.time_ns))
     if joints is None:
         if model is None or wanted is None:
@@ -90,7 +176,9 @@ def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray |
     """Joints from the cache, if they are whole and of the wanted model (of any model where none is given)."""
     try:
         with np.load(io.BytesIO(kept.read_bytes()), allow_pickle=False) as file:
-            version, model, joints = int(file["version"]), str(file["model"]), file["joints"]
+            version = int(file["version"])
+            model = str(file["model"])
+            joints = file["joints"]
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         return None if isinstance(error, FileNotFoundError) else _forget(kept)
     fits = version == _VERSION and joints.shape == (frames, 22, 3) and joints.dtype == np.float32

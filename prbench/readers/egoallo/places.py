@@ -1,23 +1,29 @@
-"""Where EgoAllo's outputs and its body model lie."""
+"""Find EgoAllo's outputs and its body model."""
 
 from __future__ import annotations
 
 import os
+import zipfile
+import zlib
 from pathlib import Path
 
+import numpy as np
+
+from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
 from prbench.readers.egoallo import format as ego
-from prbench.readers.found import InputFile, input_file, is_present
+from prbench.readers.extents import SEVERAL_SENSORS, Extent
+from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present
 
 OUTPUT_ROLE = "egoallo/"
 """Roles of output files are this and the file's name."""
 OPTIONS_ROLE = "egoallo options/"
 """Roles of the options beside them, likewise."""
 MODEL_ROLE = "smplh_model"
-MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
+_MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
 
 
 def poses_folder(root: Path, recording_id: str, poses_root: Path | None = None) -> Path:
-    """Where ``prbench poses egoallo`` puts the outputs of a recording: below ``poses_root``, else ``root/egoallo``."""
+    """Return the folder of a recording's outputs: below ``poses_root``, else ``root/egoallo``."""
     base = root / ego.POSES_FOLDER if poses_root is None else poses_root.expanduser()
     return base / recording_id / ego.OUTPUT_FOLDER
 
@@ -74,8 +80,37 @@ def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:
     Returns:
         A path that the user named, whether it exists or not; of the place below ``root`` only an existing file.
     """
-    named = smplh_model or (Path(os.environ[MODEL_VARIABLE]) if os.environ.get(MODEL_VARIABLE) else None)
+    named = smplh_model or (Path(os.environ[_MODEL_VARIABLE]) if os.environ.get(_MODEL_VARIABLE) else None)
     if named is not None:
         return named.expanduser()
     beside = root / ego.MODEL_FILE
     return beside if is_present(beside) else None
+
+
+def body_extent(found: RecordingFiles) -> Extent | None:
+    """All outputs of a recording together, on the device clock; None without outputs that can be read."""
+    times = {file.path: _times(file.path) for file in found.files if file.role.startswith(OUTPUT_ROLE)}
+    known = [each for each in times.values() if each.size]
+    if not known:
+        return None
+    first = min(float(each.min()) for each in known)
+    latest = max((path for path in times if times[path].size), key=lambda path: float(times[path].max()))
+    return Extent(
+        "body by EgoAllo",
+        latest.name,
+        first / 1e9,
+        float(times[latest].max()) / 1e9,
+        tells_span=False,
+        slack=SEVERAL_SENSORS,
+    )
+
+
+def _times(path: Path) -> np.ndarray:
+    """Times of one output, nanoseconds; none of a damaged one, which is told by whoever reads it."""
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(f"{ego.TIMES}.npy") as member:
+            if archive.getinfo(f"{ego.TIMES}.npy").file_size > LARGEST_UNPACKED_FOR_ITS_END:
+                return np.zeros(0)
+            return np.lib.format.read_array(member, allow_pickle=False)  # type: ignore[arg-type] - any file works
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        return np.zeros(0)

@@ -19,7 +19,7 @@ from prbench.skeleton import transform_points
 from prbench.timelines import covered
 
 NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
-"""What is said of a recording without outputs."""
+"""Message about a recording without outputs."""
 
 
 def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: ego.SmplhRest) -> ego.EgoAlloBody | None:
@@ -52,7 +52,8 @@ def joined_windows(windows: Sequence[ego.BodyWindow]) -> ego.EgoAlloBody | None:
     if not windows:
         return None
     ordered = sorted(windows, key=lambda window: (int(window.time_ns[0]), window.name))
-    settled, latest = [], (ordered[0].time_ns, ordered[0].joints)
+    settled = []
+    latest = (ordered[0].time_ns, ordered[0].joints)
     for window in ordered[1:]:
         before = int(np.searchsorted(latest[0], window.time_ns[0] - ego.SAME_FRAME_NS))
         settled.append(tuple(part[:before] for part in latest))  # no later window reaches back there

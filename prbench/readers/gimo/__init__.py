@@ -8,10 +8,13 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers import AnnotationLine
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
-from prbench.readers.gimo.segments import find_segments
+from prbench.readers.gimo.segments import extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
 
@@ -43,6 +46,32 @@ class GimoReader:
             dataset=found.dataset,
             target=self.options.target,
             gaze_origin=self.options.gaze_origin,
+        )
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
+
+    @property
+    def annotation_columns(self) -> tuple[str, ...]:
+        """See :class:`prbench.readers.AnnotatedByHand`."""
+        return gimo.CANDIDATE_COLUMNS
+
+    def annotation_line(self, found: RecordingFiles) -> AnnotationLine:
+        """See :class:`prbench.readers.AnnotatedByHand`."""
+        segment = row_of(found)[0].segment
+        return AnnotationLine(
+            recording_id=segment.name,
+            cells={
+                "scene": segment.scene,
+                "sequence_path": segment.sequence,
+                "start_frame": segment.start_frame,
+                "end_frame": segment.end_frame,
+                "activity": segment.activity,
+                gimo.CONFIRMED_COLUMN: "",
+            },
+            frame_rate=gimo.FRAME_RATE,
+            hint=None if segment.hint is None else segment.hint / gimo.FRAME_RATE,
         )
 
 

@@ -16,10 +16,13 @@ from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
 from prbench.skeleton import N_JOINTS
 
-_REGRESSOR, _TEMPLATE, _FACES = "J_regressor", "v_template", "f"
+_REGRESSOR = "J_regressor"
+_TEMPLATE = "v_template"
+_FACES = "f"
 _SLOPE = 0.2  # of the leaky rectifiers
 _N_BODY_ROTATIONS = 21
-SMPLX_PAGE, VPOSER_PAGE = "https://smpl-x.is.tue.mpg.de", "https://github.com/nghorbani/human_body_prior (v1.0)"
+SMPLX_PAGE = "https://smpl-x.is.tue.mpg.de"
+VPOSER_PAGE = "https://github.com/nghorbani/human_body_prior (v1.0)"
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,9 @@ def read_smplx_model(path: Path) -> SmplxModel:
     """
     path = path.expanduser()
     arrays = _arrays(path, (_TEMPLATE, _FACES, _REGRESSOR))
-    template, faces, regressor = arrays[_TEMPLATE], arrays[_FACES].astype(np.int64), arrays[_REGRESSOR]
+    template = arrays[_TEMPLATE]
+    faces = arrays[_FACES].astype(np.int64)
+    regressor = arrays[_REGRESSOR]
     fits = template.ndim == 2 and template.shape[1] == 3 and faces.ndim == 2 and faces.shape[1] == 3
     if not fits or regressor.shape[0] < N_JOINTS or regressor.shape[1] != len(template):
         raise InputFileError(
@@ -104,7 +109,8 @@ def read_pose_decoder(path: Path) -> PoseDecoder:
     """
     path = path.expanduser()
     state = _state(path)
-    weights, biases = [], []
+    weights = []
+    biases = []
     for layer in _LAYERS:
         weights.append(_tensor(path, state, f"{layer}.weight"))
         biases.append(_tensor(path, state, f"{layer}.bias"))

@@ -15,8 +15,8 @@ from prbench.errors import InputFileError
 from prbench.readers.files import missing_file
 
 POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
-ROTATION_CHANNELS = ("Xrotation", "Yrotation", "Zrotation")
-_CHANNELS = {name.lower(): name for name in (*POSITION_CHANNELS, *ROTATION_CHANNELS)}
+_ROTATION_CHANNELS = ("Xrotation", "Yrotation", "Zrotation")
+_CHANNELS = {name.lower(): name for name in (*POSITION_CHANNELS, *_ROTATION_CHANNELS)}
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,13 @@ class _Hierarchy:
 
     def parse(self) -> tuple[BvhJoint, ...]:
         stack: list[int] = []
-        name, is_end = "", False
+        name = ""
+        is_end = False
         while self.place < len(self.words):
             word = self._next()
             if word in ("ROOT", "JOINT"):
-                name, is_end = self._name(), False
+                name = self._name()
+                is_end = False
             elif word == "End":
                 self._next()
                 is_end = True
@@ -166,7 +168,8 @@ def _motion(path: Path, text: str, width: int) -> tuple[float, Float[np.ndarray,
     words = header.split()
     seconds, _, numbers = rest.lstrip().partition("\n")
     try:
-        count, frame_time = int(words[-1]), float(seconds)
+        count = int(words[-1])
+        frame_time = float(seconds)
         values = np.array([float(word) for word in numbers.split()])
     except (ValueError, IndexError) as error:
         raise InputFileError(path, "MOTION", expected="frames of numbers", found=str(error)) from error
@@ -213,7 +216,7 @@ def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:
 
 
 def _local_rotation(channels: tuple[str, ...], values: Float[np.ndarray, "n c"]) -> Rotation:
-    turned = [(place, channel[0]) for place, channel in enumerate(channels) if channel in ROTATION_CHANNELS]
+    turned = [(place, channel[0]) for place, channel in enumerate(channels) if channel in _ROTATION_CHANNELS]
     if not turned:
         return Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(values), 1)))
     axes = "".join(axis for _, axis in turned)

@@ -1,4 +1,4 @@
-"""How the suit's frame and the scan come to lie in one room: files of transforms.
+"""Read the transforms that bring the suit's frame and the scan into one world.
 
 Source: docs/specification/gimo.md#coordinate-chain.
 """

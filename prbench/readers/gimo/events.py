@@ -14,12 +14,14 @@ from prbench.errors import InputFileError
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_lines
 
-SegmentKey = tuple[str, str, int, int]
+_SegmentKey = tuple[str, str, int, int]
 
 _REQUIRED = tuple(name for name in gimo.EVENT_COLUMNS if name != "hand")
-_ACTIONS, _HANDS = ("pick", "put"), ("left", "right", "")
+_ACTIONS = ("pick", "put")
+_HANDS = ("left", "right", "")
 _MOST_DIGITS = 9  # of a frame number
-_YES, _NO = ("yes", "y", "true", "1", "x"), ("no", "n", "false", "0", "")
+_YES = ("yes", "y", "true", "1", "x")
+_NO = ("no", "n", "false", "0", "")
 
 
 @dataclass(frozen=True)
@@ -27,23 +29,23 @@ class EventRow:
     """One line of the table."""
 
     line: int
-    segment: SegmentKey
+    segment: _SegmentKey
     event_frame: int | None
     """None on a line that says no to a proposal without a frame."""
     action: str
     hand: gimo.Hand | None
     confirmed: bool
-    """Whether a person stands behind it: lines that nobody confirmed are no events."""
+    """True where a person confirmed the line; lines that nobody confirmed are no events."""
 
 
 @dataclass(frozen=True)
-class SegmentEvents:
-    """What is known about the picks of one segment."""
+class _SegmentEvents:
+    """The known picks of one segment."""
 
     events: tuple[gimo.EventFrame, ...]
     remarks: tuple[str, ...] = ()
     reason: str | None = None
-    """Why there are none."""
+    """Reason why there are none."""
 
 
 def read_events(path: Path) -> tuple[EventRow, ...]:
@@ -68,23 +70,23 @@ def read_events(path: Path) -> tuple[EventRow, ...]:
     return tuple(_row(path, line, dict(zip(header, cells, strict=False))) for line, cells in lines[1:])
 
 
-def events_of(row: Row, table: Sequence[EventRow], *, hints: bool) -> SegmentEvents:
+def events_of(row: Row, table: Sequence[EventRow], *, hints: bool) -> _SegmentEvents:
     """The picks of one segment: those of the table where it names the segment, else the hint of ``dataset.csv``."""
     segment = row.segment
     mine = [event for event in table if event.segment == segment.key]
     if not mine:
         if hints and segment.hint is not None:
-            return SegmentEvents((gimo.EventFrame(segment.hint, None, "hint"),))
-        return SegmentEvents((), (), "no event is annotated for it")
+            return _SegmentEvents((gimo.EventFrame(segment.hint, None, "hint"),))
+        return _SegmentEvents((), (), "no event is annotated for it")
     puts = [event for event in mine if event.confirmed and event.action == "put"]
     picks = [event for event in mine if event.confirmed and event.action == "pick" and event.event_frame is not None]
     remarks = tuple(f"line {event.line} of the events names a put, GIMO has none: left out" for event in puts)
     if not picks:
         waiting = sum(not event.confirmed for event in mine)
         reason = f"none of its {waiting} proposed events is confirmed" if waiting else "only puts are annotated for it"
-        return SegmentEvents((), remarks, reason)
+        return _SegmentEvents((), remarks, reason)
     frames: dict[int, gimo.Hand | None] = {cast(int, event.event_frame): event.hand for event in picks}
-    return SegmentEvents(tuple(gimo.EventFrame(frame, hand) for frame, hand in sorted(frames.items())), remarks)
+    return _SegmentEvents(tuple(gimo.EventFrame(frame, hand) for frame, hand in sorted(frames.items())), remarks)
 
 
 def require_one_split(path: Path, rows: Sequence[Row], table: Sequence[EventRow]) -> None:
@@ -112,9 +114,9 @@ def require_one_split(path: Path, rows: Sequence[Row], table: Sequence[EventRow]
             )
 
 
-def hints_in_both_splits(rows: Sequence[Row]) -> frozenset[SegmentKey]:
+def hints_in_both_splits(rows: Sequence[Row]) -> frozenset[_SegmentKey]:
     """Segments whose hint is also a frame of a segment of the other split that has the same hint."""
-    splits: dict[tuple[str, str, int], dict[bool, list[SegmentKey]]] = {}
+    splits: dict[tuple[str, str, int], dict[bool, list[_SegmentKey]]] = {}
     for row in rows:
         segment = row.segment
         if segment.hint is not None:
@@ -149,7 +151,8 @@ def _row(path: Path, line: int, cells: Mapping[str, str]) -> EventRow:
     frame = None if not text and not confirmed else _frame(path, line, "event_frame", text)
     if frame is not None and not start <= frame <= end:
         raise _wrong(path, line, "event_frame", f"a frame from {start} to {end}", str(frame))
-    action, hand = cells.get("action", "").lower(), cells.get("hand", "").lower()
+    action = cells.get("action", "").lower()
+    hand = cells.get("hand", "").lower()
     if action not in _ACTIONS and confirmed:
         raise _wrong(path, line, "action", "pick or put", f"'{action}'")
     if hand not in _HANDS:

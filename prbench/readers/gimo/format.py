@@ -13,12 +13,15 @@ from prbench.readers.gimo.bvh import BvhMotion
 TABLE_FILE = "dataset.csv"
 EVENTS_FILE = "prbench_events.csv"
 """The user's own annotations, at the root unless a reader option names another file."""
-SCENE_FOLDER, POSE_FOLDER, GAZE_FOLDER = "scene_obj", "smplx_local", "eye_pc"
+SCENE_FOLDER = "scene_obj"
+POSE_FOLDER = "smplx_local"
+GAZE_FOLDER = "eye_pc"
 NORM_FILE = "transform_norm.txt"
 SCENE_MESHES = ("textured_output.obj", "scene_downsampled.ply")
 SKELETON_FILE = "skeleton.bvh"
 HOLOLENS_TRANSFORM_FILES = ("transform_scene2scene.txt", "transform_scene2scene.json")
-HOLOLENS_SUFFIX, VIDEO_SUFFIX = "_head_hand_eye.csv", "_pv.txt"
+HOLOLENS_SUFFIX = "_head_hand_eye.csv"
+VIDEO_SUFFIX = "_pv.txt"
 GAZE_CENTRE_SUFFIX = "_center"
 
 TABLE_COLUMNS = ("sequence_path", "start_frame", "end_frame", "scene", "transformation", "training")
@@ -27,7 +30,11 @@ HINT_INDEX = 7
 """Index of the unnamed column that holds a frame inside the segment on some rows: evidently the contact."""
 EVENT_COLUMNS = ("scene", "sequence_path", "start_frame", "end_frame", "event_frame", "action", "hand")
 CONFIRMED_COLUMN = "confirmed"
-TEST, TRAIN, TRAIN_LATER = 0, 1, 2
+CANDIDATE_COLUMNS = (*EVENT_COLUMNS, CONFIRMED_COLUMN, "confidence", "reason", "activity")
+"""Columns of a table of proposed events."""
+TEST = 0
+TRAIN = 1
+TRAIN_LATER = 2
 """Values of the column ``training``; the official loader never uses 2."""
 
 FRAME_RATE = 30.0
@@ -53,13 +60,13 @@ class Segment:
     transformation: str
     training: int
     activity: str = ""
-    """What the person does, in the fuller copies of the table (``take book``)."""
+    """Activity of the person, in the fuller copies of the table (``take book``)."""
     hint: int | None = None
     """Frame of the unnamed column, where it lies inside the segment."""
 
     @property
     def key(self) -> tuple[str, str, int, int]:
-        """What identifies the row."""
+        """Values that identify the row."""
         return self.scene, self.sequence, self.start_frame, self.end_frame
 
     @property
@@ -93,7 +100,7 @@ class EventFrame:
 
 @dataclass(frozen=True)
 class SceneTransform:
-    """How body and scan come to lie in one room; matrices as the files hold them, translations in scan units."""
+    """Transforms between body and scan; matrices as the files hold them, translations in scan units."""
 
     scale: float
     scene_from_body: Float[np.ndarray, "4 4"]
@@ -169,7 +176,7 @@ class HoloLens:
     gaze_origin: Float[np.ndarray, "n 3"]
     gaze_direction: Float[np.ndarray, "n 3"]
     video_ticks: Int[np.ndarray, " f"]
-    """Of each video frame; its index is the frame number (assumption of the page)."""
+    """Time of each video frame; its index is the frame number (assumption of the page)."""
     camera: Float[np.ndarray, "f 4 4"]
     """Camera to the glasses' world."""
     transform: Float[np.ndarray, "4 4"]
@@ -188,7 +195,7 @@ class SceneMesh:
 
 @dataclass(frozen=True)
 class GimoReadings:
-    """What the files of one segment say."""
+    """Readings of one segment: the content of its files."""
 
     recording_id: str
     segment: Segment
@@ -199,4 +206,4 @@ class GimoReadings:
     hololens: HoloLens | None = None
     meshes: tuple[SceneMesh, ...] = ()
     messages: tuple[str, ...] = ()
-    """What reading the files brought up."""
+    """Messages of reading the files."""

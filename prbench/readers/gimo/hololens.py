@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from prbench.bounded import read_text, require_size
 from prbench.errors import InputFileError
 from prbench.readers.files import missing_file, require_increasing
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.coordinates import read_matrix
+from prbench.recording.streams import PoseStream
+from prbench.skeleton import invert_rigid, transform_points
+from prbench.timelines import covered, interpolate, slerp
 
 _WIDTH = 861
-_TICK, _HEAD, _GAZE_VALID, _GAZE_ORIGIN, _GAZE_DIRECTION = 0, 1, 851, 852, 856
-_VIDEO_WIDTH, _VIDEO_POSE = 18, 2
+_TICK = 0
+_HEAD = 1
+_GAZE_VALID = 851
+_GAZE_ORIGIN = 852
+_GAZE_DIRECTION = 856
+_VIDEO_WIDTH = 18
+_VIDEO_POSE = 2
 
 
 def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
@@ -89,3 +99,146 @@ def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f
         width = rows.shape[1] + 1 if rows.ndim == 2 else 0
         raise InputFileError(path, "", expected=f"rows of {_VIDEO_WIDTH + 1} numbers", found=f"{width}")
     return ticks, rows
+
+
+_CPF_FROM_HOLOLENS = np.diag([-1.0, 1.0, -1.0])  # x right, y up, z back → x left, y up, z forward
+_CAMERA_FROM_HOLOLENS = np.diag([1.0, -1.0, -1.0])  # → x right, y down, z forward
+_TICKS_A_SECOND = 1e7
+_LONGEST_STEP = 0.1  # seconds between two rows; the recorder runs at about 60 Hz
+_IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class GlassesStreams:
+    """Streams of the glasses in the room; empty where there are no files, or none that fit."""
+
+    head: PoseStream
+    camera: PoseStream
+    eye: PoseStream | None = None
+    """Between the eyes; None without HoloLens files."""
+    messages: tuple[str, ...] = ()
+
+
+def glasses_streams(
+    readings: gimo.GimoReadings, head_joint: PoseStream, *, limit: float, required: bool
+) -> GlassesStreams:
+    """The glasses on the frames of the segment.
+
+    Args:
+        readings: With or without HoloLens files.
+        head_joint: Where the body's head is, on the frames of the segment; decides the direction of the transform.
+        limit: Median distance of glasses and head joint that is still believed, metres.
+        required: Whether the user asked for these files.
+
+    Raises:
+        InputFileError: if they are required and missing, or lie further from the head in either direction.
+    """
+    where = f"{readings.segment.scene}/{readings.segment.sequence}"
+    if readings.hololens is None:
+        if required:
+            raise InputFileError(
+                where,
+                "",
+                expected=f"*{gimo.HOLOLENS_SUFFIX}, *{gimo.VIDEO_SUFFIX} and {gimo.HOLOLENS_TRANSFORM_FILES[0]}",
+                found="not all of them",
+                remedy="Use the option gaze_origin=head, or download these files.",
+            )
+        return _none()
+    glasses = _Glasses(readings.hololens, readings.transform, head_joint.times)
+    room_from_glasses, distances = glasses.best_direction(head_joint)
+    if room_from_glasses is None or min(distances) > limit:
+        found = " and ".join(f"{distance:.2f} m" for distance in distances) or "no frame with both"
+        if required:
+            raise InputFileError(
+                f"{where}/{gimo.HOLOLENS_TRANSFORM_FILES[0]}",
+                "",
+                expected=f"a transform that brings the glasses within {limit} m of the head joint",
+                found=f"{found} (as it stands, and inverted)",
+                remedy="Use the option gaze_origin=head.",
+            )
+        return _none(f"HoloLens files not used: glasses {found} from the head joint (transform as it stands, inverted)")
+    return glasses.streams(room_from_glasses)
+
+
+def _none(*messages: str) -> GlassesStreams:
+    empty = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
+    return GlassesStreams(empty, empty, None, messages)
+
+
+class _Glasses:
+    """HoloLens rows on the frames of a segment, still in the world of the glasses."""
+
+    def __init__(self, hololens: gimo.HoloLens, transform: gimo.SceneTransform, times: Float[np.ndarray, " n"]) -> None:
+        self._hololens = hololens
+        self._transform = transform
+        self._times = times
+        frames = np.rint(times * gimo.FRAME_RATE).astype(np.int64)
+        known = frames < len(hololens.video_ticks)
+        self._frames = np.minimum(frames, len(hololens.video_ticks) - 1)
+        first = int(hololens.ticks[0])
+        self._rows = (hololens.ticks - first) / _TICKS_A_SECOND
+        self._query = (hololens.video_ticks[self._frames] - first) / _TICKS_A_SECOND
+        self._video = known
+        self._tracked = known & self._covered(np.ones(len(self._rows), dtype=bool))
+
+    def _covered(self, usable: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+        return covered(self._rows, usable, self._query, max_gap=_LONGEST_STEP)
+
+    def best_direction(self, head_joint: PoseStream) -> tuple[Float[np.ndarray, "4 4"] | None, tuple[float, ...]]:
+        """Room from glasses for the direction that brings them nearer to the head, and both median distances."""
+        both = self._tracked & head_joint.valid
+        if not both.any():
+            return None, ()
+        position = interpolate(self._rows, self._hololens.head[:, :3, 3], self._query)[both]
+        given = self._hololens.transform
+        candidates = [self._transform.room_from_scan() @ scan_from for scan_from in (given, invert_rigid(given))]
+        distances = tuple(
+            float(np.median(np.linalg.norm(transform_points(room, position) - head_joint.position[both], axis=1)))
+            for room in candidates
+        )
+        return candidates[int(np.argmin(distances))], distances
+
+    def streams(self, room_from_glasses: Float[np.ndarray, "4 4"]) -> GlassesStreams:
+        """Everything in the room."""
+        hololens = self._hololens
+        position = interpolate(self._rows, hololens.head[:, :3, 3], self._query)
+        rows = Rotation.from_matrix(hololens.head[:, :3, :3]).as_quat(scalar_first=True)
+        rotation = Rotation.from_quat(slerp(self._rows, rows, self._query), scalar_first=True)
+        camera = hololens.camera[self._frames]
+        gazed = hololens.gaze_valid
+        eye = hololens.gaze_origin[gazed] if gazed.any() else hololens.gaze_origin
+        eye_rows = self._rows[gazed] if gazed.any() else self._rows
+        return GlassesStreams(
+            head=self._stream(room_from_glasses, position, rotation, _CPF_FROM_HOLOLENS, self._tracked),
+            camera=self._stream(
+                room_from_glasses,
+                camera[:, :3, 3],
+                Rotation.from_matrix(camera[:, :3, :3]),
+                _CAMERA_FROM_HOLOLENS,
+                self._video,
+            ),
+            eye=PoseStream(
+                self._times,
+                transform_points(room_from_glasses, interpolate(eye_rows, eye, self._query)),
+                np.repeat(_IDENTITY, len(self._times), axis=0),
+                self._video & self._covered(gazed),
+            ),
+        )
+
+    def _stream(
+        self,
+        room_from_glasses: Float[np.ndarray, "4 4"],
+        position: Float[np.ndarray, "n 3"],
+        rotation: Rotation,
+        part_from_own: Float[np.ndarray, "3 3"],
+        valid: Bool[np.ndarray, " n"],
+    ) -> PoseStream:
+        """Poses in the room with the axes of prbench; the shrinking of the scan turns nothing."""
+        room_rotation = room_from_glasses[:3, :3] / np.cbrt(np.linalg.det(room_from_glasses[:3, :3]))
+        turned = Rotation.from_matrix(room_rotation) * rotation * Rotation.from_matrix(part_from_own)
+        return PoseStream(
+            self._times,
+            transform_points(room_from_glasses, position),
+            turned.as_quat(canonical=True, scalar_first=True),
+            valid,
+        )

@@ -1,4 +1,4 @@
-"""What a user may choose about reading GIMO."""
+"""Options of the reader of GIMO."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_onl
     hints: bool = True
     """Take the hint of ``dataset.csv`` as event frame where the table of events does not name a segment."""
     training_2: Literal["train", "drop"] = "train"
-    """What to do with the segments that the official loader never uses: train on them, or leave them out."""
+    """Use of the segments that the official loader never uses: train on them, or leave them out."""
     body: Literal["auto", "smplx", "mesh", "bvh"] = "auto"
-    """Where joints come from: fitted parameters, posed meshes, or the suit's skeleton; auto = the first that can be."""
+    """Source of joints: fitted parameters, posed meshes, or the suit's skeleton; auto = the first that can be."""
     vposer_model: Path | None = None
     """Snapshot of VPoser v1 (``TR00_E096.pt``), for body smplx."""
     smplx_model: Path | None = None
@@ -29,7 +29,7 @@ class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_onl
     target: Target = "point"
     """Box of an event: the wrist alone, or a cube of 10 cm around it."""
     gaze_origin: GazeOrigin = "head"
-    """Where rays begin: the head joint, or the eyes as HoloLens 2 saw them."""
+    """Origin of rays: the head joint, or the eyes as HoloLens 2 saw them."""
     meshes: bool = False
     """Load the scanned room, for priming that walls can hide."""
 

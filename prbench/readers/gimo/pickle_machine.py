@@ -34,11 +34,11 @@ class PickleRefused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """What a pickle gets in place of the function or class that it names."""
+    """Stand-in that a pickle gets for the function or class that it names."""
 
     text: str
     make: Callable[..., Any] | None = None
-    """What calling it runs; None where the format hands the name to another function and never calls it."""
+    """Function that calling it runs; None where the format hands the name to another function and never calls it."""
 
 
 class Unfinished:

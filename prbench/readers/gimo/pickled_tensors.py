@@ -31,7 +31,7 @@ _MAGIC_NUMBER = 0x1950A86A20F9469CFC6C
 _FORM_VERSION = 1001
 _MACHINE = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"short": 2, "int": 4, "long": 4}}
 _STREAM_START = b"".join(pickle.dumps(part, protocol=2) for part in (_MAGIC_NUMBER, _FORM_VERSION, _MACHINE))
-"""What the older form of ``torch.save`` begins with: three pickles, which are the same before every storage."""
+"""Beginning of the older form of ``torch.save``: three pickles, which are the same before every storage."""
 _USUAL_STORAGE = re.compile(
     re.escape(_STREAM_START)
     + rb"\x80\x02\(X\x07\0\0\0storageq\0ctorch\n(?P<kind>\w+)\nq\x01"
@@ -92,7 +92,7 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
 
 
 def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
-    """What some bytes hold: a plain pickle, or either form of ``torch.save``."""
+    """Decode some bytes: a plain pickle, or either form of ``torch.save``."""
     if content.startswith(_ZIP_START):
         return _loaded_from_zip(content, names)
     machine = PickleMachine(content, names)
@@ -189,7 +189,9 @@ class _Storages:
         """Return the storage of one persistent id: ("storage", its class, key, device, how many numbers[, None])."""
         if type(identity) is not tuple or len(identity) not in (5, 6) or identity[0] != "storage":
             raise PickleRefused("a persistent id of something else than a storage", foreign=True)
-        kind, key, size = identity[1], identity[2], identity[4]
+        kind = identity[1]
+        key = identity[2]
+        size = identity[4]
         item_type = _ITEM_TYPES.get(kind.text.encode()) if isinstance(kind, Name) else None
         if item_type is None or not isinstance(key, str) or identity[5:] not in ((), (None,)):
             raise PickleRefused("a storage of another kind", foreign=True)
@@ -220,7 +222,8 @@ def _rebuild_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *_: Any
     """``torch._utils._rebuild_tensor_v2``; what follows the strides (gradient, hooks) concerns training."""
     if not isinstance(storage, _Storage):
         raise PickleRefused(f"a tensor of a {type(storage).__name__}", foreign=True)
-    shape, strides = _whole_numbers(shape), _whole_numbers(strides)
+    shape = _whole_numbers(shape)
+    strides = _whole_numbers(strides)
     if type(offset) is not int or offset < 0 or len(shape) != len(strides):
         raise PickleRefused("a tensor without place in its storage")
     last = offset + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
@@ -271,7 +274,10 @@ class _NumpyArray(Unfinished):
         """See :class:`Unfinished`: (version, shape, type, whether the first axis runs fastest, bytes)."""
         if type(state) is not tuple or len(state) != 5:
             raise PickleRefused("an array of another kind", foreign=True)
-        shape, kind, by_column, raw = _whole_numbers(state[1]), state[2], state[3], state[4]
+        shape = _whole_numbers(state[1])
+        kind = state[2]
+        by_column = state[3]
+        raw = state[4]
         if not isinstance(kind, _NumpyType) or not isinstance(raw, bytes):
             raise PickleRefused("an array of another kind", foreign=True)
         self._array = np.frombuffer(raw, kind.type).reshape(shape, order="F" if by_column is True else "C")

@@ -19,9 +19,7 @@ from prbench.readers.gimo.events import events_of, read_events
 from prbench.readers.gimo.gaze import read_gaze
 from prbench.readers.gimo.hololens import read_hololens
 from prbench.readers.gimo.options import GimoOptions, Route
-from prbench.readers.gimo.poses import read_poses
-from prbench.readers.gimo.route_mesh import joints_from_meshes
-from prbench.readers.gimo.route_smplx import joints_from_parameters
+from prbench.readers.gimo.routes import joints_from_meshes, joints_from_parameters, read_poses
 
 
 def read_readings(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gimo.GimoReadings:
@@ -92,10 +90,8 @@ def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gi
             )
         parameters = read_poses(poses)
         if route == "smplx":
-            decoder, model = (
-                read_pose_decoder(_given(options.vposer_model)),
-                read_smplx_model(_given(options.smplx_model)),
-            )
+            decoder = read_pose_decoder(_given(options.vposer_model))
+            model = read_smplx_model(_given(options.smplx_model))
             return joints_from_parameters(parameters, decoder, model)
         return gimo.LocalSkeleton(read_bvh(_given(skeleton)), parameters)
     raise InputFileError(
@@ -108,7 +104,7 @@ def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gi
 
 
 def _lacking(route: Route, options: GimoOptions, *, has_poses: bool, has_meshes: bool, skeleton: Path | None) -> str:
-    """What a way to the joints lacks; nothing if it is open."""
+    """Name what a way to the joints lacks; empty if nothing."""
     files = f"{gimo.POSE_FOLDER}/<frame>"
     parts = {
         "smplx": {"--option vposer_model": options.vposer_model, "--option smplx_model": options.smplx_model},

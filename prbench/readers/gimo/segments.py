@@ -1,4 +1,4 @@
-"""Where the files of GIMO segments lie (docs/specification/gimo.md#folder-tree)."""
+"""Find the files of GIMO segments (docs/specification/gimo.md#folder-tree)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
+from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
 from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_segments
@@ -22,13 +24,24 @@ from prbench.readers.gimo.events import (
     require_one_split,
 )
 from prbench.readers.gimo.options import GimoOptions
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, SyntheticTree, read_synthetic_tree
+from prbench.readers.synthetic_tree import SyntheticTree, read_synthetic_tree
+from prbench.recording import Recording
 from prbench.storage import inside
 
-TABLE, EVENTS, TRANSFORM, NORM, SKELETON = "table", "events", "transform", "norm", "skeleton"
-POSE, MESH, CONE, CENTRE = "pose:", "mesh:", "gaze:", "gaze centre:"
+TABLE = "table"
+EVENTS = "events"
+TRANSFORM = "transform"
+NORM = "norm"
+SKELETON = "skeleton"
+POSE = "pose:"
+MESH = "mesh:"
+CONE = "gaze:"
+CENTRE = "gaze centre:"
 """Beginnings of the roles of files of one frame; the frame number follows."""
-STREAM, VIDEO, HOLOLENS_TRANSFORM, SCENE_MESH = "hololens stream", "hololens video", "hololens transform", "scene mesh"
+STREAM = "hololens stream"
+VIDEO = "hololens video"
+HOLOLENS_TRANSFORM = "hololens transform"
+SCENE_MESH = "scene mesh"
 
 Split = Literal["train", "test"]
 
@@ -152,7 +165,7 @@ def _is_number(stem: str) -> bool:
 
 
 def _frame_of(name: str) -> str:
-    """What stands in the place of the frame number in a file's name."""
+    """Return what stands in the place of the frame number in a file's name."""
     stem, dot, _ = name.rpartition(".")
     return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
@@ -169,18 +182,22 @@ class _Search:
         table: Sequence[EventRow],
         events_path: Path,
     ) -> None:
-        self._root, self._options, self._tree, self._table = root, options, tree, table
+        self._root = root
+        self._options = options
+        self._tree = tree
+        self._table = table
         self._events_path = events_path
         self._folders: dict[Path, _Folder] = {}
         self._in_both = hints_in_both_splits(rows)
 
     def is_there(self, row: Row) -> bool:
-        """Whether the row's sequence is on the disk."""
+        """Return True where the row's sequence is on the disk."""
         return self._folder(row).path.is_dir()
 
     def segment(self, row: Row) -> RecordingFiles:
         """One row with its files."""
-        segment, folder = row.segment, self._folder(row)
+        segment = row.segment
+        folder = self._folder(row)
         in_tree = self._tree is not None and segment.sequence in self._tree.split
         return RecordingFiles(
             dataset="gimo" if self._tree is None else f"{SYNTHETIC_PREFIX}gimo",
@@ -251,3 +268,18 @@ def _hololens_files(folder: Path) -> dict[str, Path]:
 def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
     """Files of one kind by frame."""
     return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The frames that the table promises, and those that have files; nothing is said of what has none at all."""
+    segment = row_of(found)[0].segment
+    promised = segment.start_frame / gimo.FRAME_RATE, segment.end_frame / gimo.FRAME_RATE
+    streams = [Extent("segment", gimo.TABLE_FILE, *promised)]
+    roles = {POSE: "body", MESH: "body", CENTRE: "gaze"}
+    for role, stream in roles.items():
+        files = frames_of(found, role)
+        if files:
+            ends = min(files) / gimo.FRAME_RATE, max(files) / gimo.FRAME_RATE
+            slack = SEVERAL_SENSORS if role == CENTRE else ONE_SYSTEM  # eyes are lost now and then
+            streams.append(Extent(stream, files[max(files)].name, *ends, tells_span=False, slack=slack))
+    return tuple(streams)

@@ -27,7 +27,7 @@ _STANDS_STILL = 0.2  # metres; a shorter walk fits anywhere
 
 
 @dataclass(frozen=True)
-class LaidSkeleton:
+class PlacedSkeleton:
     """Joints at the instants of the pelvis track, in its frame."""
 
     joints: Float[np.ndarray, "n 22 3"]
@@ -36,17 +36,17 @@ class LaidSkeleton:
     error: float
     """Root mean square distance of hips and pelvis after alignment, a constant offset apart, metres."""
     is_sure: bool
-    """Whether the pelvis moves far enough to tell the start."""
+    """Return True where the pelvis moves far enough to tell the start."""
 
 
-def lay_skeleton(
+def place_skeleton(
     motion: BvhMotion,
     seconds: Float[np.ndarray, " n"],
     pelvis: Float[np.ndarray, "n 3"],
     *,
     name: str,
     largest_error: float,
-) -> LaidSkeleton:
+) -> PlacedSkeleton:
     """Align a skeleton in time with a pelvis track, and move its hips onto it frame by frame.
 
     Args:
@@ -85,7 +85,7 @@ def lay_skeleton(
     laid = interpolate(times, joints, start + since)
     laid = laid + (pelvis - laid[:, Joint.PELVIS])[:, None]
     far = float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
-    return LaidSkeleton(laid, start, error, far >= _STANDS_STILL)
+    return PlacedSkeleton(laid, start, error, far >= _STANDS_STILL)
 
 
 def _body_joints(motion: BvhMotion, name: str) -> Float[np.ndarray, "n 22 3"]:

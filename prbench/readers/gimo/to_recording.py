@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.manifests import Manifest
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.hololens_streams import GlassesStreams, glasses_streams
-from prbench.readers.gimo.suit_skeleton import lay_skeleton
+from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
+from prbench.readers.gimo.suit_skeleton import place_skeleton
 from prbench.recording.body_quality import hold_neighbours
 from prbench.recording.streams import (
     AnnotatedEvent,
@@ -103,17 +103,21 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, 
     """The 22 joints on every frame of the segment; short gaps interpolated, long ones invalid."""
     remarks = []
     if isinstance(readings.body, gimo.LocalJoints):
-        frames, local, route = readings.body.frames, readings.body.joints, readings.body.route
+        frames = readings.body.frames
+        local = readings.body.joints
+        route = readings.body.route
     else:
         poses = readings.body.poses
-        laid = lay_skeleton(
+        laid = place_skeleton(
             readings.body.motion,
             frame_times(poses.frames),
             poses.pelvis(),
             name=f"{readings.segment.scene}/{readings.segment.sequence}/{gimo.SKELETON_FILE}",
             largest_error=manifest.thresholds["largest_track_error"],
         )
-        frames, local, route = poses.frames, laid.joints, "bvh"
+        frames = poses.frames
+        local = laid.joints
+        route = "bvh"
         remarks.append(
             f"limbs from {gimo.SKELETON_FILE}, which begins {laid.start:.3f} s before the segment and follows the"
             f" fitted pelvis within {laid.error * 1000:.0f} mm"
@@ -162,9 +166,11 @@ def _gaze(
 ) -> tuple[GazeStream, list[str]]:
     """Rays from the head (or the eyes) to the points on the scan; short gaps between points interpolated."""
     points, seen = _gaze_points(readings, manifest.thresholds["longest_gaze_gap"])
-    origin, posed = body.joints[:, Joint.HEAD], body.valid
+    origin = body.joints[:, Joint.HEAD]
+    posed = body.valid
     if gaze_origin == "hololens" and glasses.eye is not None:
-        origin, posed = glasses.eye.position, glasses.eye.valid
+        origin = glasses.eye.position
+        posed = glasses.eye.valid
     apart = np.where(seen[:, None], points - origin, 0.0)
     distance = np.linalg.norm(apart, axis=1)
     valid = seen & posed & (distance > _SHORTEST_LOOK)
@@ -179,7 +185,8 @@ def _gaze_points(
     readings: gimo.GimoReadings, longest_gap: float
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Gaze points in the room on every frame, and where there is one."""
-    wanted, gaze = readings.segment.frames, readings.gaze
+    wanted = readings.segment.frames
+    gaze = readings.gaze
     if len(gaze.frames) == 0:
         return np.zeros((len(wanted), 3)), np.zeros(len(wanted), dtype=bool)
     points = transform_points(readings.transform.room_from_scan(), gaze.points)

@@ -103,7 +103,7 @@ def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_e
 
 
 def read_priming(path: Path, video: str) -> tuple[hd_epic.PublishedSide, ...]:
-    """What the dataset's own pipeline found about one video; nothing for a video that the file does not know.
+    """Read the dataset's own priming results of one video; none for a video that the file does not know.
 
     Raises:
         InputFileError: if the file is missing or damaged.

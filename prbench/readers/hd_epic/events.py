@@ -26,7 +26,10 @@ from prbench.timelines import interpolate
 
 BoxKind = Literal["point", "cube"]
 
-_NO_MASK, _FAR_MASK, _NO_POINT, _OUTSIDE = "no mask", "mask too far", "no point", "outside"
+_NO_MASK = "no mask"
+_FAR_MASK = "mask too far"
+_NO_POINT = "no point"
+_OUTSIDE = "outside"
 _WHY_UNPLACED = {
     _NO_MASK: "have no mask",
     _FAR_MASK: "have a mask that is too many frames away",
@@ -42,10 +45,10 @@ class _Side:
     track: hd_epic.ObjectTrack
     is_start: bool
     frame: float
-    """Of the annotated time, not on the grid."""
+    """Frame of the annotated time, not on the grid."""
     mask: hd_epic.ObjectMask | None
     unplaced: str
-    """Why it has no place; empty if it has one."""
+    """Reason why it has no place; empty if it has one."""
 
 
 def annotated_events(
@@ -84,7 +87,8 @@ def masks_of_sides(
     A single mask serves the nearer side. Of two or more, each side gets one of its own, with the least total distance.
     How far a mask may lie is decided elsewhere.
     """
-    start, end = track.start * hd_epic.FPS, track.end * hd_epic.FPS
+    start = track.start * hd_epic.FPS
+    end = track.end * hd_epic.FPS
     if not track.masks:
         return None, None
     if len(track.masks) == 1:

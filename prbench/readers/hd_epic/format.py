@@ -13,20 +13,29 @@ from jaxtyping import Bool, Float, Int
 from prbench.readers.aria_mps.format import GlassesSize, MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody
 
-DATA_FOLDER, INTERMEDIATE_FOLDER = "HD-EPIC", "HD-EPIC Intermediate Data"
+DATA_FOLDER = "HD-EPIC"
+INTERMEDIATE_FOLDER = "HD-EPIC Intermediate Data"
 ANNOTATIONS_FOLDER = "hd-epic-annotations"
-VIDEOS_FOLDER, MPS_FOLDER = "Videos", "SLAM-and-Gaze"
-MULTI_SLAM_FOLDER, OTHER_SLAM_FOLDER, GAZE_FOLDER = "SLAM/multi", "SLAM/other_aligned", "GAZE_HAND"
+VIDEOS_FOLDER = "Videos"
+MPS_FOLDER = "SLAM-and-Gaze"
+MULTI_SLAM_FOLDER = "SLAM/multi"
+OTHER_SLAM_FOLDER = "SLAM/other_aligned"
+GAZE_FOLDER = "GAZE_HAND"
 SLAM_MAP_FILE = "vrs_to_multi_slam.json"
-TIME_SUFFIX, LOG_SUFFIX = "_mp4_to_vrs_time_ns.csv", "_vrs_to_mp4_log.json"
+TIME_SUFFIX = "_mp4_to_vrs_time_ns.csv"
+LOG_SUFFIX = "_vrs_to_mp4_log.json"
 MOVEMENTS_FOLDER = "scene-and-object-movements"
-ASSOCIATIONS_FILE, MASKS_FILE = "assoc_info.json", "mask_info.json"
+ASSOCIATIONS_FILE = "assoc_info.json"
+MASKS_FILE = "mask_info.json"
 PRIMING_FOLDERS = ("eye-gaze-priming", "eye_gaze_priming")
 """As the annotation repository spells it, and as its README does."""
 PRIMING_FILE = "priming_info.json"
-FRAMES_FILE, DEVICE_CALIBRATION_FILE = "framewise_info.jsonl", "device_calibration.json"
+FRAMES_FILE = "framewise_info.jsonl"
+DEVICE_CALIBRATION_FILE = "device_calibration.json"
 
-MP4_TIME, RELATIVE_TIME, DEVICE_TIME = "mp4_time_ns", "relative_vrs_device_time_ns", "vrs_device_time_ns"
+MP4_TIME = "mp4_time_ns"
+RELATIVE_TIME = "relative_vrs_device_time_ns"
+DEVICE_TIME = "vrs_device_time_ns"
 
 FPS = 30.0
 IMAGE_SIZE = 1408
@@ -35,7 +44,8 @@ FOCAL_LENGTH = 607.0
 """Pixels, of the 1408 image."""
 
 NO_FIXTURE = "Null"
-NOT_PRIMED, EXCLUDED = -1, -2
+NOT_PRIMED = -1
+EXCLUDED = -2
 """Values of ``frame_primed`` that are no frames: tested in vain, never tested."""
 
 
@@ -77,7 +87,7 @@ class VideoClock:
         return np.interp((device_seconds - start / 1e9) * 1e9, since_start, np.flatnonzero(first))
 
     def covers(self, frames: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Whether frames lie in the video as far as its rows go; half a frame beyond the ends does."""
+        """Return True where frames lie in the video as far as its rows go; half a frame beyond the ends does."""
         return (frames >= -0.5) & (frames <= len(self.device_ns) - 0.5)
 
     @property
@@ -93,7 +103,7 @@ class VideoClock:
 
 @dataclass(frozen=True)
 class ObjectMask:
-    """Where an object was seen in one frame."""
+    """Sighting of an object in one frame."""
 
     mask_id: str
     frame: int
@@ -102,7 +112,7 @@ class ObjectMask:
     box_px: Float[np.ndarray, "4"] | None
     """x min, y min, x max, y max in the 1408 image."""
     fixture: str | None
-    """What it stands on, for example ``P01_counter.001``; None for ``Null``."""
+    """Fixture under it, for example ``P01_counter.001``; None for ``Null``."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +121,7 @@ class ObjectTrack:
 
     track_id: str
     object_id: str
-    """Of the association: one object in one video."""
+    """Key of the association: one object in one video."""
     name: str
     start: float
     """Seconds of the video, not on the grid of its frames."""
@@ -122,7 +132,7 @@ class ObjectTrack:
 
 @dataclass(frozen=True)
 class PublishedSide:
-    """What the dataset's own pipeline found for one start or end of a movement."""
+    """Result of the dataset's own pipeline for one start or end of a movement."""
 
     key: str
     """Object id in the priming file and ``start`` or ``end``."""

@@ -1,25 +1,54 @@
-"""Where the files of HD-EPIC videos lie, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
+"""Find the files of HD-EPIC videos, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import find_outputs
+from prbench.readers.egoallo.places import body_extent
+from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic.options import HdEpicOptions
-from prbench.readers.hd_epic.slam_map import slam_number
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.hd_epic.video_clock import slam_number
+from prbench.readers.options import ReaderOptions
+from prbench.readers.synthetic_tree import read_synthetic_tree
+from prbench.recording import Recording
 
-TIME, LOG = "video time", "video log"
-ASSOCIATIONS, MASKS, PRIMING = "associations", "masks", "priming"
+BoxChoice = Literal["point", "cube"]
+
+
+class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Options of the reader; see the fields."""
+
+    source: Literal["mps", "intermediate"] = "mps"
+    """Source of camera and gaze: the MPS files of SLAM-and-Gaze, or the newer per-frame intermediate data."""
+    boxes: BoxChoice = "point"
+    """``point``: zero-size boxes at the annotated points; ``cube``: cubes as large as the 2D boxes say."""
+    annotations: Path | None = None
+    """The annotation repository, where it does not lie beside the data."""
+    poses: Literal["egoallo"] = "egoallo"
+    """Source of bodies."""
+    smplh_model: Path | None = None
+    """The licensed SMPL-H ``model.npz`` that turns EgoAllo's outputs into joints."""
+    poses_root: Path | None = None
+    """Folder of EgoAllo's outputs by video, where it is not ``egoallo`` below the root."""
+
+
+TIME = "video time"
+LOG = "video log"
+ASSOCIATIONS = "associations"
+MASKS = "masks"
+PRIMING = "priming"
 SLAM_MAP = "slam map"
-FRAMES, DEVICE_CALIBRATION = "frames", "device calibration"
+FRAMES = "frames"
+DEVICE_CALIBRATION = "device calibration"
 """Roles of the files of a video, beside those of MPS and EgoAllo."""
 
 _SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
@@ -88,7 +117,8 @@ def _first_folder(places: Iterable[Path], pattern: str) -> Path | None:
 def _videos(copy: Copy) -> dict[str, str]:
     """Participant's folder of every video, by the video's name."""
     videos: dict[str, str] = {}
-    folder, slam_and_gaze = copy.data / hd_epic.VIDEOS_FOLDER, copy.data / hd_epic.MPS_FOLDER
+    folder = copy.data / hd_epic.VIDEOS_FOLDER
+    slam_and_gaze = copy.data / hd_epic.MPS_FOLDER
     for suffix in (hd_epic.TIME_SUFFIX, hd_epic.LOG_SUFFIX):
         videos |= {path.name.removesuffix(suffix): path.parent.name for path in folder.glob(f"*/*{suffix}")}
     for path in slam_and_gaze.glob(f"*/{hd_epic.GAZE_FOLDER}/**/mps_*_vrs*"):
@@ -212,3 +242,26 @@ def _body_files(copy: Copy, video: str, options: HdEpicOptions) -> tuple[InputFi
         if outputs:
             return outputs
     return ()
+
+
+_MPS = {mps.TRAJECTORY: "glasses", mps.GAZE: "gaze", mps.WRISTS: "hands", mps.HAND_TRACKING: "hands"}
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+    """The streams of one video, on the device clock.
+
+    Poses of the glasses lie in archives of hundreds of megabytes: their end is known once the video is read.
+    """
+    streams = []
+    for file in found.files:
+        if file.role == TIME:
+            streams.append(csv_extent("video frames", file, hd_epic.DEVICE_TIME, 1e-9))
+        elif file.role == FRAMES:
+            streams.append(json_extent("frames of the intermediate data", file))
+        elif file.role in _MPS and can_be_looked_at(file):
+            streams.append(csv_extent(_MPS[file.role], file, mps.TIME_COLUMN, 1e-6))
+        elif file.role == mps.TRAJECTORY and recording is not None:
+            streams.append(Extent("glasses", file.member.rpartition("/")[2], *recording.span))
+    body = body_extent(found)
+    everything = streams if body is None else [*streams, body]
+    return tuple(replace(stream, slack=SEVERAL_SENSORS) for stream in everything)

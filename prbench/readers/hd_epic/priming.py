@@ -1,4 +1,4 @@
-"""Which entry of HD-EPIC's priming file belongs to which event (docs/specification/hd-epic.md#annotations)."""
+"""Match the entries of HD-EPIC's priming file with events (docs/specification/hd-epic.md#annotations)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from prbench.recording.streams import PublishedPriming
 
 @dataclass(frozen=True)
 class MaskedEvent:
-    """What an event and an entry of the priming file have in common."""
+    """Facts by which an event and an entry of the priming file are matched."""
 
     is_start: bool
     frame: float
-    """Of the annotated time."""
+    """Frame of the annotated time."""
     mask_frame: int
     location: Float[np.ndarray, "3"]
     """World (Z up), metres."""
@@ -31,7 +31,7 @@ def published_priming(
     clock: hd_epic.VideoClock,
     thresholds: hd_epic.Thresholds,
 ) -> tuple[list[PublishedPriming | None], tuple[str, ...]]:
-    """What the dataset publishes about each event, and remarks on what found no partner.
+    """Return what the dataset publishes about each event, and remarks on what found no partner.
 
     An entry belongs to an event of the same side whose frame (annotated time or mask) is within 1 and whose location
     within 1 mm; each entry serves one event, nearest first.

@@ -16,10 +16,9 @@ from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic import places
 from prbench.readers.hd_epic.annotations import read_priming, read_tracks
 from prbench.readers.hd_epic.intermediate import read_frames
-from prbench.readers.hd_epic.options import HdEpicOptions
-from prbench.readers.hd_epic.slam_map import slam_number
+from prbench.readers.hd_epic.places import HdEpicOptions
 from prbench.readers.hd_epic.to_recording import source_head
-from prbench.readers.hd_epic.video_clock import read_video_clock
+from prbench.readers.hd_epic.video_clock import read_video_clock, slam_number
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -30,8 +29,10 @@ def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEp
     Raises:
         InputFileError: for a missing or damaged file; of SLAM it says which archive is missing.
     """
-    video, participant = found.recording_id, found.folder.name
-    associations, masks = _annotation(found, places.ASSOCIATIONS), _annotation(found, places.MASKS)
+    video = found.recording_id
+    participant = found.folder.name
+    associations = _annotation(found, places.ASSOCIATIONS)
+    masks = _annotation(found, places.MASKS)
     tracks, track_remarks = read_tracks(associations, masks, video)
     priming = found.path(places.PRIMING)
     frames = _read_frames(found) if options.source == "intermediate" else None

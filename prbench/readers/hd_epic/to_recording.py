@@ -16,8 +16,7 @@ from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.errors import InputFileError
 from prbench.manifests import Manifest
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, MpsReadings, cpf_from_rgb, device_from_cpf
-from prbench.readers.aria_mps.streams import part_poses
-from prbench.readers.aria_mps.to_recording import ASSUMED_SIZE, MpsStreams, mps_streams
+from prbench.readers.aria_mps.to_recording import ASSUMED_SIZE, MpsStreams, mps_streams, part_poses
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.events import BoxKind, annotated_events

@@ -1,7 +1,8 @@
-"""The clock of a video: which device time each of its frames has (docs/specification/hd-epic.md#clock)."""
+"""Read the instants of an HD-EPIC video's frames, and the name of the map in which its glasses were followed."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import msgspec
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError
-from prbench.readers.files import decode_json, read_columns
+from prbench.readers.files import decode_json, missing_file, read_columns
 from prbench.readers.hd_epic import format as hd_epic
 
 
@@ -66,3 +67,25 @@ def _device_times(path: Path) -> Int[np.ndarray, " n"]:
         if not np.isfinite(times).all():
             raise error
         return np.rint(times).astype(np.int64)
+
+
+_MAP = msgspec.json.Decoder(dict[str, str | int])
+
+
+def slam_number(path: Path) -> dict[str, str]:
+    """Number of the archive by name of the video; keys of the file are ``P01/<video>.vrs``.
+
+    Raises:
+        InputFileError: if the file is missing or damaged.
+    """
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise missing_file(path) from error
+    return _numbers(path, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=32)
+def _numbers(path: Path, _size: int, _changed_ns: int) -> dict[str, str]:
+    entries = decode_json(path, _MAP)
+    return {key.rpartition("/")[2].removesuffix(".vrs"): str(number) for key, number in entries.items()}

@@ -8,11 +8,13 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.egoallo.inputs import EgoalloInputs, aria_inputs, points_beside
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.hot3d.layout import find_recordings
-from prbench.readers.hot3d.options import Hot3dOptions
+from prbench.readers.hot3d.layout import Hot3dOptions, extents, find_recordings
 from prbench.readers.hot3d.readings import read_readings
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
+from prbench.readers.zipped import Source
 from prbench.recording import Recording
 
 __all__ = ["READER", "Hot3dOptions", "Hot3dReader", "find_recordings", "read_readings"]
@@ -39,6 +41,18 @@ class Hot3dReader:
             raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
         readings = read_readings(found, self.options)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
+
+    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return aria_inputs(root, found)
+
+    def point_cloud(self, found: RecordingFiles) -> Source | None:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return points_beside(found)
 
 
 READER = Hot3dReader()

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import RecordingUnusable
 
-SAME_POSITION, SAME_ROTATION = 1e-6, np.deg2rad(0.01)
+_SAME_POSITION = 1e-6
+_SAME_ROTATION = np.deg2rad(0.01)
 """Metres and radians within which a row is found again; rounding alone turns it by up to 0.004 degree."""
 _NEAREST = 4
 _LARGEST_RESIDUAL = 1e-3  # metres, median over the rows
@@ -35,7 +36,7 @@ class ClockMatch:
     offset_ns: float
     """At ``origin_ns``."""
     half_width_ns: float
-    """How far the offset may be off."""
+    """Largest error of the offset."""
     drift: float
     """0 unless one constant cannot hold for all rows."""
     origin_ns: int
@@ -54,7 +55,7 @@ class ClockMatch:
 
     @property
     def remark(self) -> str:
-        """What a user should know."""
+        """Messages for the user."""
         drift = f", drift {self.drift * 1e6:+.2f} ppm" if self.drift else ""
         return (
             f"clocks aligned by {self.matched} of {self.rows} headset rows:"
@@ -124,11 +125,12 @@ def _find_rows(
     """
     count = min(_NEAREST, len(device_position))
     distance, index = KDTree(device_position).query(position, k=count)
-    distance, index = distance.reshape(len(position), count), index.reshape(len(position), count)
+    distance = distance.reshape(len(position), count)
+    index = index.reshape(len(position), count)
     turned = Rotation.from_quat(device_rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
         np.repeat(rotation, count, axis=0), scalar_first=True
     )
-    near = (distance < SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < SAME_ROTATION)
+    near = (distance < _SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < _SAME_ROTATION)
     exact = near & (distance == 0.0)
     candidates = np.where(exact.any(axis=1, keepdims=True), exact, near)
     found = np.flatnonzero(candidates.sum(axis=1) == 1)
@@ -155,7 +157,8 @@ def _intersection(
 ) -> ClockMatch:
     """The middle of the offsets that all rows allow; with a drift if no constant fits."""
     origin = int(times[0])
-    lowest, highest = float(low.max()), float(high.min())
+    lowest = float(low.max())
+    highest = float(high.min())
     slope = 0.0
     if lowest > highest:
         middle, slope, half = _with_drift((times - origin) / 1e9, low, high)
@@ -165,7 +168,8 @@ def _intersection(
                 f" in the MPS trajectory (short by {(lowest - highest) / 1e6:.2f} ms). Download both files again."
             )
     else:
-        middle, half = (lowest + highest) / 2, (highest - lowest) / 2
+        middle = (lowest + highest) / 2
+        half = (highest - lowest) / 2
     if 2 * half > _LARGEST_WIDTH_NS:
         raise RecordingUnusable(
             f"{recording}: the offset of the clocks stays uncertain by {2 * half / 1e6:.2f} ms, 1 ms is needed."
@@ -178,7 +182,8 @@ def _with_drift(
 ) -> tuple[float, float, float]:
     """Offset (ns), drift (ns a second) and margin (ns) of the line that stays furthest inside of all intervals."""
     ones = np.ones_like(seconds)
-    above, below = np.column_stack([-ones, -seconds, ones]), np.column_stack([ones, seconds, ones])
+    above = np.column_stack([-ones, -seconds, ones])
+    below = np.column_stack([ones, seconds, ones])
     solved = linprog(
         c=[0.0, 0.0, -1.0],
         A_ub=np.concatenate([above, below]),

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
-from prbench.readers.hot3d.umetrack import HandModel
+from prbench.readers.hot3d.hands_umetrack import HandModel
 
 METADATA_FILE = "metadata.json"
 OBJECTS_FILE = "dynamic_objects.csv"
@@ -22,19 +22,23 @@ HEADSET_FILE = "headset_trajectory.csv"
 UMETRACK_FILE = "umetrack_hand_pose_trajectory.jsonl"
 PROFILE_FILE = "umetrack_hand_user_profile.json"
 MANO_FILE = "mano_hand_pose_trajectory.jsonl"
-MASK_FOLDER, MPS_FOLDER = "masks", "mps"
+MASK_FOLDER = "masks"
+MPS_FOLDER = "mps"
 INSTANCES_FILE = "instance.json"
 LIBRARY_FOLDERS = ("assets", "object_library")
-"""Where the object models lie, beside the recordings or one level up."""
+"""Folders of the object models, beside the recordings or one level up."""
 ARIA = "Aria"
 LIBRARY_OBJECT = "object"
 """``instance_type`` of what can be held; the headsets are listed too."""
 
-OBJECT_ID, TIME = "object_uid", "timestamp[ns]"
+OBJECT_ID = "object_uid"
+TIME = "timestamp[ns]"
 POSITION = ("t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]")
 ROTATION = ("q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z")
-STREAM, MASK = "stream_id", "mask"
-RGB_STREAM, SLAM_STREAMS = "214-1", ("1201-1", "1201-2")
+STREAM = "stream_id"
+MASK = "mask"
+RGB_STREAM = "214-1"
+SLAM_STREAMS = ("1201-1", "1201-2")
 HAND_KEYS: dict[Literal["left", "right"], str] = {"left": "0", "right": "1"}
 
 MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
@@ -46,13 +50,13 @@ MASK_NAMES: tuple[MaskName, ...] = (
 )
 """Masks that curation honours; their files are ``masks/mask_<name>.csv``."""
 
-PAIR_NS = 1_000_000
+_PAIR_NS = 1_000_000
 """Rows closer than this belong to one instant: RGB and SLAM cameras are 91 us apart."""
 
 
 def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Rows that are not within a millisecond of the row before them: one of RGB and SLAM camera an instant."""
-    return np.diff(time_ns, prepend=time_ns[:1] - PAIR_NS) >= PAIR_NS
+    return np.diff(time_ns, prepend=time_ns[:1] - _PAIR_NS) >= _PAIR_NS
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class MaskRows:
 
 @dataclass(frozen=True)
 class Hot3dReadings:
-    """What the sensors of one HOT3D recording say: the content of its files, before or after the text."""
+    """Readings of one HOT3D recording's sensors: the content of its files, before or after the text."""
 
     recording_id: str
     participant_id: str
@@ -143,4 +147,4 @@ class Hot3dReadings:
     egoallo_outputs: tuple[EgoAlloOutput, ...] = ()
     """Not read, only written: what ``body`` was computed from."""
     messages: tuple[str, ...] = ()
-    """What reading the files brought up."""
+    """Messages of reading the files."""

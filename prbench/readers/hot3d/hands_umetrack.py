@@ -3,17 +3,107 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
 from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import umetrack
+
+N_JOINTS = 22
+N_ANGLES = 20
+"""Angles that move bones; joints 20 and 21 are unused."""
+_N_FINGERS = 5
+JOINTS_A_FINGER = 4
+_BONES_A_FINGER = 3
+N_BONES = 2 + _N_FINGERS * _BONES_A_FINGER
+"""Root and wrist, which never move, then three a finger, thumb to little."""
+N_LANDMARKS = 21
+WRIST_LANDMARK = 5
+PALM_LANDMARK = 20
+METRES_A_UNIT = 1e-3
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """One user's left hand, at rest, in the frame of its wrist."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    weights: Float[np.ndarray, "v 17"]
+    """Share of each bone in each vertex; rows sum to 1."""
+    joint_positions: Float[np.ndarray, "22 3"]
+    joint_axes: Float[np.ndarray, "22 3"]
+    landmarks: Float[np.ndarray, "21 3"]
+    """Finger tips thumb to little, wrist, two of the thumb, three a finger, palm."""
+    landmark_weights: Float[np.ndarray, "21 17"]
+    triangles: Int[np.ndarray, "f 3"]
+
+
+def bone_transforms(model: HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
+    """Return the pose of every bone in the frame of the wrist, relative to its rest.
+
+    Args:
+        model: Joints and axes.
+        angles: Radians; the first 20 count.
+    """
+    turned = [
+        _about(model.joint_axes[joint], model.joint_positions[joint], angles[:, joint]) for joint in range(N_ANGLES)
+    ]
+    bones = [np.broadcast_to(np.eye(4), (len(angles), 4, 4))] * 2
+    for finger in range(_N_FINGERS):
+        first = finger * JOINTS_A_FINGER
+        bone = turned[first]
+        for joint in range(first + 1, first + JOINTS_A_FINGER):
+            bone = bone @ turned[joint]
+            bones.append(bone)
+    return np.stack(bones, axis=1)
+
+
+def pose_points(
+    points: Float[np.ndarray, "v 3"],
+    weights: Float[np.ndarray, "v 17"],
+    bones: Float[np.ndarray, "n 17 4 4"],
+    wrist_position: Float[np.ndarray, "n 3"],
+    wrist_rotation: Float[np.ndarray, "n 4"],
+    *,
+    mirrored: bool,
+) -> Float[np.ndarray, "n v 3"]:
+    """World positions of points of the hand: linear blend skinning, then the wrist's pose.
+
+    Args:
+        points: At rest, in the frame of the wrist.
+        weights: Share of each bone.
+        bones: See :func:`bone_transforms`.
+        wrist_position: In the world, metres.
+        wrist_rotation: Wrist to world, w x y z.
+        mirrored: Whether it is a right hand: the first column of the rotation is negated.
+    """
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    # Weight times point is a constant of the model, so that one product poses all frames at once.
+    carried = (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(points), -1)
+    flat = bones[:, :, :3].transpose(0, 1, 3, 2).reshape(len(bones), -1, 3)
+    matrix = Rotation.from_quat(wrist_rotation, scalar_first=True).as_matrix()
+    if mirrored:
+        matrix = matrix * np.array([-1.0, 1.0, 1.0])
+    return carried @ (flat @ matrix.transpose(0, 2, 1)) + wrist_position[:, None]
+
+
+def _about(
+    axis: Float[np.ndarray, "3"], point: Float[np.ndarray, "3"], angles: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Rotations about an axis through a point."""
+    transform = np.tile(np.eye(4), (len(angles), 1, 1))
+    transform[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
+    transform[:, :3, 3] = point - transform[:, :3, :3] @ point
+    return transform
+
 
 _QUATERNION_TOLERANCE = 1e-3
 _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
@@ -48,12 +138,12 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
     for side in hot3d.HAND_KEYS:
         key = hot3d.HAND_KEYS[side]
         rows = [(line.timestamp_ns, line.hand_poses[key]) for line in lines if key in line.hand_poses]
-        angles = np.zeros((len(rows), umetrack.N_JOINTS))
+        angles = np.zeros((len(rows), N_JOINTS))
         for row, (time, hand) in enumerate(rows):
-            count = min(len(hand.joint_angles), umetrack.N_JOINTS)
-            if count < umetrack.N_ANGLES:
+            count = min(len(hand.joint_angles), N_JOINTS)
+            if count < N_ANGLES:
                 raise InputFileError(
-                    path, f"hand {key} at {time} ns", expected=f"{umetrack.N_ANGLES} joint angles", found=str(count)
+                    path, f"hand {key} at {time} ns", expected=f"{N_ANGLES} joint angles", found=str(count)
                 )
             angles[row, :count] = hand.joint_angles[:count]
         wrists = [(time, hand.wrist_xform) for time, hand in rows]
@@ -67,7 +157,8 @@ def read_lines(path: Path, decoder: msgspec.json.Decoder[Any]) -> tuple[list[Any
     Raises:
         InputFileError: if the file is missing, no line parses, or time runs backwards.
     """
-    records, bad = [], 0
+    records = []
+    bad = 0
     for line in _text_lines(path):
         try:
             records.append(decoder.decode(line))
@@ -130,7 +221,7 @@ class _Profile(msgspec.Struct):
 _PROFILE = msgspec.json.Decoder(_Profile, strict=False)
 
 
-def read_profile(path: Path) -> umetrack.HandModel:
+def read_profile(path: Path) -> HandModel:
     """The user's left hand, metres.
 
     Raises:
@@ -138,23 +229,23 @@ def read_profile(path: Path) -> umetrack.HandModel:
     """
     model = decode_json(path, _PROFILE).hand_model
     _require_weights(path, model.dense_bone_weights)
-    weights = np.array(model.dense_bone_weights, dtype=np.float64).reshape(-1, umetrack.N_BONES)
+    weights = np.array(model.dense_bone_weights, dtype=np.float64).reshape(-1, N_BONES)
     shapes = {
         "dense_bone_weights": ((len(weights),), (max(len(model.mesh_vertices), 1),)),
-        "joint_rest_positions": ((len(model.joint_rest_positions),), (umetrack.N_JOINTS,)),
-        "joint_rotation_axes": ((len(model.joint_rotation_axes),), (umetrack.N_JOINTS,)),
-        "landmark_rest_positions": ((len(model.landmark_rest_positions),), (umetrack.N_LANDMARKS,)),
+        "joint_rest_positions": ((len(model.joint_rest_positions),), (N_JOINTS,)),
+        "joint_rotation_axes": ((len(model.joint_rotation_axes),), (N_JOINTS,)),
+        "landmark_rest_positions": ((len(model.landmark_rest_positions),), (N_LANDMARKS,)),
     }
     for name, (found, expected) in shapes.items():
         if found != expected:
             raise InputFileError(path, name, expected=f"the shape {expected}", found=f"{found}")
     _require_places(path, model)
-    return umetrack.HandModel(
-        vertices=np.array(model.mesh_vertices) * umetrack.METRES_A_UNIT,
+    return HandModel(
+        vertices=np.array(model.mesh_vertices) * METRES_A_UNIT,
         weights=weights,
-        joint_positions=np.array(model.joint_rest_positions) * umetrack.METRES_A_UNIT,
+        joint_positions=np.array(model.joint_rest_positions) * METRES_A_UNIT,
         joint_axes=np.array(model.joint_rotation_axes),
-        landmarks=np.array(model.landmark_rest_positions) * umetrack.METRES_A_UNIT,
+        landmarks=np.array(model.landmark_rest_positions) * METRES_A_UNIT,
         landmark_weights=_dense(model.landmark_rest_bone_indices, model.landmark_rest_bone_weights),
         triangles=np.array(model.mesh_triangles, dtype=np.int64).reshape(-1, 3),
     )
@@ -162,11 +253,11 @@ def read_profile(path: Path) -> umetrack.HandModel:
 
 def _require_weights(path: Path, rows: list[list[float]]) -> None:
     for row, weights in enumerate(rows):
-        if len(weights) != umetrack.N_BONES or not abs(sum(weights) - 1) <= 1e-3:
+        if len(weights) != N_BONES or not abs(sum(weights) - 1) <= 1e-3:
             raise InputFileError(
                 path,
                 f"dense_bone_weights, row {row}",
-                expected=f"{umetrack.N_BONES} numbers that sum to 1",
+                expected=f"{N_BONES} numbers that sum to 1",
                 found=f"{len(weights)} that sum to {sum(weights):g}",
             )
 
@@ -174,28 +265,28 @@ def _require_weights(path: Path, rows: list[list[float]]) -> None:
 def _require_places(path: Path, model: _Model) -> None:
     """Refuse points far from any hand, and indices of bones or vertices that there are not."""
     for name in ("mesh_vertices", "joint_rest_positions", "joint_rotation_axes", "landmark_rest_positions"):
-        if not (np.abs(np.array(getattr(model, name))) * umetrack.METRES_A_UNIT <= _FARTHEST).all():
+        if not (np.abs(np.array(getattr(model, name))) * METRES_A_UNIT <= _FARTHEST).all():
             raise InputFileError(path, name, expected=f"points within {_FARTHEST:g} m of the wrist", found="others")
     for name, among in (
-        ("landmark_rest_bone_indices", umetrack.N_BONES),
+        ("landmark_rest_bone_indices", N_BONES),
         ("mesh_triangles", len(model.mesh_vertices)),
     ):
         indices = np.array(getattr(model, name), dtype=np.float64)
         if not ((indices >= 0) & (indices < among)).all():
             raise InputFileError(path, name, expected=f"indices from 0 to {among - 1}", found="others")
     landmarks = len(model.landmark_rest_bone_indices), len(model.landmark_rest_bone_weights)
-    if landmarks != (umetrack.N_LANDMARKS, umetrack.N_LANDMARKS):
+    if landmarks != (N_LANDMARKS, N_LANDMARKS):
         raise InputFileError(
             path,
             "landmark_rest_bone_indices",
-            expected=f"{umetrack.N_LANDMARKS} of them and as many weights",
+            expected=f"{N_LANDMARKS} of them and as many weights",
             found=f"{landmarks[0]} and {landmarks[1]}",
         )
 
 
 def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, float]]) -> np.ndarray:
     """Weights of all bones from (index, weight) triples; an index may stand there several times."""
-    dense = np.zeros((len(bones), umetrack.N_BONES))
+    dense = np.zeros((len(bones), N_BONES))
     rows = np.repeat(np.arange(len(bones)), 3)
     np.add.at(dense, (rows, np.array(bones).ravel()), np.array(weights, dtype=np.float64).ravel())
     return dense

@@ -1,26 +1,59 @@
-"""Where the files of HOT3D recordings lie, and which recordings can be used.
+"""Find the files of HOT3D recordings, and say which recordings can be used.
 
 Sources: docs/specification/hot3d.md#folder-tree and docs/specification/hot3d.md#usable-recordings.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
 from prbench.readers.egoallo import find_outputs
+from prbench.readers.egoallo.places import body_extent
+from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.options import Hot3dOptions
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, synthetic_tree_around
+from prbench.readers.options import ReaderOptions
+from prbench.readers.synthetic_tree import synthetic_tree_around
+from prbench.recording import Recording
 
-METADATA, OBJECTS, HEADSET, INSTANCES = "metadata", "objects", "headset", "instances"
-UMETRACK, PROFILE, MANO = "umetrack", "hand profile", "mano"
-MASK_PREFIX, MODEL_PREFIX, MANO_MODEL_PREFIX = "mask:", "model:", "mano model:"
+
+class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
+    """Options of the reader of HOT3D."""
+
+    poses: Literal["egoallo"] = "egoallo"
+    """Source of bodies; the dataset has none of its own."""
+    smplh_model: Path | None = None
+    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
+    poses_root: Path | None = None
+    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
+    hands: Literal["umetrack", "mano"] = "umetrack"
+    """Hand annotation that gives wrists and vertices."""
+    mano_models: Path | None = None
+    """Folder of ``MANO_LEFT.npz`` and ``MANO_RIGHT.npz``, for ``hands=mano``."""
+    meshes: bool = False
+    """Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an object."""
+
+
+METADATA = "metadata"
+OBJECTS = "objects"
+HEADSET = "headset"
+INSTANCES = "instances"
+UMETRACK = "umetrack"
+PROFILE = "hand profile"
+MANO = "mano"
+MASK_PREFIX = "mask:"
+MODEL_PREFIX = "model:"
+MANO_MODEL_PREFIX = "mano model:"
 """Roles of masks, object models and hand models are this and their name, uid or side."""
 
 _FILES = {
@@ -33,8 +66,8 @@ _FILES = {
 }
 
 
-class GroundTruth(msgspec.Struct):
-    """Which ground truth a recording has; that of test participants is withheld."""
+class _GroundTruth(msgspec.Struct):
+    """Ground truth that a recording has; that of test participants is withheld."""
 
     object_pose_gt: bool
     umetrack_hand_pose_gt: bool
@@ -47,14 +80,14 @@ class Metadata(msgspec.Struct):
     headset: str
     participant_id: str
     recording_name: str
-    gt_available_status: GroundTruth
+    gt_available_status: _GroundTruth
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
 
 
 def why_unusable(metadata: Metadata) -> str | None:
-    """Why a recording cannot be primed, or None: it must come from Aria glasses and have poses of objects and hands."""
+    """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
     if metadata.headset != hot3d.ARIA:
         return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
     status = metadata.gt_available_status
@@ -106,12 +139,13 @@ def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFile
     files += _mano_models(options)
     files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
     dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
-    split, skip = splits.get(folder.name), _skip_reason(folder)
+    split = splits.get(folder.name)
+    skip = _skip_reason(folder)
     return RecordingFiles(dataset, folder.name, folder, tuple(files), split=split, skip_reason=skip)
 
 
 def _is_hot3d(folder: Path) -> bool:
-    """Whether a folder with metadata is a recording of this dataset: other datasets call their metadata the same."""
+    """Return True for a recording of this dataset: other datasets call their metadata the same."""
     if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
         return True
     try:
@@ -157,3 +191,44 @@ def _mano_models(options: Hot3dOptions) -> list[InputFile]:
     folder = options.mano_models.expanduser()
     paths = {side: folder / f"MANO_{side.upper()}.npz" for side in ("left", "right")}
     return [input_file(f"{MANO_MODEL_PREFIX}{side}", path) for side, path in paths.items() if path.is_file()]
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The streams of one recording, each clock from its own start.
+
+    Ground truth and glasses have different clocks, which only reading all poses relates. The glasses record from the
+    beginning to the end of the ground truth, or longer; so they are at least as long.
+    """
+    device = [
+        _device_stream(file) for file in found.files if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file)
+    ]
+    body = body_extent(found)
+    truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK, MANO)]
+    masks = [_truth_stream(file) for file in found.files if file.role.startswith(MASK_PREFIX)]
+    return (*_from_start([*truth, *masks]), *_from_start(device if body is None else [*device, body]))
+
+
+def _truth_stream(file: InputFile) -> Extent:
+    """Hands have no row where none was seen, as at the start of many recordings."""
+    if file.role in (UMETRACK, MANO):
+        return replace(json_extent("hands", file), may_start_late=True)
+    stream = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}.get(file.role, "mask")
+    return csv_extent(stream, file, hot3d.TIME, 1e-9)
+
+
+def _device_stream(file: InputFile) -> Extent:
+    stream = "glasses" if file.role == TRAJECTORY else "gaze"
+    return replace(csv_extent(stream, file, TIME_COLUMN, 1e-6), tells_span=False, slack=SEVERAL_SENSORS)
+
+
+def _from_start(streams: Sequence[Extent]) -> tuple[Extent, ...]:
+    """The same with times since the first of all samples."""
+    start = min((stream.first for stream in streams if stream.first is not None), default=0.0)
+    return tuple(
+        replace(
+            stream,
+            first=None if stream.first is None else stream.first - start,
+            last=None if stream.last is None else stream.last - start,
+        )
+        for stream in streams
+    )

@@ -2,22 +2,57 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.readers.aria_mps import read_mps
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
-from prbench.readers.files import decode_json
+from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import layout
 from prbench.readers.hot3d.hands_mano import read_mano_hands
 from prbench.readers.hot3d.hands_umetrack import read_profile, read_umetrack
-from prbench.readers.hot3d.masks import read_masks
-from prbench.readers.hot3d.objects import read_objects
-from prbench.readers.hot3d.options import Hot3dOptions
-from prbench.readers.hot3d.poses import read_headset
+from prbench.readers.hot3d.layout import MASK_PREFIX, Hot3dOptions
+from prbench.readers.hot3d.objects import read_headset, read_objects
+
+_TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
+
+
+def _read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
+    """Those masks that curation honours and the recording has.
+
+    Raises:
+        InputFileError: for a damaged file.
+    """
+    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
+    for name in hot3d.MASK_NAMES:
+        path = found.path(f"{MASK_PREFIX}{name}")
+        if path is not None:
+            masks[name] = read_mask(path)
+    return masks
+
+
+def read_mask(path: Path) -> hot3d.MaskRows:
+    """One mask of the RGB stream, in the order of time.
+
+    Raises:
+        InputFileError: if the file or a column is missing, or a value is neither True nor False.
+    """
+    table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
+    values = table[hot3d.MASK].to_numpy()
+    streams = table[hot3d.STREAM].to_numpy()
+    unknown = np.flatnonzero(~np.isin(values, list(_TRUTH)))
+    if len(unknown):
+        row = int(unknown[0])
+        raise InputFileError(path, f"line {row + 2}", expected="True or False", found=f"'{values[row]}'")
+    rgb = streams == hot3d.RGB_STREAM
+    time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
+    return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
+
 
 _DEFAULTS = Hot3dOptions()
 
@@ -35,7 +70,7 @@ def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> h
     hands, hand_remarks = read_umetrack(found.require(layout.UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(layout.PROFILE)
     mano_hands, mano_remarks = read_mano_hands(found, options.mano_models) if options.hands == "mano" else (None, ())
-    masks = read_masks(found)
+    masks = _read_masks(found)
     mps = read_mps(found, thin=False)
     _require_z_up(found, mps.trajectory.up)
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)

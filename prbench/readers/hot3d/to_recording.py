@@ -6,6 +6,7 @@ Recording clock: seconds of the ground truth (TIME_CODE), to which the device ti
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +19,65 @@ from prbench.readers.aria_mps.format import MpsReadings, thinned
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
-from prbench.readers.hot3d.hand_streams import hand_streams
-from prbench.recording.streams import ObjectTrack, Occluder, Recording
+from prbench.recording.streams import HandStream, ObjectTrack, Occluder, Recording
 from prbench.timelines import nearest_index, require_overlap
+
+
+def hand_streams(
+    readings: hot3d.Hot3dReadings, good: Callable[[Int[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
+) -> tuple[tuple[HandStream, ...], tuple[str, ...]]:
+    """Wrists and vertices of both hands at the instants where they are tracked, and remarks.
+
+    Vertices are kept as float32 (a tenth of a micrometre within the room): they are the bulk of a recording.
+
+    Args:
+        readings: The recording.
+        good: Tells which times can be used.
+    """
+    if readings.mano_hands is not None:
+        posed = [_instants(hand) for hand in readings.mano_hands]
+    else:
+        posed = [umetrack_points(rows, readings.hand_model) for rows in readings.hands]
+    streams = []
+    for hand in posed:
+        if len(hand.time_ns) == 0:
+            continue
+        times = hand.time_ns / 1e9
+        valid = good(hand.time_ns)
+        streams.append(HandStream(hand.side, "wrist", times, y_up(hand.wrist)[:, None], valid))
+        if hand.vertices.shape[1]:
+            points = y_up(hand.vertices).astype(np.float32)
+            streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
+    return tuple(streams), _hand_remarks(posed)
+
+
+def umetrack_points(rows: hot3d.HandRows, model: umetrack.HandModel | None) -> hot3d.HandPoints:
+    """One hand, one row an instant; without a model no vertices. Source world, metres."""
+    kept = hot3d.first_of_pairs(rows.time_ns)
+    position = rows.position[kept]
+    rotation = rows.rotation[kept]
+    if model is None or not kept.any():
+        vertices = np.empty((int(kept.sum()), 0, 3))
+    else:
+        bones = umetrack.bone_transforms(model, rows.angles[kept])
+        vertices = umetrack.pose_points(
+            model.vertices, model.weights, bones, position, rotation, mirrored=rows.side == "right"
+        )
+    return hot3d.HandPoints(rows.side, rows.time_ns[kept], position, vertices)
+
+
+def _instants(hand: hot3d.HandPoints) -> hot3d.HandPoints:
+    kept = hot3d.first_of_pairs(hand.time_ns)
+    return hot3d.HandPoints(hand.side, hand.time_ns[kept], hand.wrist[kept], hand.vertices[kept])
+
+
+def _hand_remarks(posed: Sequence[hot3d.HandPoints]) -> tuple[str, ...]:
+    remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
+    if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
+        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
+    return tuple(remarks)
 
 
 def recording_from_hot3d(
@@ -92,7 +148,8 @@ def object_track(
     whoever asks for a pose. Without a model the box is the object's origin.
     """
     kept = hot3d.first_of_pairs(entry.rows.time_ns)
-    times, position = entry.rows.time_ns[kept] / 1e9, y_up(entry.rows.position[kept])
+    times = entry.rows.time_ns[kept] / 1e9
+    position = y_up(entry.rows.position[kept])
     turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
     rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
     valid = good[kept]
@@ -114,7 +171,7 @@ def object_track(
 
 
 class GoodFrames:
-    """Which instants of the ground truth can be used: the recording's masks, each absent one taken as all true."""
+    """Instants of the ground truth that can be used: the recording's masks, each absent one taken as all true."""
 
     def __init__(self, readings: hot3d.Hot3dReadings, *, skipped_start: float) -> None:
         self._masks = readings.masks
@@ -124,11 +181,11 @@ class GoodFrames:
         self._first_ns = int(readings.headset.time_ns[0]) + round(self.skipped_start * 1e9)
 
     def good(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
-        """Whether a stream of ground truth can be used at given times."""
+        """Return True where a stream of ground truth can be used at given times."""
         return self._flag(time_ns, mask) & self._flag(time_ns, "qa_pass") & (time_ns >= self._first_ns)
 
     def glasses_good(self, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Whether the glasses' poses can be used at given times, seconds; hands do not matter to them."""
+        """Return True where the glasses' poses can be used at given times, seconds; hands do not matter to them."""
         return self._flag(np.rint(times * 1e9).astype(np.int64), "headset_pose_available")
 
     def _flag(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
@@ -140,7 +197,8 @@ class GoodFrames:
 
 
 def _align(readings: hot3d.Hot3dReadings) -> ClockMatch:
-    headset, device = readings.headset, readings.mps.trajectory
+    headset = readings.headset
+    device = readings.mps.trajectory
     return match_clocks(
         headset.time_ns,
         headset.position,
@@ -184,7 +242,7 @@ def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
 
 
 def _remarks(readings: hot3d.Hot3dReadings, frames: GoodFrames) -> tuple[str, ...]:
-    """What a user should know about these readings."""
+    """Tell the user what is unusual about these readings."""
     remarks = []
     if frames.skipped_start:
         remarks.append(f"no mask_qa_pass: the first {frames.skipped_start} s of objects and hands are not used")

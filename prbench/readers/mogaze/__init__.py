@@ -8,8 +8,9 @@ from pathlib import Path
 from prbench.boundary import foreign_input
 from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
+from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.mogaze.layouts import find_recordings
+from prbench.readers.mogaze.layouts import extents, find_recordings
 from prbench.readers.mogaze.readings import read_readings
 from prbench.readers.mogaze.to_recording import JointMapping, recording_from_mogaze
 from prbench.readers.options import ReaderOptions
@@ -19,10 +20,10 @@ __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_r
 
 
 class MogazeOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a user may choose about reading MoGaze."""
+    """Options of the reader of MoGaze."""
 
     joint_mapping: JointMapping = "anatomical"
-    """How the 22 joints are made of the 21 links: where a body has them, or (``named``) as the links are called."""
+    """Mapping of the 21 links to the 22 joints: where a body has them, or (``named``) as the links are called."""
     legacy_gaze: bool = False
     """Gaze by the formula of the dataset's own player, which subtracts the goggles' position once more."""
     meshes: bool = False
@@ -58,6 +59,10 @@ class MogazeReader:
             joint_mapping=self.options.joint_mapping,
             legacy_gaze=self.options.legacy_gaze,
         )
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
+        """See :class:`prbench.readers.KnowsEnds`."""
+        return extents(found, recording)
 
 
 READER = MogazeReader()

@@ -68,7 +68,7 @@ def group(path: Path, file: h5py.File, name: str) -> h5py.Group:
 
 
 def _entry(path: Path, parent: h5py.Group, name: str) -> object:
-    """What stands under a name in this very file; a link that leads elsewhere is never followed."""
+    """Return what stands under a name in this very file; a link that leads elsewhere is never followed."""
     link = parent.get(name, getlink=True)
     if link is not None and not isinstance(link, h5py.HardLink):
         found = f"a link ({type(link).__name__})"

@@ -98,8 +98,10 @@ def forward_kinematics(
         offsets: See :func:`link_offsets`.
     """
     local = intrinsic_xyz(state[:, 3:].reshape(-1, N_LINKS, 3))
-    positions, rotations = np.empty((len(state), N_LINKS, 3)), np.empty((len(state), N_LINKS, 3, 3))
-    positions[:, 0], rotations[:, 0] = state[:, :3], local[:, 0]
+    positions = np.empty((len(state), N_LINKS, 3))
+    rotations = np.empty((len(state), N_LINKS, 3, 3))
+    positions[:, 0] = state[:, :3]
+    rotations[:, 0] = local[:, 0]
     for index, link in enumerate(LINKS[1:], start=1):
         parent = LINKS.index(PARENT_LINKS[link])
         positions[:, index] = positions[:, parent] + rotations[:, parent] @ offsets[index]
@@ -111,7 +113,9 @@ def intrinsic_xyz(angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*
     """Rotation matrices Rx(a) Ry(b) Rz(c), radians."""
     (cos_x, cos_y, cos_z), (sin_x, sin_y, sin_z) = (np.moveaxis(f(angles), -1, 0) for f in (np.cos, np.sin))
     matrix = np.empty((*angles.shape, 3))
-    matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 0, 2] = cos_y * cos_z, -cos_y * sin_z, sin_y
+    matrix[..., 0, 0] = cos_y * cos_z
+    matrix[..., 0, 1] = -cos_y * sin_z
+    matrix[..., 0, 2] = sin_y
     matrix[..., 1, 0] = sin_x * sin_y * cos_z + cos_x * sin_z
     matrix[..., 1, 1] = cos_x * cos_z - sin_x * sin_y * sin_z
     matrix[..., 1, 2] = -sin_x * cos_y

@@ -41,7 +41,7 @@ def annotated_events(
         The events in the order of time, and what was left out.
     """
     by_name = {track.name: track for track in tracks}
-    carries, remarks = carries_of(segments, by_name, len(body.times))
+    carries, remarks = _carries_of(segments, by_name, len(body.times))
     last = len(body.times) - 1
     events = []
     for number, carry in enumerate(carries):
@@ -58,7 +58,7 @@ def annotated_events(
     return tuple(events), remarks
 
 
-def carries_of(
+def _carries_of(
     segments: Sequence[Segment], labels: dict[str, ObjectTrack], n_frames: int
 ) -> tuple[list[Carry], tuple[str, ...]]:
     """The movements of objects: in order, equal neighbours merged, impossible segments left out with a remark."""
@@ -69,7 +69,8 @@ def carries_of(
     if ordered != list(segments):
         remarks.append("the segments are not in the order of time and are sorted")
     kept: list[Carry] = []
-    previous, merged = "", 0
+    previous = ""
+    merged = 0
     for segment in ordered:
         reason = _why_bad(segment, labels, n_frames)
         if reason:

@@ -16,10 +16,16 @@ PARTS = ("human_data", "object_data", "gaze_data", "segmentations")
 SCENE_FILE = "scene.xml"
 MESH_FOLDER = "meshfiles"
 
-HUMAN_DATASET, OBJECT_GROUP, GAZE_DATASET, SEGMENT_DATASET = "data", "bodies", "gaze", "segments"
-COLUMNS_ATTRIBUTE, START_ATTRIBUTE = "description", "startframe"
-FIXED_KEYS_ATTRIBUTE, FIXED_VALUES_ATTRIBUTE = "keys_fixed", "values_fixed"
-CALIBRATION_ATTRIBUTE, LABELS_ATTRIBUTE = "calibration", "labels"
+HUMAN_DATASET = "data"
+OBJECT_GROUP = "bodies"
+GAZE_DATASET = "gaze"
+SEGMENT_DATASET = "segments"
+COLUMNS_ATTRIBUTE = "description"
+START_ATTRIBUTE = "startframe"
+FIXED_KEYS_ATTRIBUTE = "keys_fixed"
+FIXED_VALUES_ATTRIBUTE = "values_fixed"
+CALIBRATION_ATTRIBUTE = "calibration"
+LABELS_ATTRIBUTE = "labels"
 PARTICIPANT_ATTRIBUTE = "participant"
 """Written by prbench only: real recordings carry the participant in their name."""
 GAZE_POINT = slice(2, 5)
@@ -43,7 +49,7 @@ UNREMARKABLE_LENGTH_DIFFERENCE = 2
 
 
 def kind_of_body(name: str) -> str:
-    """What a body is: ``cup``, ``plate``, ``jug``, ``bowl``, ``table``, ``laiva_shelf``, ``red_chair`` → ``chair``.
+    """Kind of a body: ``cup``, ``plate``, ``jug``, ``bowl``, ``table``, ``laiva_shelf``, ``red_chair`` → ``chair``.
 
     Colours and numbers are left out; a name that follows no known pattern is its own kind.
     """
@@ -54,7 +60,7 @@ def kind_of_body(name: str) -> str:
 
 
 def is_furniture(name: str) -> bool:
-    """Whether a body stands in its place for the whole recording."""
+    """Return True where a body stands in its place for the whole recording."""
     return kind_of_body(name).lower().endswith(FURNITURE)
 
 
@@ -98,7 +104,7 @@ class MogazeBody:
     box_min: Float[np.ndarray, "3"]
     box_max: Float[np.ndarray, "3"]
     vertices: Float[np.ndarray, "v 3"] | None = None
-    """Of its mesh, in its own frame; None without a mesh, or where nobody asked for it."""
+    """Vertices of its mesh, in its own frame; None without a mesh, or where nobody asked for it."""
     faces: Int[np.ndarray, "f 3"] | None = None
 
 
@@ -131,4 +137,4 @@ class MogazeReadings:
     segments: tuple[Segment, ...]
     """In the order of the file."""
     messages: tuple[str, ...] = ()
-    """What reading the files brought up."""
+    """Messages of reading the files."""

@@ -1,19 +1,25 @@
-"""Where the files of MoGaze recordings lie: all in one folder, four HDF5 files a recording, and a common scene."""
+"""Find the files of MoGaze recordings: all in one folder, four HDF5 files a recording, and a common scene."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import h5py
+
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
+from prbench.readers.extents import Extent
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.mogaze import format as mogaze
+from prbench.readers.mogaze.arrays import opened
 from prbench.readers.mogaze.scene import read_scene
-from prbench.readers.synthetic_tree import SYNTHETIC_PREFIX, read_synthetic_tree
+from prbench.readers.synthetic_tree import read_synthetic_tree
+from prbench.recording import Recording
 
 SCENE = "scene"
-MESH_PREFIX = "mesh:"
+_MESH_PREFIX = "mesh:"
 """Role of a mesh: this and the name of its file."""
 
 _FILE_NAME = re.compile(rf"(?P<id>p\d+_\d+|\w+_synthetic_\w+)_(?P<part>{'|'.join(mogaze.PARTS)})\.hdf5")
@@ -76,5 +82,41 @@ def _shared_files(folder: Path) -> tuple[InputFile, ...]:
         meshes = set()
     return (
         input_file(SCENE, path),
-        *(input_file(f"{MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in sorted(meshes)),
+        *(input_file(f"{_MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in sorted(meshes)),
     )
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The streams of one recording: frames at one rate, all from frame 0; labels begin and end with nothing in hand."""
+    return tuple(stream for file in found.files if (stream := _extent(file)) is not None)
+
+
+def _extent(file: InputFile) -> Extent | None:
+    human, objects, gaze, segments = mogaze.PARTS
+    streams = {human: "body", objects: "objects", gaze: "gaze", segments: "labels"}
+    if file.role not in streams:
+        return None
+    try:
+        with opened(file.path) as content:
+            last = _last_label(content) if file.role == segments else _last_frame(content)
+    except (InputFileError, KeyError):
+        return None  # reading says what is wrong with it
+    seconds = None if last is None else last / mogaze.RATE
+    return Extent(streams[file.role], file.path.name, 0.0, seconds, tells_span=file.role != segments)
+
+
+def _last_frame(content: h5py.File) -> int | None:
+    """Return the last frame of a file's shortest array; None where it holds no frame."""
+    bodies = content.get(mogaze.OBJECT_GROUP)
+    arrays = list(bodies.values()) if isinstance(bodies, h5py.Group) else []
+    arrays += [content[name] for name in (mogaze.HUMAN_DATASET, mogaze.GAZE_DATASET) if name in content]
+    frames = min((array.shape[0] for array in arrays if isinstance(array, h5py.Dataset) and array.ndim), default=0)
+    return frames - 1 if frames else None
+
+
+def _last_label(content: h5py.File) -> int | None:
+    """Last frame of the last label; None where nothing is labelled."""
+    rows = content[mogaze.SEGMENT_DATASET]
+    if not isinstance(rows, h5py.Dataset) or rows.ndim != 1 or len(rows) == 0:
+        return None
+    return int(rows[len(rows) - 1][1])

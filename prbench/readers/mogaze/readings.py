@@ -44,7 +44,8 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     paths = {part: found.require(part, f"{found.recording_id}_{part}.hdf5") for part in mogaze.PARTS}
     human, objects, gaze, segmentations = (paths[part] for part in mogaze.PARTS)
     state, fixed, participant = _read_human(human)
-    poses, scene_file = _read_poses(objects), found.path(SCENE)
+    poses = _read_poses(objects)
+    scene_file = found.path(SCENE)
     scene = {} if scene_file is None else read_scene(scene_file)
     bodies = _named(objects, poses, scene)
     naming = "" if scene else f"no {mogaze.SCENE_FILE}: the bodies have their names by the order of their keys"
@@ -151,7 +152,8 @@ def _body(
 ) -> mogaze.MogazeBody:
     vertices, faces = (None, None) if body.mesh is None else read_mesh(body.mesh)
     if vertices is not None:
-        box_min, box_max = vertices.min(axis=0), vertices.max(axis=0)
+        box_min = vertices.min(axis=0)
+        box_max = vertices.max(axis=0)
     else:
         point = ((0.0, 0.0),) * 3
         box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(body.name), point)).T
@@ -203,7 +205,8 @@ def _read_segments(path: Path) -> tuple[mogaze.Segment, ...]:
 
 def _common_length(found: RecordingFiles, lengths: dict[str, int]) -> tuple[int, str]:
     """The shortest stream's length, and a remark where the streams differ by more than two frames."""
-    short, long = min(lengths, key=lambda name: lengths[name]), max(lengths, key=lambda name: lengths[name])
+    short = min(lengths, key=lambda name: lengths[name])
+    long = max(lengths, key=lambda name: lengths[name])
     difference = lengths[long] - lengths[short]
     if difference > mogaze.LONGEST_LENGTH_DIFFERENCE * lengths[long]:
         raise InputFileError(

@@ -47,7 +47,8 @@ def read_scene(path: Path) -> dict[int, SceneBody]:
         ) from error
     bodies = {}
     for number, entry in enumerate(root.iter("body"), start=1):
-        key, name = entry.get("id", ""), entry.get("name", "").strip()
+        key = entry.get("id", "")
+        name = entry.get("name", "").strip()
         if not key.isdecimal() or len(key) > _MOST_DIGITS or not name:
             raise InputFileError(
                 path,
@@ -97,7 +98,8 @@ def _read_mesh(path: Path, _size: int, _changed: int) -> tuple[Float[np.ndarray,
     try:
         require_size(path)
         mesh = trimesh.load_mesh(path, process=False)
-        vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+        vertices = np.array(mesh.vertices, dtype=np.float64)
+        faces = np.array(mesh.faces, dtype=np.int64)
     except (ValueError, IndexError, KeyError, AttributeError, TypeError) as error:
         raise _no_mesh(path, f"'{error}'") from error
     if len(faces) == 0 or not np.isfinite(vertices).all():

@@ -135,7 +135,7 @@ def _head(
     tracked: Bool[np.ndarray, " n"],
     head_link: Float[np.ndarray, "n 3 3"],
 ) -> PoseStream:
-    """Where the goggles are, turned as the head is: the goggles' own axes mean nothing."""
+    """Return the goggles' poses, turned as the head is: the goggles' own axes mean nothing."""
     known = np.isfinite(head_link).all(axis=(1, 2))
     face = np.array(mogaze_body.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
@@ -197,7 +197,7 @@ def _remarks(
     *,
     in_metres: bool,
 ) -> tuple[str, ...]:
-    """What a user should know about these readings."""
+    """Tell the user what is unusual about these readings."""
     remarks = []
     if world_from_source[1, 3]:
         remarks.append(f"the lowest toes are at {-world_from_source[1, 3]:.2f} m: the floor is moved there")

@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 
@@ -14,6 +14,7 @@ from prbench.boundary import foreign_input
 from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.limits import HARMLESS_SIZE
+from prbench.readers.egoallo.inputs import Need
 
 PLACEHOLDERS = {
     "python": "the interpreter named in the config",
@@ -32,8 +33,6 @@ DEFAULT_COMMAND = (
     "--guidance-mode", "{guidance}", "--smplh-npz-path", "{model}",
 )  # fmt: skip
 """EgoAllo's own script (repository brentyi/egoallo, commit 0c20ae8)."""
-
-Need = Literal["vrs", "points"]
 
 
 class PosesConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.model import HOW_TO_GET
+from prbench.readers.egoallo.joints import HOW_TO_GET
 from prbench.workflows.poses.states import PoseState
 
 _INSTALL = """\

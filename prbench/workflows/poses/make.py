@@ -12,11 +12,11 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.locks import lock_file, sole_writer
 from prbench.readers.egoallo import find_model
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.inputs import EgoalloInputs
 from prbench.readers.egoallo.joints import read_window
 from prbench.storage import atomic_folder
 from prbench.workflows.poses.config import PosesConfig
 from prbench.workflows.poses.coverage import coverage
-from prbench.workflows.poses.inputs import Inputs
 from prbench.workflows.poses.prepare import Prepared, guidance_mode, head_poses, prepare, source_trajectory
 from prbench.workflows.poses.program import run_program
 from prbench.workflows.poses.states import PoseState
@@ -112,7 +112,7 @@ def _make(state: PoseState, config: PosesConfig, model: Path | None, keep_inputs
                 _clear(work)
 
 
-def _run(state: PoseState, inputs: Inputs, config: PosesConfig, model: Path | None, work: Path) -> Outcome:
+def _run(state: PoseState, inputs: EgoalloInputs, config: PosesConfig, model: Path | None, work: Path) -> Outcome:
     name = state.found.recording_id
     prepared = prepare(inputs, work)
     command = config.command_line(_values(name, prepared, model))

@@ -16,17 +16,14 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE
-from prbench.readers.adt import format as adt
-from prbench.readers.adt.for_egoallo import prepared_trajectory
-from prbench.readers.adt.to_recording import ASSUMED_SIZE
 from prbench.readers.aria_mps import AriaTrajectory, Source, read_first_calibration, read_trajectory
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.streams import part_poses
+from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs
 from prbench.readers.zipped import opened
 from prbench.recording import PoseStream
 from prbench.storage import atomic_path
-from prbench.workflows.poses.inputs import POINT_FILES, Inputs
 
 _FPS = 30.0
 _POINT_COLUMNS = ("uid", "graph_uid", "px_world", "py_world", "pz_world", "inv_dist_std", "dist_std")
@@ -57,7 +54,7 @@ def guidance_mode(prepared: Prepared) -> str:
     return "aria_wrist_only" if prepared.has_wrists else "no_hands"
 
 
-def prepare(inputs: Inputs, folder: Path) -> Prepared:
+def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
     """Write a recording's inputs into a folder; large files are linked, not copied, where that is possible.
 
     Raises:
@@ -66,12 +63,12 @@ def prepare(inputs: Inputs, folder: Path) -> Prepared:
     """
     trajectory = source_trajectory(inputs)
     place = folder / mps.SLAM_FOLDER / mps.TRAJECTORY_FILE
-    if inputs.y_up or trajectory.left_out:
+    if inputs.turned is not None or trajectory.left_out:
         write_trajectory(place, trajectory)
     else:
         _bring(inputs.trajectory, place)
     points = folder / mps.SLAM_FOLDER / POINT_FILES[0]
-    if inputs.y_up:
+    if inputs.turned is not None:
         _write_turned_points(inputs.points, points)
     elif inputs.points is not None:
         _bring(inputs.points, points)
@@ -82,22 +79,19 @@ def prepare(inputs: Inputs, folder: Path) -> Prepared:
     return Prepared(folder, place, _frames(inputs, trajectory), inputs.wrists is not None)
 
 
-def source_trajectory(inputs: Inputs) -> AriaTrajectory:
-    """The poses that EgoAllo is given: the recording's own, ADT's turned and at 1 kHz.
+def source_trajectory(inputs: EgoalloInputs) -> AriaTrajectory:
+    """The poses that EgoAllo is given: the recording's own, or (in a world with Y up) turned and at 1 kHz.
 
     Raises:
         InputFileError: if the trajectory is damaged.
     """
     trajectory = read_trajectory(inputs.trajectory)
-    if not inputs.y_up:
-        return trajectory
-    poses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
-    return prepared_trajectory(poses)
+    return trajectory if inputs.turned is None else inputs.turned(trajectory)
 
 
-def head_poses(inputs: Inputs, trajectory: AriaTrajectory) -> PoseStream:
+def head_poses(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> PoseStream:
     """Central pupil frame in the world of EgoAllo's outputs, device seconds."""
-    size = ASSUMED_SIZE if inputs.y_up else "DVT-S"
+    size = inputs.glasses_size
     if inputs.calibration is not None:
         size = read_first_calibration(inputs.calibration).size
     valid = np.ones(len(trajectory.time_us), dtype=bool)
@@ -128,7 +122,7 @@ def write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
         _write_csv(temporary, columns)
 
 
-def _frames(inputs: Inputs, trajectory: AriaTrajectory) -> int:
+def _frames(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> int:
     """Frames of an output for the whole recording: EgoAllo's own sampling, less the first pose.
 
     Raises:
@@ -166,7 +160,7 @@ def _bring(source: Source, place: Path) -> None:
 
 
 def _write_turned_points(source: Source | None, place: Path) -> None:
-    """ADT's points with Z up; without any, a flat floor at height 0, where ADT's scenes have it."""
+    """Points of a world with Y up, with Z up; without any, a flat floor at height 0, where such scenes have it."""
     if source is None:
         x, y = np.meshgrid(*2 * [np.linspace(-_FLOOR_EDGE, _FLOOR_EDGE, _FLOOR_POINTS)])
         table = _point_table(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))

@@ -10,15 +10,12 @@ from typing import Literal
 
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import load_manifest
-from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, reader_for
-from prbench.readers.discover import discover
+from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reader_for
+from prbench.readers.discover import discover, usable_readers
 from prbench.readers.egoallo import OUTPUT_ROLE, poses_folder
+from prbench.readers.egoallo.inputs import EgoalloInputs
 from prbench.workflows.poses.coverage import coverage
-from prbench.workflows.poses.inputs import Inputs, find_inputs
 from prbench.workflows.poses.prepare import head_poses, source_trajectory
-
-DATASETS = ("adt", "hd-epic", "hot3d")
-"""Datasets of Aria glasses, from which EgoAllo can estimate bodies."""
 
 State = Literal["complete", "partial", "refused", "missing", "unreadable", "skipped"]
 
@@ -35,7 +32,7 @@ class PoseState:
     """Details for the user."""
     target: Path
     """The folder in which readers look for outputs."""
-    inputs: Inputs | None
+    inputs: EgoalloInputs | None
     """The inputs; None where there is no trajectory to start from."""
 
     @property
@@ -49,7 +46,7 @@ class Selection:
     """The choice of recordings."""
 
     dataset: str | None = None
-    """One of :data:`DATASETS`; found out from the folder if None."""
+    """A dataset of Aria glasses; found out from the folder if None."""
     recordings: str = "*"
     """Pattern of names."""
     limit: int | None = None
@@ -74,10 +71,11 @@ def pose_states(root: Path, selection: Selection = EVERYTHING) -> Iterator[PoseS
 
 def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
     """The recordings that are meant, with their outputs among their files (see :func:`pose_states`)."""
-    dataset = selection.dataset or _dataset_at(root)
-    if dataset not in DATASETS:
+    datasets = _datasets_of_aria_glasses()
+    dataset = selection.dataset or _dataset_at(root, datasets)
+    if dataset not in datasets:
         raise UsageError(
-            f"EgoAllo needs Aria glasses: --dataset must be one of {', '.join(DATASETS)}, not '{dataset}'."
+            f"EgoAllo needs Aria glasses: --dataset must be one of {', '.join(datasets)}, not '{dataset}'."
         )
     options = {"poses": "egoallo"}
     if selection.poses_root is not None:
@@ -98,7 +96,7 @@ def pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None
     if bad:
         return PoseState(found, "skipped", bad, target, None)
     try:
-        inputs = find_inputs(root, found)
+        inputs = _reader(found.dataset).egoallo_inputs(root, found)
         if not outputs:
             return PoseState(found, "missing", "no outputs", target, inputs)
         cpf = head_poses(inputs, source_trajectory(inputs))
@@ -112,9 +110,20 @@ def pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None
     return PoseState(found, state, f"{len(outputs)} outputs cover {covered}", target, inputs)
 
 
-def _dataset_at(root: Path) -> str:
+def _reader(dataset: str) -> AriaGlasses:
+    reader = reader_for(dataset)
+    assert isinstance(reader, AriaGlasses), "select() takes recordings of such datasets alone"
+    return reader
+
+
+def _datasets_of_aria_glasses() -> tuple[str, ...]:
+    """Datasets from which EgoAllo can estimate bodies."""
+    return tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
+
+
+def _dataset_at(root: Path, datasets: tuple[str, ...]) -> str:
     try:
-        found = sorted({each.dataset for each in discover(root).found if each.root == root} & set(DATASETS))
+        found = sorted({each.dataset for each in discover(root).found if each.root == root} & set(datasets))
     except PrbenchError as error:
         raise UsageError(f"{error} Name the dataset with --dataset.") from error
     if len(found) != 1:

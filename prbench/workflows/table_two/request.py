@@ -14,10 +14,12 @@ import msgspec
 
 import prbench
 from prbench.contract import Condition
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError, did_you_mean
 from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.preparation import DEFAULT_PARENT
 from prbench.manifests import read_toml
+from prbench.published import load_table_one
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
@@ -25,7 +27,6 @@ _PACKAGE, _FILE = "prbench_benchmarks.prime_and_reach", "table_2.toml"
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 """Controls that always stand beside the rows."""
-_PAPER_ORDER = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -252,5 +253,6 @@ class TableRequest:
 
 
 def _place(dataset: str) -> tuple[int, str]:
-    plain = dataset.removeprefix("synthetic-")
-    return (_PAPER_ORDER.index(plain) if plain in _PAPER_ORDER else len(_PAPER_ORDER), dataset)
+    printed = tuple(load_table_one())
+    plain = dataset.removeprefix(SYNTHETIC_PREFIX)
+    return (printed.index(plain) if plain in printed else len(printed), dataset)

@@ -9,7 +9,7 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.readers.gimo.bvh import BvhMotion
-from prbench.readers.gimo.suit_skeleton import lay_skeleton
+from prbench.readers.gimo.suit_skeleton import place_skeleton
 from tests.fakes import STANDING
 from tests.readers.gimo_sample import LEAD, N_FRAMES, path_of_pelvis, skeleton
 
@@ -18,7 +18,7 @@ SECONDS = 7.0 + np.arange(N_FRAMES) / 30
 
 def laid(motion: BvhMotion, pelvis: np.ndarray | None = None):
     track = path_of_pelvis(SECONDS - 7.0) if pelvis is None else pelvis
-    return lay_skeleton(motion, SECONDS, track, name="skeleton.bvh", largest_error=0.05)
+    return place_skeleton(motion, SECONDS, track, name="skeleton.bvh", largest_error=0.05)
 
 
 @pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])

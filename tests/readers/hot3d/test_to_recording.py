@@ -10,8 +10,7 @@ import pytest
 from prbench.errors import RecordingUnusable, StreamsDoNotOverlap
 from prbench.manifests import load_manifest
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.hand_streams import umetrack_points
-from prbench.readers.hot3d.to_recording import GoodFrames, object_track, recording_from_hot3d
+from prbench.readers.hot3d.to_recording import GoodFrames, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance

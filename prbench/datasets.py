@@ -1,0 +1,143 @@
+"""Find the datasets that can be read: prbench's own and those of installed packages (group ``prbench.readers``).
+
+A package that reads a dataset has one line under ``[project.entry-points."prbench.readers"]``, the dataset's name and
+its reader, and the manifest ``<dataset>.toml`` beside the module that the line names. Nothing of a package is imported
+to list it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from prbench.entry_points import InstalledEntry, installed_entries
+from prbench.errors import UsageError, did_you_mean
+from prbench.shown import quoted
+
+ENTRY_POINT_GROUP = "prbench.readers"
+SYNTHETIC_PREFIX = "synthetic-"
+"""Begins the name under which synthetic recordings of a dataset are kept; they have the layout of real ones."""
+
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_LONGEST_NAME = 60
+_RESERVED = ("all", "synthetic")
+"""Words with another meaning in commands."""
+
+
+@dataclass(frozen=True)
+class InstalledReader:
+    """Entry of a reader in package metadata."""
+
+    dataset: str
+    package: str
+    version: str
+    target: str
+    """``module:object``."""
+    built_in: bool
+    """It comes with prbench itself."""
+    problem: str = ""
+    """Reason why the reader cannot be used; empty if it can."""
+
+    @property
+    def origin(self) -> str:
+        """The reader as messages name it."""
+        return f"reader of '{self.dataset}' (package {self.package} {self.version}, {quoted(self.target)})"
+
+
+def installed_readers() -> tuple[InstalledReader, ...]:
+    """List every reader by its dataset's name; those that cannot be used say why."""
+    return _readers_on(tuple(sys.path))
+
+
+def readable_datasets() -> tuple[str, ...]:
+    """Names of the datasets that have a reader, sorted."""
+    return tuple(reader.dataset for reader in installed_readers() if not reader.problem)
+
+
+def find_reader(dataset: str) -> InstalledReader:
+    """Find the reader of a dataset; ``synthetic-`` before the name is ignored.
+
+    Raises:
+        UsageError: for a dataset without reader, with the nearest known name, or one whose reader cannot be used.
+    """
+    name = dataset.removeprefix(SYNTHETIC_PREFIX)
+    claims = [reader for reader in installed_readers() if reader.dataset == name]
+    usable = next((reader for reader in claims if not reader.problem), None)
+    if usable is not None:
+        return usable
+    if claims:
+        raise UsageError(f"{claims[0].origin}: {claims[0].problem}. Repair or uninstall the package.")
+    known = readable_datasets()
+    raise UsageError(
+        f"no reader for '{dataset}'.{did_you_mean(name, known)} There are readers for: {', '.join(known)}."
+    )
+
+
+def own_datasets() -> tuple[str, ...]:
+    """Names of the datasets and corpora whose manifests come with prbench, sorted."""
+    files = resources.files("prbench_data_manifests").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def folder_of(reader: InstalledReader) -> Path:
+    """Return the folder of the module that an entry point names, without importing that module.
+
+    The packages around it are imported.
+
+    Raises:
+        UsageError: if there is no such module, or a package around it cannot be imported.
+    """
+    module = reader.target.partition(":")[0].strip()
+    try:
+        found = importlib.util.find_spec(module)
+    except (Exception, SystemExit) as error:
+        cause = f"{type(error).__name__}: {error}".rstrip(".")
+        raise UsageError(f"{reader.origin}: cannot be imported: {cause}. Repair or reinstall the package.") from error
+    if found is None or found.origin is None:
+        raise UsageError(f"{reader.origin}: there is no module '{module}'. Repair or reinstall the package.")
+    return Path(found.origin).parent
+
+
+@cache
+def _readers_on(path: tuple[str, ...]) -> tuple[InstalledReader, ...]:  # noqa: ARG001
+    """See :func:`installed_readers`; readers are asked for often, and the metadata change with the path alone."""
+    entries = list(installed_entries(ENTRY_POINT_GROUP, kind="READER"))
+    own = {entry.name for entry in entries if entry.ours} | set(own_datasets())
+    readers = [_reader(entry, own) for entry in entries]
+    claims = Counter(reader.dataset for reader in readers if not reader.problem)
+    readers = [_offered_once(reader, claims, readers) for reader in readers]
+    return tuple(sorted(readers, key=lambda reader: (reader.dataset, reader.package)))
+
+
+def _reader(entry: InstalledEntry, own: Iterable[str]) -> InstalledReader:
+    problem = entry.problem
+    if not problem and not entry.ours:
+        problem = _name_problem(entry.name, own)
+    name = entry.name if _NAME.fullmatch(entry.name) else quoted(entry.name or "unknown")
+    return InstalledReader(name, entry.package, entry.version, entry.target, entry.ours, problem)
+
+
+def _name_problem(name: str, own: Iterable[str]) -> str:
+    """Say what is wrong with the name that a package gives its dataset; empty if nothing is."""
+    if not _NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
+        form = f"at most {_LONGEST_NAME} characters of a to z, 0 to 9 and single hyphens between them"
+        return f"expected a name of {form}, found {quoted(repr(name))}"
+    if name in _RESERVED or name.startswith(SYNTHETIC_PREFIX):
+        return f"'{name}' is a reserved word of prbench"
+    taken = next((other for other in sorted(own) if other.replace("-", "") == name.replace("-", "")), None)
+    return "" if taken is None else f"'{taken}' is a dataset of prbench itself; choose another name"
+
+
+def _offered_once(reader: InstalledReader, claims: Counter[str], readers: Iterable[InstalledReader]) -> InstalledReader:
+    """The reader, refused where another package offers the same dataset."""
+    if reader.problem or claims[reader.dataset] == 1:
+        return reader
+    packages = sorted({other.package for other in readers if other.dataset == reader.dataset})
+    return replace(reader, problem=f"it is offered more than once, by {' and '.join(packages)}")

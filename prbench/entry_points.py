@@ -1,0 +1,106 @@
+"""Read the plug-ins of a group from package metadata, so that one damaged package never hides the others.
+
+``importlib.metadata.entry_points`` gives up on the first line that it cannot parse, and with it every command that
+names a plug-in. Here each package is read by itself, and what is wrong with it is said beside its name. Nothing that
+is listed gets imported.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import Distribution, distributions
+
+from prbench.shown import quoted
+
+_OURS = "prbench"  # the distribution whose plug-ins are built in
+_UNKNOWN = "unknown"
+_TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
+
+
+@dataclass(frozen=True)
+class InstalledEntry:
+    """One line ``name = module:object`` of an installed package."""
+
+    name: str
+    """Empty where the line has none."""
+    target: str
+    """``module:object``; empty where the line has none."""
+    package: str
+    version: str
+    ours: bool
+    """The package is prbench itself."""
+    problem: str = ""
+    """Reason why the line cannot be used; empty if it can."""
+
+
+def installed_entries(group: str, *, kind: str = "callable") -> Iterator[InstalledEntry]:
+    """Read the lines of a group from the metadata of every installed package.
+
+    Args:
+        group: Name of the entry-point group.
+        kind: What stands behind the colon, for messages.
+    """
+    for distribution in _distributions():
+        lines = _lines(distribution, group)
+        if not lines:
+            continue
+        package = quoted(_field(distribution, "Name") or _folder_name(distribution) or _UNKNOWN)
+        version = quoted(_field(distribution, "Version") or _UNKNOWN)
+        ours = _normalised(distribution) == _OURS
+        for line in lines:
+            name, separator, target = (part.strip() for part in line.partition("="))
+            problem = ""
+            if not separator or not name:
+                problem = f"entry_points.txt: expected 'name = module:{kind}', found '{quoted(line, longest=60)}'"
+            elif not _TARGET.fullmatch(target):
+                problem = f"entry point: expected 'module:{kind}', found '{quoted(target, longest=60)}'"
+            yield InstalledEntry(name, target, package, version, ours, problem)
+
+
+def _distributions() -> Iterator[Distribution]:
+    """Installed packages; of two copies the one that stands first on the path, as an import would find it."""
+    seen = set()
+    for distribution in distributions():
+        name = _normalised(distribution)
+        if name not in seen:
+            seen.add(name)
+            yield distribution
+
+
+def _normalised(distribution: Distribution) -> str:
+    return re.sub(r"[-_.]+", "-", _folder_name(distribution) or _field(distribution, "Name")).lower()
+
+
+def _folder_name(distribution: Distribution) -> str:
+    """The package's name as its ``.dist-info`` folder has it, which costs no reading.
+
+    A source checkout has ``name.egg-info`` without a version.
+    """
+    stem, _, suffix = str(getattr(getattr(distribution, "_path", None), "name", "")).rpartition(".")
+    return stem.partition("-")[0] if suffix in ("dist-info", "egg-info") else ""
+
+
+def _field(distribution: Distribution, name: str) -> str:
+    """``Name`` or ``Version`` from a package's metadata; empty if they cannot be read."""
+    try:
+        return str(distribution.metadata.get(name) or "")  # type: ignore[attr-defined]  # an email.message.Message
+    except Exception:  # whatever a strange installation raises, the others are still to be listed
+        return ""
+
+
+def _lines(distribution: Distribution, group: str) -> list[str]:
+    """The lines of one group of a package's entry points, comments left out."""
+    try:
+        text = distribution.read_text("entry_points.txt") or ""
+    except (OSError, ValueError):  # unreadable, or no UTF-8
+        return []
+    found = []
+    section = ""
+    for line in map(str.strip, text.splitlines()):
+        if line.startswith("[") and line.endswith("]"):
+            section = line[1:-1].strip()
+        elif line and line[0] not in "#;" and section == group:
+            found.append(line)
+    return found

@@ -1,0 +1,114 @@
+"""MPS files against values of the official reader (reference-values, ids ``mps-*`` and ``cpf-*``)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from prbench.readers.aria_mps import AriaTrajectory, read_first_calibration, read_gaze_angles, read_trajectory
+from prbench.readers.aria_mps.format import device_from_cpf, gaze_directions_cpf
+from prbench.readers.aria_mps.to_recording import gaze_in_world, part_poses
+from prbench.recording import PoseStream
+from prbench.timelines import interpolate, slerp
+
+
+@pytest.fixture(scope="module")
+def trajectory(samples) -> AriaTrajectory:
+    return read_trajectory(samples / "mps/mps_sample/trajectory/closed_loop_trajectory.csv")
+
+
+def _matrix(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = Rotation.from_quat(rotation, scalar_first=True).as_matrix(), position
+    return transform
+
+
+def test_closed_loop_rows(trajectory, reference_values) -> None:
+    expected = reference_values["mps-closed-count"]["expect"]
+    assert len(trajectory.time_us) == expected["rows"]
+    assert [trajectory.time_us[0], trajectory.time_us[-1]] == [expected["first_us"], expected["last_us"]]
+    assert np.diff(trajectory.time_us).max() == expected["max_step_us"]
+    assert len(trajectory.graph_uids) == expected["graph_uids"]
+
+
+@pytest.mark.parametrize("row", [0, 2500])
+def test_closed_loop_pose(trajectory, reference_values, row) -> None:
+    expected = reference_values[f"mps-closed-pose-{row}"]["expect"]
+    assert trajectory.time_us[row] == expected["timestamp_us"]
+    assert _matrix(trajectory.position[row], trajectory.rotation[row]) == pytest.approx(
+        np.array(expected["T_world_device"]), abs=1e-6
+    )
+    assert trajectory.quality[row] == pytest.approx(expected["quality_score"])
+    assert trajectory.up == pytest.approx(-np.array(expected["gravity_world"]) / 9.81)
+
+
+def test_interpolated_pose(trajectory, reference_values) -> None:
+    expected = reference_values["mps-interp-155000000000"]["expect"]["T_world_device"]
+    times, query = trajectory.time_us / 1e6, np.array([155.0])
+    position, rotation = interpolate(times, trajectory.position, query), slerp(times, trajectory.rotation, query)
+    assert _matrix(position[0], rotation[0]) == pytest.approx(np.array(expected), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("key", "row"), [("mps-gaze-old-10", 10), ("mps-gaze-new-5", 5), ("mps-gaze-gen2-0", 0)], ids=["A", "B", "C"]
+)
+def test_gaze_schemas(samples, reference_values, key, row) -> None:
+    item = reference_values[key]
+    gaze, expected = read_gaze_angles(samples / item["file"]), item["expect"]
+    assert gaze.time_us[row] == expected["timestamp_us"]
+    assert [gaze.yaw[row], gaze.pitch[row]] == pytest.approx([expected["yaw"], expected["pitch"]], abs=2e-5)
+    if "unit_vector_cpf" in expected:
+        vector = gaze_directions_cpf(gaze.yaw, gaze.pitch)[row]
+        assert vector == pytest.approx(expected["unit_vector_cpf"], abs=2e-5)
+    if "depth_file_m" in expected:
+        assert gaze.depth[row] == pytest.approx(expected["depth_file_m"], abs=1e-6)
+    if expected.get("has_depth") is False:
+        assert np.isnan(gaze.depth[row]) or gaze.depth[row] == 0
+
+
+def test_gaze_rows_of_two_eyes(samples, reference_values) -> None:
+    expected = reference_values["mps-gaze-new-summary"]["expect"]
+    gaze = read_gaze_angles(samples / "mps/mps_sample/eye_gaze_vergence/generalized_gaze.csv")
+    assert len(gaze.time_us) == expected["rows"]
+    assert np.median(np.diff(gaze.time_us)) == expected["median_step_us"]
+
+
+@pytest.mark.parametrize("size", ["DVT-S", "DVT-L"])
+def test_nominal_cpf(reference_values, size) -> None:
+    expected = reference_values[f"cpf-{size}"]["expect"]["T_device_cpf"]
+    assert device_from_cpf(size) == pytest.approx(np.array(expected), abs=1e-6)
+
+
+def test_gaze_ray_in_the_world(samples, trajectory, reference_values) -> None:
+    expected = reference_values["mps-gaze-world-50"]["expect"]
+    gaze = read_gaze_angles(samples / "mps/mps_sample/eye_gaze_vergence/generalized_gaze.csv")
+    valid = np.ones(len(trajectory.time_us), dtype=bool)
+    device = PoseStream(trajectory.time_us / 1e6, trajectory.position, trajectory.rotation, valid)
+    cpf = part_poses(device, device_from_cpf("DVT-S"))
+    rays = gaze_in_world(cpf, gaze.time_us / 1e6, gaze.yaw, gaze.pitch, same_instant=1e-3)
+    assert gaze.time_us[50] == expected["timestamp_us"]
+    assert rays.valid[50]
+    assert rays.origin[50] == pytest.approx(expected["origin_world"], abs=5e-4)
+    assert rays.direction[50] == pytest.approx(expected["direction_world"], abs=5e-4)
+
+
+def test_calibration_tells_the_size(samples, reference_values) -> None:
+    expected = reference_values["mps-calib-0"]["expect"]
+    calibration = read_first_calibration(samples / "mps/mps_sample/trajectory/online_calibration.jsonl")
+    assert calibration.time_us == expected["timestamp_us"]
+    rgb = calibration.device_from_camera["camera-rgb"]
+    assert rgb == pytest.approx(np.array(expected["T_device_rgb"]), abs=1e-6)
+    assert calibration.slam_baseline == pytest.approx(expected["slam_baseline_m"], abs=1e-6)
+    assert calibration.size == expected["size"]
+
+
+def test_nominal_rgb_camera_is_close_to_a_calibrated_one(samples) -> None:
+    from prbench.readers.aria_mps.format import cpf_from_rgb
+
+    calibration = read_first_calibration(samples / "mps/mps_sample/trajectory/online_calibration.jsonl")
+    nominal = device_from_cpf("DVT-S") @ cpf_from_rgb()
+    real = calibration.device_from_camera["camera-rgb"]
+    assert np.linalg.norm(nominal[:3, 3] - real[:3, 3]) < 0.002
+    turned = Rotation.from_matrix(nominal[:3, :3].T @ real[:3, :3]).magnitude()
+    assert np.rad2deg(turned) < 3.0

@@ -1,0 +1,329 @@
+"""Finding and reading HOT3D: where recordings lie, which can be used, what is refused.
+
+Source: docs/specification/hot3d.md#pitfalls-and-bad-input.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prbench.curation import BuildOptions, build_dataset
+from prbench.curation.sources import native_sources
+from prbench.errors import InputFileError, PrbenchError, RecordingUnusable
+from prbench.readers import reader_for
+from prbench.readers.hot3d import READER, Hot3dOptions, find_recordings, read_readings
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d.readings import read_mask
+from prbench.recording import Recording
+from prbench.synthetic.people import perform
+from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.hot3d import sense
+from tests.readers.hot3d_trees import change_metadata, first_seconds, write_tree
+
+
+@pytest.fixture(scope="module")
+def readings() -> hot3d.Hot3dReadings:
+    performance = perform("hot3d", seed=11, index=0, n_events=2, provocations={})
+    return first_seconds(sense(performance, switches=replace(Switches(), hand_losses=False)), 2.0)
+
+
+@pytest.fixture
+def tree(readings, tmp_path) -> Path:
+    write_tree(readings, tmp_path / "hot3d")
+    return tmp_path / "hot3d"
+
+
+@pytest.fixture
+def folder(readings, tree) -> Path:
+    return tree / readings.recording_id
+
+
+def _read(root: Path) -> Recording:
+    (found,) = READER.find(root)
+    return READER.read(found)
+
+
+@pytest.mark.parametrize(("below", "library"), [("", "assets"), ("Aria", "object_library"), ("Aria", "assets")])
+def test_recordings_lie_below_the_root_or_one_level_deeper(readings, tmp_path, below, library) -> None:
+    place = write_tree(readings, tmp_path / "root", folder=below, library=library)
+    for root in {tmp_path / "root", place.parent, place}:
+        (found,) = find_recordings(root, Hot3dOptions())
+        assert (found.recording_id, found.dataset, found.skip_reason) == (readings.recording_id, "hot3d", None)
+        assert {file.role for file in found.files} >= {"metadata", "objects", "trajectory", "gaze", "instances"}
+        assert sum(file.role.startswith("model:") for file in found.files) == len(readings.objects)
+
+
+def test_metadata_of_another_dataset_is_no_recording(tree, tmp_path) -> None:
+    (tree / "Apartment_seq1").mkdir()
+    (tree / "Apartment_seq1" / "metadata.json").write_text('{"gt_time_domain": "DEVICE_CAPTURE"}')
+    assert len(find_recordings(tree, Hot3dOptions())) == 1
+    (tmp_path / "other").mkdir()
+    with pytest.raises(InputFileError, match=r"recordings of HOT3D.*found an empty folder"):
+        find_recordings(tmp_path / "other", Hot3dOptions())
+    with pytest.raises(InputFileError, match="no such folder"):
+        find_recordings(tmp_path / "nowhere", Hot3dOptions())
+
+
+def test_quest_and_test_participants_are_reported_and_not_failed(readings, folder, tree, tmp_path) -> None:
+    """Keyed on what the metadata says, never on names; their other files may be missing."""
+    withheld = dict.fromkeys(("mano_hand_pose_gt", "object_pose_gt", "umetrack_hand_pose_gt"), False)
+    for name, entries in {
+        "P0001_quest": {"headset": "Quest3"},
+        "P0002_withheld": {"gt_available_status": withheld},
+        "P0002_withheld_hands": {"gt_available_status": {**withheld, "object_pose_gt": True}},
+    }.items():
+        (tree / name).mkdir()
+        change_metadata(tree / name, **entries)
+    folder.rename(tree / "P0004_named_like_a_test_participant")
+    report = build_dataset("hot3d", tree, tmp_path / "out")
+    status = {record.recording_id: (record.status, record.message) for record in report.records}
+    assert [status[name][0] for name in sorted(status)] == ["skipped", "skipped", "skipped", "read"]
+    assert "Quest3" in status["P0001_quest"][1]
+    assert "objects and hands" in status["P0002_withheld"][1]
+    assert "ground truth of hands" in status["P0002_withheld_hands"][1]
+    assert report.info.counts.recordings_skipped == 3
+    assert report.info.counts.recordings_failed == 0
+    with pytest.raises(RecordingUnusable, match="Quest3"):
+        READER.read(next(f for f in READER.find(tree) if f.recording_id == "P0001_quest"))
+
+
+def test_metadata_without_flags_or_cut_off_is_a_failure_of_that_recording(folder, tree, tmp_path) -> None:
+    for text, said in (('{"headset": "Aria"}', "missing required field"), ('{"headset": "Ar', "valid JSON")):
+        (folder / "metadata.json").write_text(text)
+        with pytest.raises(InputFileError, match=said):
+            _read(tree)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (hot3d.OBJECTS_FILE, hot3d.OBJECTS_FILE),
+        (hot3d.HEADSET_FILE, hot3d.HEADSET_FILE),
+        (hot3d.UMETRACK_FILE, hot3d.UMETRACK_FILE),
+        ("mps/slam/closed_loop_trajectory.csv", "closed_loop_trajectory.csv"),
+        ("mps/eye_gaze/personalized_eye_gaze.csv", "eye_gaze"),
+        ("../assets/instance.json", "instance.json"),
+    ],
+)
+def test_a_missing_required_file_is_named(folder, tree, name, said) -> None:
+    (folder / name).unlink()
+    with pytest.raises(InputFileError, match=said):
+        _read(tree)
+
+
+@pytest.mark.parametrize("name", [hot3d.OBJECTS_FILE, hot3d.HEADSET_FILE, hot3d.UMETRACK_FILE])
+def test_ground_truth_that_is_promised_and_empty_is_refused(folder, tree, name) -> None:
+    path = folder / name
+    path.write_text(path.read_text().splitlines()[0] + "\n" if name.endswith(".csv") else "")
+    with pytest.raises(InputFileError, match=r"metadata.json says that this ground truth is there"):
+        _read(tree)
+
+
+def _change_line(path: Path, number: int, change) -> None:
+    lines = path.read_text().splitlines()
+    lines[number] = ",".join(change(lines[number].split(",")))
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda row: [*row[:3], "nan", *row[4:]], "line 31: expected a pose of finite numbers"),
+        (lambda row: [*row[:5], "1.1", *row[6:]], "line 31: expected a quaternion of length 1"),
+        (lambda row: [row[0], "17", *row[2:]], "line 31: expected a time after"),
+        (lambda row: [row[0], "soon", *row[2:]], "line 31"),
+    ],
+)
+def test_a_damaged_pose_is_refused_with_its_line(folder, tree, change, said) -> None:
+    _change_line(folder / hot3d.OBJECTS_FILE, 30, change)
+    with pytest.raises(InputFileError, match=said):
+        _read(tree)
+
+
+def test_a_row_that_is_there_twice_is_refused(folder, tree) -> None:
+    path = folder / hot3d.OBJECTS_FILE
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:31], lines[30], *lines[31:]]) + "\n")
+    with pytest.raises(InputFileError, match=r"line 32: expected a time after .*repeated"):
+        _read(tree)
+
+
+def test_uids_stay_text(readings, folder, tree) -> None:
+    """A uid with a leading zero is another one than without."""
+    path = folder / hot3d.OBJECTS_FILE
+    uid = readings.objects[0].object_id
+    path.write_text(path.read_text().replace(uid, "0123"))
+    recording = _read(tree)
+    assert "0123" in {track.object_id for track in recording.objects}
+    assert any("without a name" in message and "0123" in message for message in recording.messages)
+
+
+def test_columns_are_found_by_name_and_further_ones_do_not_matter(readings, folder, tree) -> None:
+    path = folder / hot3d.OBJECTS_FILE
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text("\n".join(",".join(["more", *row[::-1]]) for row in lines) + "\n")
+    objects = read_readings(find_recordings(tree, Hot3dOptions())[0]).objects
+    for found, written in zip(objects, readings.objects, strict=True):
+        assert np.array_equal(found.rows.position, written.rows.position)
+        assert np.array_equal(found.rows.rotation, written.rows.rotation)
+
+
+def test_the_library_s_headsets_are_no_objects(readings, folder, tree) -> None:
+    names = tree / "assets" / "instance.json"
+    content = json.loads(names.read_text())
+    content[readings.objects[0].object_id]["instance_type"] = "headset"
+    names.write_text(json.dumps(content))
+    assert readings.objects[0].object_id not in {track.object_id for track in _read(tree).objects}
+    names.write_text(names.read_text().replace('"object"', '"headset"'))
+    with pytest.raises(InputFileError, match="expected objects, found headsets only"):
+        _read(tree)
+
+
+def test_lines_that_do_not_parse_are_left_out_and_counted(folder, tree) -> None:
+    path = folder / hot3d.UMETRACK_FILE
+    lines = path.read_bytes().splitlines()
+    lines[10:13] = [b'{"timestamp_ns": 1', b"\xff\xfe", b"{}"]
+    path.write_bytes(b"\n".join(lines) + b"\n")
+    recording = _read(tree)
+    assert any(f"3 of {len(lines)} lines of {hot3d.UMETRACK_FILE} are damaged" in text for text in recording.messages)
+
+
+def test_a_hand_that_is_never_there_is_said_and_the_other_read(folder, tree) -> None:
+    path = folder / hot3d.UMETRACK_FILE
+    records = [json.loads(line) for line in path.read_text().splitlines()]
+    for record in records:
+        record["hand_poses"].pop("1", None)
+    path.write_text("".join(json.dumps(record) + "\n" for record in records))
+    recording = _read(tree)
+    assert {hand.side for hand in recording.hands} == {"left"}
+    assert "the right hand is never tracked" in recording.messages
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda hand: hand["wrist_xform"].update(q_wxyz=[2.0, 0, 0, 0]), "quaternion of length 2.0"),
+        (lambda hand: hand.update(joint_angles=[0.0] * 19), "20 joint angles, found 19"),
+    ],
+)
+def test_a_damaged_hand_is_refused(folder, tree, change, said) -> None:
+    path = folder / hot3d.UMETRACK_FILE
+    lines = path.read_text().splitlines()
+    record = json.loads(lines[5])
+    change(next(iter(record["hand_poses"].values())))
+    path.write_text("\n".join([*lines[:5], json.dumps(record), *lines[6:]]) + "\n")
+    with pytest.raises(InputFileError, match=said):
+        _read(tree)
+
+
+def test_masks_are_read_for_the_rgb_stream(readings, folder) -> None:
+    rows = read_mask(folder / "masks" / "mask_qa_pass.csv")
+    assert np.array_equal(rows.time_ns, readings.masks["qa_pass"].time_ns)
+    assert rows.good.all()
+    _change_line(folder / "masks" / "mask_qa_pass.csv", 1, lambda row: [*row[:2], "False"])
+    _change_line(folder / "masks" / "mask_qa_pass.csv", 5, lambda row: [*row[:2], "False"])  # of a SLAM camera
+    assert read_mask(folder / "masks" / "mask_qa_pass.csv").good.tolist().count(False) == 1
+    _change_line(folder / "masks" / "mask_qa_pass.csv", 9, lambda row: [*row[:2], "perhaps"])
+    with pytest.raises(InputFileError, match="line 10: expected True or False, found 'perhaps'"):
+        read_mask(folder / "masks" / "mask_qa_pass.csv")
+
+
+def test_box2d_files_are_not_taken_for_boxes(folder, tree) -> None:
+    before = _read(tree)
+    (folder / "box2d_objects.csv").write_text("object_uid,timestamp[ns],x_min[pixel]\n1,2,3\n")
+    after = _read(tree)
+    assert [track.box_max.tolist() for track in before.objects] == [track.box_max.tolist() for track in after.objects]
+
+
+def test_a_broken_model_is_named(readings, folder, tree) -> None:
+    path = tree / "assets" / f"{readings.objects[0].object_id}.glb"
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(InputFileError, match=rf"{path.name}: expected a model in binary glTF"):
+        _read(tree)
+
+
+def test_a_model_that_declares_more_corners_than_it_has_bytes_is_refused(readings, folder, tree) -> None:
+    path = tree / "assets" / f"{readings.objects[0].object_id}.glb"
+    content = path.read_bytes()
+    count = re.search(rb'"count":\s*(\d+)', content)
+    assert count is not None
+    huge = b"9" * 9
+    length = int.from_bytes(content[12:16], "little") + len(huge) - len(count[1])
+    longer = content[: count.start(1)] + huge + content[count.end(1) :]
+    path.write_bytes(longer[:12] + length.to_bytes(4, "little") + longer[16:])
+    with pytest.raises(InputFileError, match=rf"{path.name}, accessors: expected at most .* found 999,999,999"):
+        _read(tree)
+
+
+def test_meshes_are_an_option(readings, folder, tree) -> None:
+    reader = reader_for("hot3d", {"meshes": "true"})
+    recording = reader.read(reader.find(tree)[0])
+    track, mesh = recording.objects[0], readings.objects[0].mesh
+    assert mesh is not None
+    assert track.surface is not None
+    np.testing.assert_array_equal(track.surface.vertices, mesh.vertices)
+    np.testing.assert_array_equal(track.surface.faces, mesh.faces)
+    assert {occluder.object_id for occluder in recording.occluders} == {entry.object_id for entry in readings.objects}
+    plain = _read(tree)
+    assert plain.occluders == ()
+    assert all(track.surface is None for track in plain.objects)
+
+
+def test_a_trajectory_that_is_not_z_up_is_refused(folder, tree) -> None:
+    path = folder / "mps" / "slam" / "closed_loop_trajectory.csv"
+    header, *lines = path.read_text().splitlines()
+    y, z = (header.split(",").index(f"gravity_{axis}_world") for axis in "yz")
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        row[y], row[z] = row[z], row[y]
+    path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n")
+    with pytest.raises(InputFileError, match="expected gravity along -Z"):
+        _read(tree)
+
+
+def test_a_synthetic_mark_names_the_dataset(tree) -> None:
+    mark = {"generator": "x", "version": 1, "seed": 0, "preset": "hot3d", "world": "default", "split": {}}
+    (tree / "synthetic.json").write_text(json.dumps(mark))
+    assert {found.dataset for found in READER.find(tree)} == {"synthetic-hot3d"}
+
+
+def test_a_synthetic_tree_keeps_its_splits_where_the_folder_above_is_given(readings, tree) -> None:
+    mark = {"generator": "x", "version": 1, "seed": 0, "preset": "hot3d", "world": "default"}
+    for split in ("validation", "test"):
+        (tree / "synthetic.json").write_text(json.dumps({**mark, "split": {readings.recording_id: split}}))
+        assert [source.split for source in native_sources("hot3d", tree, BuildOptions())] == [split]
+        assert [source.split for source in native_sources("hot3d", tree.parent, BuildOptions())] == [split]
+
+
+def test_real_and_invented_recordings_do_not_mix(readings, tree) -> None:
+    (tree.parent / "invented").mkdir()
+    shutil.copytree(tree / readings.recording_id, tree.parent / "invented" / "other")
+    mark = {"generator": "x", "version": 1, "seed": 0, "preset": "hot3d", "world": "default", "split": {}}
+    (tree.parent / "invented" / "synthetic.json").write_text(json.dumps(mark))
+    with pytest.raises(InputFileError, match="hot3d and synthetic-hot3d together"):
+        native_sources("hot3d", tree.parent, BuildOptions())
+
+
+def test_changed_models_change_the_digest_of_the_inputs(readings, tree) -> None:
+    """The files that reading depends on are those that are listed."""
+    (found,) = READER.find(tree)
+    listed = {file.path for file in found.files}
+    for path in sorted(tree.rglob("*")):
+        if path.is_file() and path.suffix in (".csv", ".jsonl", ".glb", ".json") and "mask_" not in path.name:
+            assert path in listed, path
+    spare = tree / "assets" / "123.glb"
+    shutil.copy(tree / "assets" / f"{readings.objects[0].object_id}.glb", spare)
+    assert spare not in {file.path for file in READER.find(tree)[0].files}, "no object of this recording"
+
+
+def test_options_are_named_and_unknown_ones_refused() -> None:
+    assert set(Hot3dOptions.names()) == {"poses", "smplh_model", "poses_root", "hands", "mano_models", "meshes"}
+    with pytest.raises(PrbenchError, match=r"no option 'mesh'\. Did you mean 'meshes'"):
+        reader_for("hot3d", {"mesh": "true"})

@@ -1,0 +1,292 @@
+"""Files that are no files, nest without end or declare what they do not hold: each is refused, the others are read."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from prbench.corpora.humanml3d.files import read_joints
+from prbench.curation import build_dataset
+from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
+from prbench.readers import reader_for
+from prbench.readers.discover import discover
+from prbench.readers.gimo.bvh import read_bvh
+from prbench.readers.gimo.dataset_csv import read_segments
+from prbench.readers.gimo.gaze import read_vertices
+from prbench.readers.hot3d import hands_umetrack as umetrack
+from prbench.readers.hot3d.hands_umetrack import read_profile
+from prbench.readers.integrity import damage
+from prbench.readers.mogaze.arrays import dataset, numbers, opened
+from prbench.sequences import SequenceTable
+from prbench.synthetic.layouts.mogaze import write
+from tests.bombs import empty_rows
+from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, still_life
+
+DEEP = b'{"unknown":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+
+
+def _folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _looping_link(path: Path) -> None:
+    path.unlink()
+    path.symlink_to(path)
+
+
+def _deep(path: Path) -> None:
+    path.write_bytes(DEEP)
+
+
+def _text(path: Path) -> None:
+    path.write_text("hello, world\n")
+
+
+def _nothing(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+DAMAGES = (_folder, _looping_link, _deep, _text, _nothing)
+
+
+def _mogaze(folder: Path) -> None:
+    """One recording with the names of its bodies."""
+    write(still_life(), folder)
+    names = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
+    bodies = [f'<body id="{key}" name="{name}"/>' for key, name in names.items()]
+    (folder / "scene.xml").write_text("\n".join(["<scene>", *bodies, "</scene>"]))
+
+
+def _refusals(dataset_name: str, root: Path) -> list[PrbenchError]:
+    """What finding and reading every recording below a root was refused with."""
+    reader, refusals = reader_for(dataset_name), []
+    try:
+        found = reader.find(root)
+    except PrbenchError as error:
+        return [error]
+    for recording in found:
+        try:
+            reader.read(recording)
+        except PrbenchError as error:
+            refusals.append(error)
+    return refusals
+
+
+@pytest.mark.parametrize("damaged", DAMAGES, ids=lambda damaged: damaged.__name__[1:])
+def test_no_file_of_a_recording_can_be_replaced_by_something_that_nobody_foresaw(folder, tmp_path, damaged):
+    """ADT for CSV and JSON, MoGaze for HDF5; the marker ``fuzz`` stands for the other layouts."""
+    _mogaze(tmp_path / "mogaze")
+    for name, root in (("adt", folder), ("mogaze", tmp_path / "mogaze")):
+        for path in sorted(path for path in root.rglob("*") if path.is_file()):
+            kept = path.read_bytes()
+            damaged(path)
+            unforeseen = [error for error in _refusals(name, root) if isinstance(error, UnforeseenInput)]
+            assert not unforeseen, f"{path.name}: {unforeseen[0]}"
+            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+            path.write_bytes(kept)
+        assert _refusals(name, root) == []
+
+
+def test_metadata_nested_without_end_costs_one_recording_and_not_the_build(folder, tmp_path):
+    other = Path(shutil.copytree(folder, folder.parent / "other"))
+    (other / "metadata.json").write_bytes(DEEP)
+    report = build_dataset("adt", folder.parent, tmp_path / "out" / "table")
+    assert [(record.recording_id, record.status) for record in report.records] == [
+        ("other", "failed"),
+        ("still_life", "read"),
+    ]
+    assert "other/metadata.json: expected values nested at most" in report.records[0].message
+    assert report.info.counts.recordings_failed == 1
+
+
+def test_a_mark_nested_without_end_is_one_message(folder):
+    (folder / "synthetic.json").write_bytes(DEEP)
+    with pytest.raises(InputFileError, match=r"synthetic\.json: expected values nested"):
+        reader_for("adt").find(folder)
+    (broken,) = discover(folder).broken
+    assert "synthetic.json: expected values nested" in broken.message
+
+
+def test_a_subtour_that_leads_out_does_not_hide_the_other_recordings(folder):
+    bad = folder.parent / "bad"
+    bad.mkdir()
+    tour = {"subtour_name": "../../elsewhere", "device_serial": "1"}
+    (bad / "metadata.json").write_text(json.dumps({"subtours": {"a": tour}}))
+    found = reader_for("adt").find(folder.parent)
+    assert [recording.recording_id for recording in found] == ["bad", "still_life"]
+    with pytest.raises(InputFileError, match="leads out"):
+        reader_for("adt").read(found[0])
+
+
+def test_a_link_that_leads_nowhere_costs_one_recording(folder):
+    other = Path(shutil.copytree(folder, folder.parent / "other"))
+    _looping_link(next(other.glob("Skeleton_*.json")))
+    found = reader_for("adt").find(folder.parent)
+    assert [recording.recording_id for recording in found] == ["other", "still_life"]
+    with pytest.raises(InputFileError, match=r"Skeleton_.*\.json: expected a file that can be read"):
+        reader_for("adt").read(found[0])
+    reader_for("adt").read(found[1])
+
+
+def test_a_root_that_is_a_looping_link_is_one_message(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name in ("adt", "gimo", "hd-epic", "hot3d", "mogaze"):
+        with pytest.raises(InputFileError, match="loop") as caught:
+            reader_for(name).find(tmp_path / "loop")
+        assert not isinstance(caught.value, UnforeseenInput)
+
+
+@pytest.mark.parametrize("frame", ["nan", "inf", "-inf", "1e300", "2.5", "text", ""])
+def test_a_frame_number_of_gimo_is_a_frame_number(tmp_path, frame):
+    path = tmp_path / "dataset.csv"
+    path.write_text(f"sequence_path,start_frame,end_frame,scene,transformation,training\nS,{frame},50,room,t.json,1\n")
+    with pytest.raises(InputFileError, match=r"dataset\.csv, line 2: expected a whole number 'start_frame'"):
+        read_segments(path)
+
+
+@pytest.mark.parametrize("hint", ["nan", "inf", "1e300"])
+def test_a_hint_of_gimo_that_is_no_frame_is_no_hint(tmp_path, hint):
+    path = tmp_path / "dataset.csv"
+    path.write_text(
+        "sequence_path,start_frame,end_frame,scene,transformation,training,action,\n"
+        f"S,10,50,room,t.json,1,walk,{hint}\n"
+    )
+    assert read_segments(path)[0].segment.hint is None
+
+
+def test_a_property_twice_and_a_number_of_vertices_that_is_none_are_refused(tmp_path):
+    path = tmp_path / "a.ply"
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "element vertex 1",
+        *(["property float x"] * 2),
+        "end_header",
+        "",
+    ]
+    path.write_bytes("\n".join(lines).encode() + bytes(8))
+    with pytest.raises(InputFileError, match=r"a\.ply, header: expected each vertex property once, found 'x' again"):
+        read_vertices(path)
+    path.write_text("\n".join(lines).replace("vertex 1", f"vertex {'9' * 5000}"))
+    with pytest.raises(InputFileError, match=r"a\.ply, header: expected a number of vertices"):
+        read_vertices(path)
+
+
+def _profile() -> dict:
+    bones = [[1.0] + [0.0] * (umetrack.N_BONES - 1)] * 3
+    return {
+        "mesh_vertices": [[0, 0, 0], [10, 0, 0], [0, 10, 0]],
+        "mesh_triangles": [[0, 1, 2]],
+        "dense_bone_weights": bones,
+        "joint_rest_positions": [[0, 0, 0]] * umetrack.N_JOINTS,
+        "joint_rotation_axes": [[1, 0, 0]] * umetrack.N_JOINTS,
+        "landmark_rest_positions": [[0, 0, 0]] * umetrack.N_LANDMARKS,
+        "landmark_rest_bone_indices": [[0, 1, 2]] * umetrack.N_LANDMARKS,
+        "landmark_rest_bone_weights": [[1, 0, 0]] * umetrack.N_LANDMARKS,
+    }
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "where"),
+    [
+        ("dense_bone_weights", [[1.0], [0.5, 0.5], [1.0]], "dense_bone_weights, row 0"),
+        ("dense_bone_weights", [], "dense_bone_weights"),
+        ("dense_bone_weights", [[1e308] * umetrack.N_BONES] * 3, "dense_bone_weights, row 0"),
+        ("mesh_vertices", [[1e300, 0, 0]] * 3, "mesh_vertices"),
+        ("mesh_triangles", [[0, 1, 3]], "mesh_triangles"),
+        ("mesh_triangles", [[0, 1, 1e300]], "mesh_triangles"),
+        ("landmark_rest_bone_indices", [[0, 1, 99]] * umetrack.N_LANDMARKS, "landmark_rest_bone_indices"),
+        ("landmark_rest_bone_indices", [[0, 1, -1]] * umetrack.N_LANDMARKS, "landmark_rest_bone_indices"),
+        ("landmark_rest_bone_weights", [[1, 0, 0]], "landmark_rest_bone_indices"),
+    ],
+)
+def test_a_ragged_or_huge_hand_of_hot3d_is_named_by_its_key(tmp_path, key, value, where):
+    path = tmp_path / "profile.json"
+    path.write_text(json.dumps({"hand_model": _profile()}))
+    read_profile(path)
+    path.write_text(json.dumps({"hand_model": {**_profile(), key: value}}))
+    with pytest.raises(InputFileError, match=rf"profile\.json, {where}: expected") as caught:
+        read_profile(path)
+    assert not isinstance(caught.value, UnforeseenInput)
+
+
+def test_rows_of_mogaze_that_are_declared_and_not_stored_are_refused(tmp_path):
+    _mogaze(tmp_path)
+    (human,) = tmp_path.glob("*_human_data.hdf5")
+    with h5py.File(human, "r") as file:
+        (name,) = (key for key in file if isinstance(file[key], h5py.Dataset))
+        columns = file[name].shape[1]
+    for rows in (150_000, 40_000_000, 2**38):
+        empty_rows(human, name, rows, columns)
+        (refusal,) = _refusals("mogaze", tmp_path)
+        assert f"expected at most 67,108,864 bytes of values, for 0 that are stored, found shape ({rows}" in str(
+            refusal
+        )
+
+
+def _external_link(file: h5py.File, other: Path) -> None:
+    file["data"] = h5py.ExternalLink(str(other), "data")
+
+
+def _soft_link(file: h5py.File, _: Path) -> None:
+    file["data"] = h5py.SoftLink("/elsewhere")
+
+
+def _external_storage(file: h5py.File, other: Path) -> None:
+    file.create_dataset("data", shape=(4, 8), dtype="f8", external=[(str(other), 0, h5py.h5f.UNLIMITED)])
+
+
+def _virtual(file: h5py.File, other: Path) -> None:
+    layout = h5py.VirtualLayout(shape=(4, 8), dtype="f8")
+    layout[:] = h5py.VirtualSource(str(other), "data", shape=(4, 8))
+    file.create_virtual_dataset("data", layout)
+
+
+@pytest.mark.parametrize("elsewhere", [_external_link, _soft_link, _external_storage, _virtual])
+def test_values_in_other_files_are_never_followed(tmp_path, elsewhere: Callable[[h5py.File, Path], None]):
+    with h5py.File(tmp_path / "other.hdf5", "w") as file:
+        file["data"] = np.zeros((4, 8))
+    path = tmp_path / "a.hdf5"
+    with h5py.File(path, "w") as file:
+        elsewhere(file, tmp_path / "other.hdf5")
+    with (
+        opened(path) as file,
+        pytest.raises(InputFileError, match=r"a\.hdf5, .*in this file, found (a link|values in)"),
+    ):
+        numbers(path, dataset(path, file, "data"), columns=8)
+
+
+def test_text_where_an_array_is_expected_is_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.full((3, 22, 3), "text"))
+    with pytest.raises(InputFileError, match=r"a\.npy: expected numbers of the shape") as caught:
+        read_joints(tmp_path / "a.npy")
+    assert not isinstance(caught.value, UnforeseenInput)
+
+
+@pytest.mark.parametrize("count", ["inf", "1e300", "2.5", "-1"])
+def test_a_number_of_channels_is_one(tmp_path, count):
+    path = tmp_path / "a.bvh"
+    path.write_text(f"HIERARCHY\nROOT hips\n{{\nOFFSET 0 0 0\nCHANNELS {count} Xposition\n}}\nMOTION\nFrames: 1\n")
+    with pytest.raises(InputFileError, match=r"a\.bvh, HIERARCHY, at hips: expected (at most \d channels|a finite)"):
+        read_bvh(path)
+
+
+def test_inspection_tells_what_is_no_file_and_goes_on(folder):
+    recording, *_ = reader_for("adt").find(folder)
+    file = next(file for file in recording.files if file.path.suffix == ".csv")
+    _folder(file.path)
+    assert damage(file) == "cannot be read (a folder)"
+
+
+def test_a_folder_in_place_of_a_tables_description_is_one_message(folder, tmp_path):
+    table = build_dataset("adt", folder, tmp_path / "table").folder
+    _folder(table / "dataset.json")
+    with pytest.raises(InputFileError, match=r"dataset\.json: expected a file, found a folder"):
+        SequenceTable.open(table)

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from prbench.datasets import readable_datasets
+from prbench.errors import InputFileError, UsageError
+from prbench.readers import InputFile, Reader, RecordingFiles, read_synthetic_tree, reader_for
+
+
+@pytest.mark.parametrize("dataset", readable_datasets())
+def test_every_registered_reader_is_one(dataset) -> None:
+    reader = reader_for(dataset)
+    assert isinstance(reader, Reader)
+    assert reader.dataset == dataset
+
+
+def test_synthetic_data_has_the_reader_of_its_layout() -> None:
+    assert reader_for("synthetic-adt") is reader_for("adt")
+
+
+def test_an_unknown_dataset_is_answered_with_the_nearest_known_one() -> None:
+    with pytest.raises(UsageError, match="Did you mean 'adt'"):
+        reader_for("atd")
+
+
+MARK = {
+    "generator": "prbench 0",
+    "version": 1,
+    "seed": 3,
+    "preset": "adt",
+    "world": "default",
+    "split": {"still_life": "test"},
+}
+
+
+def test_a_synthetic_tree_is_recognised_from_its_root_and_from_one_recording(folder) -> None:
+    assert read_synthetic_tree(folder) is None
+    assert reader_for("adt").find(folder)[0].dataset == "adt"
+    (folder.parent / "synthetic.json").write_text(json.dumps(MARK))
+    for root in (folder.parent, folder):
+        tree = read_synthetic_tree(root)
+        assert tree is not None
+        assert tree.split == {"still_life": "test"}
+        (found,) = reader_for("adt").find(root)
+        assert found.dataset == "synthetic-adt"
+        assert reader_for("adt").read(found).dataset == "synthetic-adt"
+
+
+def test_a_damaged_mark_is_refused_and_not_taken_for_real_data(folder) -> None:
+    (folder.parent / "synthetic.json").write_text(json.dumps({**MARK, "split": {"still_life": "training"}}))
+    with pytest.raises(InputFileError, match=r"synthetic\.json"):
+        reader_for("adt").find(folder.parent)
+
+
+def test_a_missing_file_is_named_beside_the_first_others_only(tmp_path):
+    files = tuple(InputFile(f"part {index}", tmp_path / f"{index:03}.npz", 1) for index in range(100))
+    with pytest.raises(InputFileError, match=r"no such file beside 000\.npz, .*, 007\.npz and 92 more\. Download"):
+        RecordingFiles("adt", "somewhere", tmp_path, files).require("trajectory", "trajectory.csv")
