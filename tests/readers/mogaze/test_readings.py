@@ -16,7 +16,7 @@ from prbench.errors import InputFileError, RecordingUnusable, UsageError
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
-from prbench.readers.mogaze.ends import extents
+from prbench.readers.mogaze.layouts import extents
 from prbench.readers.mogaze.scene import find_mesh, read_mesh, read_scene
 from prbench.recording import Recording
 from prbench.synthetic.layouts.mogaze import box_mesh, write
