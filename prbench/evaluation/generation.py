@@ -11,7 +11,7 @@ import msgspec
 import psutil
 
 from prbench.contract import ConditionBatch, Motions
-from prbench.methods.methods import MethodSpec
+from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.motions import generate_checked
 from prbench.methods.threads import computing_threads
 from prbench.runs.cost import BatchCost

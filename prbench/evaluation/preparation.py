@@ -22,7 +22,8 @@ from prbench.locks import in_turn
 from prbench.manifests import load_protocol
 from prbench.methods.adapters import find_adapter, require_condition
 from prbench.methods.declared import Declared
-from prbench.methods.methods import LoadedMethod, MethodSpec, forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
+from prbench.methods.methods import fitted_to, method_spec
 from prbench.methods.native_rate import native_frames
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.weights import require_weights, used_weights, weights_digest
@@ -186,7 +187,7 @@ def _dataset(
             f" of {table.info.dataset} are longer."
         )
     if spec is not None:
-        spec = spec.fitted_to(table)
+        spec = fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
     source, scored_goals = ConditionSource.read(selection), None

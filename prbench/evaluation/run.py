@@ -27,7 +27,7 @@ from prbench.evaluation.stored_results import require_scores, require_summary
 from prbench.evaluation.summarise import ScoredSet, summarise
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
-from prbench.methods.methods import forget_loaded_methods, unload_method
+from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.record import PACKAGE

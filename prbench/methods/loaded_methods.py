@@ -1,11 +1,10 @@
-"""Methods that this process has made: called here, or as a program that this process has started."""
+"""How a method is made, and the one that this process has made: called here, or a program that it has started."""
 
 from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil
 
@@ -19,8 +18,35 @@ from prbench.methods.remote.program import Program
 from prbench.methods.training_split import FIT_SEED, TrainingSplit
 from prbench.sequences import SequenceTable
 
-if TYPE_CHECKING:
-    from prbench.methods.methods import MethodSpec
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """Enough to make a method in any process."""
+
+    name: str
+    """Name of the installed adapter, or of the program's file until the program has introduced itself."""
+    weights: Path | None
+    options: tuple[tuple[str, str], ...]
+    device: str
+    threads: int
+    fit_folder: Path | None = None
+    """Where a fit is kept, if the method is fitted by the run."""
+    table_folder: Path | None = None
+    """The dataset that it is fitted to."""
+    program: Program | None = None
+    """What runs the method in a process of its own; None to call it in this one."""
+    package: str | None = None
+    """The command of a program that the user named; None for an installed method."""
+    expected_name: str | None = None
+    """What such a program must call itself."""
+    isolation: str | None = None
+    """``process`` or ``bubblewrap``, or ``container``, if the user asked for isolation."""
+    timeout: float | None = None
+    hidden: tuple[Path, ...] = ()
+
+    def load(self) -> LoadedMethod:
+        """Return the method, ready to generate; it is made once a process."""
+        return HELD.method(self)
 
 
 @dataclass
@@ -90,6 +116,19 @@ class HeldMethods:
 
 
 HELD = HeldMethods()
+
+
+def forget_loaded_methods() -> None:
+    """End programs, and load afresh what is asked for next.
+
+    A new run never meets the state that an earlier one left in a method.
+    """
+    HELD.forget()
+
+
+def unload_method() -> None:
+    """End the program of this process, if there is one; copies that were made for others are kept."""
+    HELD.unload()
 
 
 def _loaded_here(spec: MethodSpec) -> LoadedMethod:

@@ -19,7 +19,8 @@ from prbench.checking.conformance.finding import Finding, Outcome, Report, faile
 from prbench.checking.conformance.request import CheckRequest
 from prbench.checking.conformance.subject import working_folder
 from prbench.errors import UsageError
-from prbench.methods.methods import MethodSpec, method_spec
+from prbench.methods.loaded_methods import MethodSpec
+from prbench.methods.methods import method_spec
 from prbench.methods.names import METHOD_CONTROLS
 
 Announce = Callable[[str, int, int], None]

@@ -15,7 +15,8 @@ from prbench.checking.conformance.examine import examine
 from prbench.checking.conformance.finding import Finding
 from prbench.checking.conformance.people import invented_sequences
 from prbench.checking.conformance.subject import Subject
-from prbench.methods.methods import forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 from prbench.sequences import Sequence
 from tests.checking.conformance.methods_under_test import FAULTS
 
