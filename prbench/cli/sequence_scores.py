@@ -40,6 +40,8 @@ def print_sequence_scores(run: RunFolder) -> None:
 
 
 def _cell(value: float, unit: str) -> str:
+    from prbench.metrics import printed_unit
+
     if unit == "rate":
         return "yes" if value >= 0.5 else "no"
-    return f"{value:.3f}{f' {unit}' if unit == 'm' else ''}"
+    return f"{value:.3f}{printed_unit(unit)}"

@@ -152,10 +152,10 @@ def metric_interval(
     recording_ids: Ids,
     sequence_ids: Ids | None = None,
 ) -> Estimate:
-    """The interval that fits the unit of a metric; arguments as those of :func:`clustered`."""
+    """Return the interval that fits a metric; arguments as those of :func:`clustered`."""
     if info.unit == "rate":
         return rate_interval(values, recording_ids, sequence_ids)
-    return mean_interval(values, recording_ids, sequence_ids, nonnegative=True)
+    return mean_interval(values, recording_ids, sequence_ids, nonnegative=not info.can_be_negative)
 
 
 def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None) -> Estimate:

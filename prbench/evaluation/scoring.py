@@ -37,9 +37,7 @@ _NOT_AS_KEPT = (
     "A run keeps no such motion of a method: the file was changed, or is of an older prbench. Delete it and run the"
     " method again."
 )
-_AGAINST_ITSELF = frozenset(
-    {"goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "reach_wrist"}
-)  # of a recorded motion: they compare it with itself whatever the goal is
+_CARRIES_COPY_REMARK = frozenset(info.id for info in METRICS if info.carries_copy_remark)
 
 
 @dataclass(frozen=True)
@@ -159,7 +157,7 @@ def _scored(
 ) -> list[MetricValues]:
     metrics = None
     if rules.recorded_motion and rules.other_goals is not None:
-        metrics = frozenset(info.id for info in METRICS) - _AGAINST_ITSELF
+        metrics = frozenset(info.id for info in METRICS if not info.compares_with_recorded)
     values = score(
         predicted,
         recorded,
@@ -172,8 +170,8 @@ def _scored(
 
 
 def _with_copies_marked(values: MetricValues, predicted: MotionBatch, recorded: MotionBatch) -> MetricValues:
-    """The MPJPE of a method with a remark on each motion that is the recorded one; other metrics as they are."""
-    if values.metric != "mpjpe":
+    """Mark motions that are the recorded ones, in the metric that carries the remark; leave all others as they are."""
+    if values.metric not in _CARRIES_COPY_REMARK:
         return values
     copies = is_recorded_motion(predicted, recorded)
     return replace(values, flags={**values.flags, RECORDED_MOTION: copies}) if copies.any() else values

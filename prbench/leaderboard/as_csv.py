@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable
 
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, hides
-from prbench.metrics import METRICS
+from prbench.metrics import METRICS, exported_unit, printed_scale
 from prbench.shown import csv_text
 
 COLUMNS: tuple[str, ...] = (
@@ -31,7 +31,6 @@ COLUMNS: tuple[str, ...] = (
 )
 _NAMES = ("dataset", "condition", "method", "variant", "metric", "note")
 _INFOS = {info.id: info for info in METRICS}
-_UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
 
 
 def as_csv(leaderboard: Leaderboard) -> str:
@@ -55,7 +54,7 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
     for row in table.rows:
         for metric in row.entry.summary.metrics:
             info = _INFOS.get(metric.metric)
-            scale = 100.0 if metric.unit == "rate" else 1.0
+            scale = printed_scale(metric.unit)
             hidden = info is not None and hides(row.entry, info)
             notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
             if hidden:
@@ -70,7 +69,7 @@ def _dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
                 "variant": row.variant,
                 "metric": metric.metric,
                 "value": "" if hidden else _number(scale * metric.mean),
-                "unit": _UNITS[metric.unit],
+                "unit": exported_unit(metric.unit),
                 "higher_is_better": _direction(metric.metric),
                 "low": "" if hidden or metric.low is None else _number(scale * metric.low),
                 "high": "" if hidden or metric.high is None else _number(scale * metric.high),
@@ -95,8 +94,8 @@ def _macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "method": row.method,
                 "variant": row.variant,
                 "metric": metric,
-                "value": _number((100.0 if info.unit == "rate" else 1.0) * mean),
-                "unit": _UNITS[info.unit],
+                "value": _number(info.scale * mean),
+                "unit": exported_unit(info.unit),
                 "higher_is_better": _direction(metric),
                 "rank": str(row.ranks.get(metric, "")),
                 "verified": "unverified" if row.unverified else "verified",

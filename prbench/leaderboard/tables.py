@@ -144,8 +144,8 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
 
 
 def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
-    """Whether a number says nothing: a body that stands still does not skate, and the study prints a dash."""
-    return entry.record.method.motionless and info.id == "foot_skating"
+    """Return True where a number says nothing: a body that stands still does not skate, and the study prints a dash."""
+    return entry.record.method.motionless and info.irrelevant_if_motionless
 
 
 def _is_ranked(entry: LeaderboardRow) -> bool:

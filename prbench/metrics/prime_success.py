@@ -101,8 +101,24 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo("prime_success", "Prime Success", "rate", higher_is_better=True, main=True, position=1),
-        MetricInfo("prime_success_onset", "Prime Success (onset)", "rate", True, main=False, position=11),
+        MetricInfo(
+            "prime_success",
+            "Prime Success",
+            "rate",
+            higher_is_better=True,
+            main=True,
+            position=1,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "prime_success_onset",
+            "Prime Success (onset)",
+            "rate",
+            higher_is_better=True,
+            main=False,
+            position=11,
+            compares_with_recorded=False,
+        ),
     ),
     _compute,
 )
