@@ -11,11 +11,10 @@ import psutil
 from prbench.contract import Adapter, Trainable, TrainingRun
 from prbench.errors import AdapterError
 from prbench.methods.adapters import load_adapter
-from prbench.methods.isolation.training_copy import temporary_training_copy
 from prbench.methods.names import name_problem
 from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.methods.remote.program import Program
-from prbench.methods.training_split import FIT_SEED, TrainingSplit
+from prbench.methods.remote.process import Program
+from prbench.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
 from prbench.sequences import SequenceTable
 
 

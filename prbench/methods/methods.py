@@ -14,7 +14,7 @@ from prbench.methods.isolation.isolated import Fit
 from prbench.methods.loaded_methods import HELD, MethodSpec
 from prbench.methods.names import METHOD_CONTROLS
 from prbench.methods.programs import MethodProgram, is_program, own_environment, program_of
-from prbench.methods.remote.program import Program
+from prbench.methods.remote.process import Program
 from prbench.methods.users_environment import users_environment
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest

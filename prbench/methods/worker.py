@@ -18,7 +18,6 @@ from prbench.contract import Adapter, Condition, ConditionBatch, Motions, Traina
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import load_adapter
 from prbench.methods.declared import Declared
-from prbench.methods.isolation.training_copy import TrainingCopy
 from prbench.methods.motions import own_copy, release_memory, told, well_formed
 from prbench.methods.remote.messages import (
     WIRE_VERSION,
@@ -29,7 +28,7 @@ from prbench.methods.remote.messages import (
     write_message,
 )
 from prbench.methods.threads import computing_threads
-from prbench.methods.training_split import FIT_SEED
+from prbench.methods.training_split import FIT_SEED, TrainingCopy
 from prbench.methods.weights import used_weights, weights_digest
 from prbench.workers import is_out_of_memory
 

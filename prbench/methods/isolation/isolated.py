@@ -9,11 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.methods.isolation.bubblewrap import BUBBLEWRAP, HOME, available_fence, bubblewrap_words
-from prbench.methods.isolation.environment import isolated_environment, readable_folders, text_encoder
-from prbench.methods.isolation.interpreter import executable_folders, import_path, python_folders
-from prbench.methods.isolation.mounts import Shown
-from prbench.methods.remote.program import Program
+from prbench.methods.isolation.bubblewrap import BUBBLEWRAP, HOME, Shown, available_fence, bubblewrap_words
+from prbench.methods.isolation.environment import (
+    executable_folders,
+    import_path,
+    isolated_environment,
+    python_folders,
+    readable_folders,
+    text_encoder,
+)
+from prbench.methods.remote.process import Program
 from prbench.methods.users_environment import users_environment
 
 _FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from prbench.errors import InputFileError
 from prbench.methods.programs.description import MethodDescription, read_description
-from prbench.methods.programs.reference import PREFIX, is_command, is_description, short_name
 from prbench.methods.programs.surroundings import Surroundings, below, inside_environment
-from prbench.methods.programs.words import shown_command, split_command
-from prbench.methods.remote.program import Program
+from prbench.methods.programs.words import PREFIX, is_command, is_description, short_name, shown_command, split_command
+from prbench.methods.remote.process import Program
 
 
 @dataclass(frozen=True)

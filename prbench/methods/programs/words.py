@@ -1,12 +1,13 @@
-"""A command as one text, split into words as the user's system splits them, and shown without the user's folders."""
+"""What ``--method`` may be, told apart by its form; a program's command split into words and shown without folders."""
 
 from __future__ import annotations
 
 import os
 import re
 import shlex
+import textwrap
 from collections.abc import Iterable
-from pathlib import PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from prbench.errors import UsageError
 
@@ -74,3 +75,31 @@ def _split_on_windows(text: str) -> list[str]:
     if quoted:
         raise ValueError("No closing quotation")
     return words + ([word] if begun else [])
+
+
+PREFIX = "cmd:"
+SUFFIX = ".toml"
+_LONGEST = 60  # characters of a command in messages
+
+
+def is_command(method: str) -> bool:
+    """``cmd:python glide.py``."""
+    return method.startswith(PREFIX)
+
+
+def is_description(method: str) -> bool:
+    """``glide.toml``."""
+    return not is_command(method) and method.lower().endswith(SUFFIX)
+
+
+def is_program(method: str) -> bool:
+    """Whether a method is a program of its own, not the name of an installed adapter or of a control."""
+    return is_command(method) or is_description(method)
+
+
+def short_name(method: str) -> str:
+    """What to call a method before it has introduced itself: never a path."""
+    if is_command(method):
+        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
+        return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
+    return Path(method).stem if is_description(method) else method

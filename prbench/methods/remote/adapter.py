@@ -8,13 +8,11 @@ from collections.abc import Mapping, Sequence
 import prbench
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.methods.remote.answers import error_text, motions_in
+from prbench.methods.remote.answers import Introduction, RemoteWeights, error_text, motions_in
 from prbench.methods.remote.faults import Ended, Fault, ReportedError, TimedOut
-from prbench.methods.remote.introduction import Introduction, RemoteWeights
 from prbench.methods.remote.log import ProgramLog
 from prbench.methods.remote.messages import WIRE_VERSION, Header, conditions_payload
-from prbench.methods.remote.process import ProgramProcess
-from prbench.methods.remote.program import Program
+from prbench.methods.remote.process import Program, ProgramProcess
 from prbench.skeleton import N_JOINTS
 
 __all__ = ["RemoteAdapter", "RemoteWeights"]
