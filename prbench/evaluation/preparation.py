@@ -37,7 +37,7 @@ from prbench.runs.record import (
     RunRecord,
     TableRecord,
 )
-from prbench.runs.schema import RUN_SCHEMA_VERSION
+from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 

@@ -22,9 +22,8 @@ from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.progress import Progress, ProgressCallback, silent
 from prbench.evaluation.request import RunRequest
+from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.evaluation.scoring import ScoringRules, score_selection
-from prbench.evaluation.stored_results import require_scores, require_summary
-from prbench.evaluation.summarise import ScoredSet, summarise
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method

@@ -24,7 +24,7 @@ from prbench.methods.native_rate import at_table_rate, native_frames
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions
-from prbench.runs.schema import SCORES
+from prbench.runs.scores import SCORES
 from prbench.runs.summary import RECORDED_MOTION
 from prbench.sequences.chunk import SequenceChunk
 

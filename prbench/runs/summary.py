@@ -10,7 +10,7 @@ from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import RunError
 from prbench.limits import LARGEST_JSON
-from prbench.runs.schema import RUN_SCHEMA_VERSION
+from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.storage import write_json
 
 FILE_NAME = "summary.json"

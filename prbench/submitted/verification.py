@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
 from prbench.evaluation.progress import silent
-from prbench.evaluation.stored_results import require_scores, require_summary
-from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.manifests import load_protocol
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord

@@ -8,8 +8,14 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from prbench.evaluation.text_to_motion.configuration import MOVEMENT_FEATURES, SNIPPET, EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementEncoder, TextEncoder
+from prbench.evaluation.text_to_motion.networks import (
+    MOVEMENT_FEATURES,
+    SNIPPET,
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementEncoder,
+    TextEncoder,
+)
 from prbench.representation import Statistics
 from prbench.text import EncodedText
 from prbench.text import TextEncoder as TokenVectors

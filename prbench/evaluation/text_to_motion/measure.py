@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from prbench.evaluation.text_to_motion.distances import (
+from prbench.evaluation.text_to_motion.metrics import (
     DIVERSITY_PAIRS,
+    TOP,
+    FewSamplesWarning,
+    RPrecision,
     diversity,
     draw_diversity_pairs,
+    fid,
     multimodal_distance,
+    r_precision,
 )
-from prbench.evaluation.text_to_motion.fid import FewSamplesWarning, fid
-from prbench.evaluation.text_to_motion.r_precision import TOP, RPrecision, r_precision
 
 R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
 FID, DISTANCE, DIVERSITY, MULTIMODALITY = "fid", "multimodal_distance", "diversity", "multimodality"
@@ -79,3 +83,23 @@ def measure_motions(
         distance = fid(recorded, motion)
     pairs = draw_diversity_pairs(len(motion), generator, n_pairs=diversity_pairs)
     return {FID: distance, DIVERSITY: diversity(motion, pairs)}
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """One number over repetitions of the whole evaluation. The interval says how far chance moves the mean of these
+    repetitions; it knows nothing of the choice of recordings or of training.
+    """  # noqa: D205
+
+    mean: float
+    half_width: float | None
+    """1.96 · population standard deviation / √repetitions; None for a single one."""
+    values: tuple[float, ...]
+    """One a repetition."""
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Repeated:
+        """Summarise the values of at least one repetition."""
+        numbers = np.asarray(values, dtype=np.float64)
+        half = 1.96 * float(numbers.std()) / float(np.sqrt(len(numbers))) if len(numbers) > 1 else None
+        return cls(float(numbers.mean()), half, tuple(float(number) for number in numbers))

@@ -22,9 +22,14 @@ from prbench.paths import turn_into_paths
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.storage import write_text
-from prbench.submitted.offline.conditions_file import ConditionsFile, given_columns, require_suffix
-from prbench.submitted.offline.information import ConditionsInfo, fingerprints
-from prbench.submitted.offline.read import write_conditions
+from prbench.submitted.offline.conditions_file import (
+    ConditionsFile,
+    ConditionsInfo,
+    fingerprints,
+    given_columns,
+    require_suffix,
+)
+from prbench.submitted.offline.files import write_conditions
 
 _RECORDED_MOTION = frozenset({"initial_joints", "previous_joints", "goal_joints", "goal_location"})
 GOALS = frozenset({"goal_joints", "goal_location"})

@@ -10,9 +10,8 @@ from prbench.contract import Condition
 from prbench.errors import PredictionsError, UsageError
 from prbench.evaluation.controls import SHUFFLED_GOAL
 from prbench.sequences import SequenceTable
-from prbench.submitted.offline.conditions_file import ConditionsFile, given_columns
+from prbench.submitted.offline.conditions_file import ConditionsFile, fingerprints, given_columns
 from prbench.submitted.offline.export import GOALS, ExportRequest, conditions_of
-from prbench.submitted.offline.information import fingerprints
 from prbench.submitted.score_predictions.request import ScoreRequest
 
 _STATED_TWICE = ("condition", "seed", "split", "limit", "max_frames", "native_fps")

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import TableError, UsageError
-from prbench.evaluation.text_to_motion.configuration import SNIPPET, EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.r_precision import BATCH
+from prbench.evaluation.text_to_motion.metrics import BATCH
+from prbench.evaluation.text_to_motion.networks import SNIPPET, EvaluatorConfiguration
 from prbench.randomness import named_generator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.training.motion import Motion, cut, encoded

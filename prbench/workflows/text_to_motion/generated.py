@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
 from prbench.errors import UsageError
-from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
+from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
 from prbench.methods.adapters import load_adapter, require_condition
 from prbench.methods.declared import Declared
 from prbench.methods.motions import generate_checked

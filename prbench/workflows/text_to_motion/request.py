@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.evaluation.text_to_motion.distances import DIVERSITY_PAIRS
+from prbench.evaluation.text_to_motion.metrics import DIVERSITY_PAIRS
 from prbench.workflows.text_to_motion.generated import MethodRequest
 
 REPETITIONS, REPETITIONS_WITH_MULTIMODALITY = 20, 5

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.evaluation.text_to_motion.configuration import GLOVE
+from prbench.evaluation.text_to_motion.networks import GLOVE
 from prbench.evaluation.text_to_motion.words import GloveCaptions, WordVectors
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.text import TextEncoder, text_encoder
