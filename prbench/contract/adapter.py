@@ -21,7 +21,7 @@ from prbench.sequences.table import SequenceTable
 
 @dataclass(frozen=True)
 class Cost:
-    """What the method itself declares about its effort; time and memory are measured by the harness."""
+    """The effort that a method declares itself; time and memory are measured by the harness."""
 
     network_passes: int
 
@@ -48,7 +48,7 @@ class TrainingRun:
     """Given to :meth:`prbench.contract.adapter.Trainable.fit`."""
 
     folder: Path
-    """For checkpoints and logs; kept per table identity, so that a fit is done once."""
+    """Folder for checkpoints and logs; kept per table identity, so that a fit is done once."""
     seed: int
     device: str
 
@@ -100,7 +100,7 @@ class Trainable(Adapter, Protocol):
 
 @runtime_checkable
 class LoadAdapter(Protocol):
-    """What an entry point names."""
+    """The function that an entry point names."""
 
     def __call__(self, weights: Path | None, *, options: Mapping[str, str], device: str) -> Adapter:
         """Make the adapter.

@@ -1,4 +1,4 @@
-"""Whether two methods differ, judged on the same sequences and recording by recording.
+"""Differences of two methods, judged on the same sequences and recording by recording.
 
 Source: docs/specification/protocol.md#comparisons.
 """
@@ -47,7 +47,7 @@ class Comparison:
 
     @property
     def conclusion(self) -> Conclusion:
-        """Whether the first method is higher or lower than the second at a family-wise 5 %."""
+        """Words for the result: is the first method higher or lower than the second at a family-wise 5 %?"""
         if self.adjusted_p_value is None or self.adjusted_p_value > SIGNIFICANCE:
             return "not supported by the data"
         return "higher" if self.difference.mean > 0 else "lower"

@@ -56,7 +56,7 @@ class Estimate:
     n_sequences: int
     n_recordings: int
     method: str
-    """How the interval was made: wilson-cluster, clopper-pearson-recordings, bootstrap, t-jackknife or none."""
+    """Name of the interval: wilson-cluster, clopper-pearson-recordings, bootstrap, t-jackknife or none."""
     marks: tuple[str, ...]
     """``few_recordings`` (below ten), ``one_recording``, ``all_equal``."""
 
@@ -91,12 +91,12 @@ class ClusteredValues:
 
     @property
     def mean(self) -> float:
-        """The estimator: mean over sequences."""
+        """Mean over sequences, the estimate itself."""
         return float(self.totals.sum() / self.sequences.sum())
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """What a reader must know about the data."""
+        """Remarks that a reader of the interval needs."""
         count = len(self.sequences)
         found = {
             ONE_RECORDING: count == 1,
@@ -106,7 +106,7 @@ class ClusteredValues:
         return tuple(mark for mark, holds in found.items() if holds)
 
     def estimate(self, low: float | None, high: float | None, method: str) -> Estimate:
-        """The mean with an interval of it."""
+        """Put the mean and an interval of it together."""
         return Estimate(self.mean, low, high, len(self.samples), len(self.sequences), method, self.marks)
 
 

@@ -42,7 +42,7 @@ from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
 DEFAULT_PARENT = Path("runs")
-"""Where run folders are made if the user names none."""
+"""Folder of run folders for which the user names none."""
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
@@ -53,7 +53,7 @@ class PreparedDataset:
     chosen: Selection
     """The sequences of split and limit."""
     selection: Selection
-    """Of these, the ones that the method can generate."""
+    """The chosen sequences that the method can generate."""
     source: ConditionSource
     plan: list[Int[np.ndarray, "_"]]
     method: MethodSpec | None
@@ -63,11 +63,11 @@ class PreparedDataset:
 
     @property
     def name(self) -> str:
-        """Of the dataset."""
+        """Name of the dataset."""
         return self.selection.table.info.dataset
 
     def ids(self, rows: Int[np.ndarray, " rows"]) -> tuple[str, ...]:
-        """Of a planned batch."""
+        """Ids of a planned batch."""
         return tuple(self.selection.sequence_ids[row] for row in rows)
 
 
@@ -124,7 +124,7 @@ def _control(request: RunRequest) -> MethodRecord:
 
 
 def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
-    """What is recorded about an adapter or a program, which is loaded for it."""
+    """Load an adapter or a program, and return what is recorded about it."""
     method = spec.load()
     origin = f"adapter '{method.name}'"
     require_condition(method.name, method.adapter, request.condition)
@@ -167,7 +167,7 @@ def _weights(request: RunRequest, method: LoadedMethod, origin: str) -> tuple[st
 
 
 def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[Selection]:
-    """Of each table; where single sequences are asked for, only of the tables that hold one."""
+    """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
     if request.sequences:
         return select_sequences(tables, request.sequences, split=request.split)
     return [select(table, split=request.split, limit=request.limit) for table in tables]

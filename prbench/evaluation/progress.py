@@ -1,4 +1,4 @@
-"""How long work says how far it has got."""
+"""Reports of long work on how far it has got."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user asks of a run."""
+"""The request of a run."""
 
 from __future__ import annotations
 
@@ -86,5 +86,5 @@ class RunRequest:
 
     @property
     def method_label(self) -> str:
-        """What to call the method before it is loaded: its name, its command, or the name of its file."""
+        """Name of the method before it is loaded: its name, its command, or the name of its file."""
         return short_name(self.method)

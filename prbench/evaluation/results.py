@@ -119,7 +119,7 @@ def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[t
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredSet:
-    """What the scores are of."""
+    """The motions that the scores belong to."""
 
     info: DatasetInfo | TableRecord
     recording_of: Mapping[str, str]

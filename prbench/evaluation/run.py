@@ -38,14 +38,14 @@ from prbench.storage import write_text
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a run has left behind."""
+    """Results of a run."""
 
     folder: RunFolder
     summaries: tuple[DatasetSummary, ...]
     batches_made: int
-    """In this call."""
+    """Number of batches that this call generated."""
     batches_found: int
-    """From an earlier call."""
+    """Number of batches that an earlier call has left."""
 
 
 def run_method(request: RunRequest, *, engine: Engine | None = None, progress: ProgressCallback = silent) -> RunReport:
@@ -85,7 +85,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
 
 
 def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTask]:
-    """What a run still has to generate, for whoever makes the batches of several runs at once.
+    """Work that a run still has to do, for whoever makes the batches of several runs at once.
 
     :func:`run_method` finds them where :func:`~prbench.evaluation.generation.run_batch` puts them, and scores them.
     The caller holds the run folder until the batches are made.

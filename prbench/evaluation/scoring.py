@@ -32,7 +32,7 @@ _COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg"
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
-"""What to do about motions of another length."""
+"""Remedy for motions of another length."""
 _NOT_AS_KEPT = (
     "A run keeps no such motion of a method: the file was changed, or is of an older prbench. Delete it and run the"
     " method again."
@@ -42,7 +42,7 @@ _CARRIES_COPY_REMARK = frozenset(info.id for info in METRICS if info.carries_cop
 
 @dataclass(frozen=True)
 class ScoringRules:
-    """How the motions of one dataset are scored."""
+    """Rules by which the motions of one dataset are scored."""
 
     constants: MetricConstants
     recorded_motion: bool = False
@@ -220,7 +220,7 @@ def _at_table_rate(predicted: MotionBatch, recorded: MotionBatch, window: _Windo
 
 
 def _fps(window: _Window) -> float:
-    """Of the table; a selection has one rate."""
+    """Return the frame rate of the table; a selection has one rate."""
     return float(SequenceChunk(window.recorded).numbers("fps")[0])
 
 

@@ -13,7 +13,7 @@ from prbench.methods.installed import InstalledAdapter, list_adapters, no_such_m
 
 
 def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapter:
-    """The installed method of this name: prbench's own, or the one that a single package offers.
+    """Find the installed method of this name: prbench's own, or the one that a single package offers.
 
     Args:
         name: As given by ``--method``.
@@ -42,7 +42,7 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
     """Import a method and make it.
 
     Args:
-        name: Of the entry point.
+        name: Name of the entry point.
         weights: File or folder, or None for the method's default.
         options: ``--option key=value``, handed on as they are.
         device: ``cpu``, ``cuda`` …

@@ -22,7 +22,7 @@ class WrongUnit(NamedTuple):
     cause: str
     remedy: str
     metres_per_unit: float
-    """What the numbers have to be multiplied by."""
+    """Factor that the numbers have to be multiplied by."""
 
 
 def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "poses joints 3"]:

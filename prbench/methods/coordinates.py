@@ -47,7 +47,7 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
 
 
 def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
-    """Whether each number is finite and within the distance."""
+    """Return True for each number that is finite and within the distance."""
     return np.isfinite(values) & (np.abs(values) <= farthest)
 
 

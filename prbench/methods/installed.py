@@ -1,4 +1,4 @@
-"""What package metadata say about installed methods, read so that one damaged package never hides the others.
+"""Package metadata of installed methods, read so that one damaged package never hides the others.
 
 ``importlib.metadata.entry_points`` gives up on the first line that it cannot parse, and with it every command that
 names a method. Here each package is read by itself, and what is wrong with it is said beside its name.
@@ -24,7 +24,7 @@ _PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".
 
 @dataclass(frozen=True, order=True)
 class InstalledAdapter:
-    """What package metadata say about a method; nothing of it was imported."""
+    """The package metadata of a method; nothing of it was imported."""
 
     name: str
     package: str
@@ -32,24 +32,24 @@ class InstalledAdapter:
     target: str
     """``module:callable``."""
     problem: str = ""
-    """Why the method cannot be used: its metadata are damaged, or its name is not its own; empty if it can."""
+    """Reason why the method cannot be used: damaged metadata, or a name that is not its own; empty if it can."""
     built_in: bool = False
-    """It comes with prbench itself."""
+    """True if it comes with prbench itself."""
 
 
 def list_adapters() -> list[InstalledAdapter]:
-    """All installed methods by name, without importing any of them; those that cannot be used say why."""
+    """Return all installed methods by name, without importing any; those that cannot be used say why."""
     return sorted(set(_adapters()))
 
 
 def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
-    """Names that more than one package may use; such a name cannot be used until one of them is uninstalled."""
+    """Return names that several packages offer; such a name cannot be used until all but one are uninstalled."""
     names = [adapter.name for adapter in adapters if not adapter.problem]
     return frozenset(name for name in names if names.count(name) > 1)
 
 
 def entry_points_of(group: str) -> Iterator[EntryPoint]:
-    """The readable entry points of a group; unreadable ones, and names that belong to prbench, are passed over."""
+    """Yield the readable entry points of a group, but none whose name belongs to prbench."""
     for distribution in _distributions():
         for line in _lines(distribution, group):
             name, separator, value = (part.strip() for part in line.partition("="))
@@ -58,13 +58,13 @@ def entry_points_of(group: str) -> Iterator[EntryPoint]:
 
 
 def no_such_method(name: str, known: Iterable[str]) -> AdapterError:
-    """The answer to a method's name that nobody knows: the nearest known one, or how a program or a file is given."""
+    """Return the error for an unknown method: it names the nearest known one, or how a program or a file is given."""
     hint = did_you_mean(name, known) or _as_program(name)
     return AdapterError(f"adapter '{name}' is not installed.{hint} `prbench adapters list` shows all of them.")
 
 
 def _as_program(name: str) -> str:
-    """A hint for what looks like a program, a file of its results, or a command."""
+    """Return a hint for what looks like a program, a file of its results, or a command."""
     words = name.split()
     if name.lower().endswith(".toml"):
         return " It looks like the TOML file of a method, but there is no such file."
@@ -92,7 +92,7 @@ def _adapters() -> Iterator[InstalledAdapter]:
 
 
 def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> InstalledAdapter:
-    """The method, marked as built in, or refused where its name belongs to prbench or cannot be shown."""
+    """Mark the method as built in, or as refused where its name belongs to prbench or cannot be shown."""
     if ours and adapter.name in BUILT_IN_METHODS:
         return replace(adapter, built_in=True)
     problem = adapter.problem or name_problem(adapter.name) or ""
@@ -116,7 +116,7 @@ def _adapter(line: str, package: str, version: str) -> InstalledAdapter:
 
 
 def _distributions() -> Iterator[Distribution]:
-    """Installed packages; of two copies the one that stands first on the path, as an import would find it."""
+    """Yield installed packages; of two copies the one that stands first on the path, as an import would find it."""
     seen = set()
     for distribution in distributions():
         name = _normalised(distribution)
@@ -130,7 +130,7 @@ def _normalised(distribution: Distribution) -> str:
 
 
 def _folder_name(distribution: Distribution) -> str:
-    """The package's name as its ``.dist-info`` folder has it, which costs no reading.
+    """Return the package's name as its ``.dist-info`` folder has it, which costs no reading.
 
     A source checkout has ``name.egg-info`` without a version.
     """
@@ -139,7 +139,7 @@ def _folder_name(distribution: Distribution) -> str:
 
 
 def _field(distribution: Distribution, name: str) -> str:
-    """``Name`` or ``Version`` from a package's metadata; empty if they cannot be read."""
+    """Return ``Name`` or ``Version`` from a package's metadata; empty if they cannot be read."""
     try:
         return str(distribution.metadata.get(name) or "")  # type: ignore[attr-defined]  # an email.message.Message
     except Exception:  # whatever a strange installation raises, the others are still to be listed
@@ -147,7 +147,7 @@ def _field(distribution: Distribution, name: str) -> str:
 
 
 def _lines(distribution: Distribution, group: str) -> list[str]:
-    """The lines of one group of a package's entry points, comments left out."""
+    """Return the lines of one group of a package's entry points, comments left out."""
     try:
         text = distribution.read_text("entry_points.txt") or ""
     except (OSError, ValueError):  # unreadable, or no UTF-8

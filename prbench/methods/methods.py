@@ -31,14 +31,14 @@ def method_spec(
     timeout: float | None = None,
     hidden: tuple[Path, ...] = (),
 ) -> MethodSpec:
-    """How to make a method, whatever it is written in.
+    """Return how to make a method, whatever it is written in.
 
     Args:
         method: Name of an installed adapter, ``cmd:`` and a command, or path of a TOML file that describes a program.
         weights: File or folder, or the name of weights that the method knows; None for its default.
         options: ``--option key=value``, handed on as they are.
         device: ``cpu``, ``cuda`` …
-        threads: Of the method.
+        threads: Threads that the method computes with.
         isolate: Run an installed method in a process of its own that is given neither paths, objects nor environment;
             put a program behind the same fence.
         timeout: Seconds until a batch is answered by another process.

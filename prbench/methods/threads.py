@@ -1,4 +1,4 @@
-"""How many threads a method computes with, on which its rounding may depend."""
+"""The number of threads that a method computes with; its rounding may depend on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part of a table that a method may learn from, and a copy of it for methods that never get the table itself."""
+"""The rows of a table that a method may learn from, and a copy of them for methods that never get the table itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.write import write_table
 
 FIT_SEED = 0
-"""Of methods that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
+"""Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
 _SPLIT = "train"
 
 
@@ -52,12 +52,12 @@ class TrainingSplit(SequenceTable):
         return super().scalars(split=_of_training(split))
 
     def events(self) -> pa.Table:
-        """The events of the training recordings; those of the others would tell where the goals of test rows are."""
+        """Return the events of the training recordings; the others would tell where the goals of test rows are."""
         events, known = super().events(), self.recordings()["recording_id"].combine_chunks()
         return events.filter(pc.call_function("is_in", [events["recording_id"]], pc.SetLookupOptions(known)))
 
     def recordings(self) -> pa.Table:
-        """The training recordings."""
+        """Return the training recordings."""
         return super().recordings().filter(pc.field("split") == _SPLIT)
 
     @cached_property
@@ -105,7 +105,7 @@ class TrainingCopy(TrainingSplit):
 
 
 def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory[str]:
-    """A training copy in a folder that vanishes with this process, or at the latest when the next one is made.
+    """Make a training copy in a folder that vanishes with this process, or at the latest when the next one is made.
 
     Raises:
         StorageError: if it cannot be written.
@@ -151,7 +151,7 @@ def write_training_copy(table: SequenceTable, folder: Path) -> None:
 
 
 def _remove_orphans() -> None:
-    """Copies of processes that were killed."""
+    """Remove the copies of processes that were killed."""
     for left in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         owner = left.name.removeprefix(_PREFIX).partition("-")[0]
         if owner.isdecimal() and not psutil.pid_exists(int(owner)):

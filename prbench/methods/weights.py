@@ -1,4 +1,4 @@
-"""Which weights a method uses, and their digest."""
+"""The weights that a method uses, and their digest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from prbench.storage import file_digest
 
 
 def used_weights(adapter: Adapter, condition: Condition, given: Path | None, *, origin: str) -> Path | None:
-    """The weights that a method uses under a condition: those it names itself (``weights_for``), else those given.
+    """Return the weights used under a condition: those the method names itself (``weights_for``), else those given.
 
     Raises:
         AdapterError: if it names something that is no path.
@@ -36,7 +36,7 @@ def require_weights(weights: Path | None) -> None:
 
 
 def weights_digest(weights: Path | None) -> str | None:
-    """SHA-256 of a weights file, or of the names and contents of a folder.
+    """Return the SHA-256 of a weights file, or of the names and contents of a folder.
 
     Raises:
         UsageError: if the path does not exist.

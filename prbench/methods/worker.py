@@ -96,7 +96,7 @@ def _introduction(name: str, adapter: Adapter, given: Path | None) -> Header:
 
 
 def _weights(name: str, adapter: Adapter, condition: Condition, given: Path | None) -> Path | None:
-    """What is used under a condition; None also where the method has none for it, which only matters if it is asked."""
+    """Return the weights used under a condition; None where the method has none."""
     try:
         used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
     except PrbenchError:

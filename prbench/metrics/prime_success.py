@@ -57,7 +57,7 @@ def primed(
 
 
 def _stays(on_target: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Bool[np.ndarray, " candidates"]:
-    """Whether each row and the ``hold`` rows after it are on target."""
+    """Return True for each row that is on target with the ``hold`` rows after it."""
     stays = on_target[row]
     for k in range(1, _largest(hold) + 1):
         stays &= on_target[row + np.minimum(k, hold)]

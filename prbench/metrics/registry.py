@@ -1,4 +1,4 @@
-"""What a metric says about itself, and how the metrics of this package are found.
+"""The declaration of a metric about itself, and the search for the metrics of this package.
 
 A file of this package that holds a :class:`MetricFamily` named ``FAMILY`` is part of the benchmark; nothing else needs
 to be edited.
@@ -46,7 +46,7 @@ class MetricInfo:
     against another sequence's goal. Every metric has to say this; a forgotten one would print a perfect 0.
     """
     can_be_negative: bool = False
-    """Where it cannot, no interval reaches below 0."""
+    """True if a value may be below 0; otherwise no interval reaches below 0."""
     irrelevant_if_motionless: bool = False
     """The value says nothing of a body that stands still: tables print a dash and rank nobody."""
     carries_copy_remark: bool = False

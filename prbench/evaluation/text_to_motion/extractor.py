@@ -106,7 +106,7 @@ def _similar(lengths: Int[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " rows"
 def _standardised(
     features: Sequence[Float[np.ndarray, "_ 263"]], snippets: Int[np.ndarray, " n"], statistics: Statistics
 ) -> Float[np.ndarray, "n frames 259"]:
-    """Without contacts, standardised, then padded with zeros to the longest."""
+    """Drop the contacts, standardise, then pad with zeros to the longest."""
     batch = np.zeros((len(features), int(snippets.max()) * SNIPPET, MOVEMENT_FEATURES), dtype=np.float32)
     for row, (motion, count) in enumerate(zip(features, snippets)):
         kept = statistics.standardise(motion[: count * SNIPPET])

@@ -36,7 +36,7 @@ class EmbeddedPairs:
     motion: Float[np.ndarray, "pairs dimension"]
 
     def shuffled(self, generator: np.random.Generator) -> EmbeddedPairs:
-        """The same pairs in another order: it decides which 32 are ranked together."""
+        """Return the same pairs in another order: it decides which 32 are ranked together."""
         order = generator.permutation(len(self.captions))
         return EmbeddedPairs(tuple(self.captions[i] for i in order), self.text[order], self.motion[order])
 
@@ -51,7 +51,7 @@ class Measured:
     """One repetition."""
 
     values: dict[str, float]
-    """By id of :data:`METRICS`."""
+    """Values by the ids of :data:`METRICS`."""
     ranking: RPrecision
 
 

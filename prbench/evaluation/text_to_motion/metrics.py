@@ -167,7 +167,7 @@ def _mean_distance(first: Float[np.ndarray, "*rows dimension"], second: Float[np
 def _ranks(
     text: Float[np.ndarray, "batch dimension"], motion: Float[np.ndarray, "batch dimension"]
 ) -> Int[np.ndarray, " batch"]:
-    """How many other motions are as near to each text as its own, or nearer."""
+    """Count the other motions that are as near to each text as its own, or nearer."""
     difference = text[:, None].astype(np.float64) - motion[None].astype(np.float64)
     distances = np.sqrt(np.square(difference).sum(axis=-1))  # (texts, motions)
     return (distances <= distances.diagonal()[:, None]).sum(axis=1) - 1

@@ -15,7 +15,7 @@ from prbench.representation import N_FEATURES, Mode
 from prbench.representation.features import FOOT_CONTACTS
 
 MOVEMENT_FEATURES = FOOT_CONTACTS.start
-"""Of the 263 features, the 259 that the movement encoder sees: all but the contacts."""
+"""Number of the 263 features that the movement encoder sees: all but the four contacts."""
 SNIPPET = 4
 """Frames that become one snippet."""
 GLOVE = "glove"
@@ -31,13 +31,13 @@ class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     movement_width: int = 512
     """Channels of the movement encoder, and numbers of a snippet."""
     motion_width: int = 1024
-    """Of the motion encoder's GRU, in each direction."""
+    """Hidden size of the motion encoder's GRU, in each direction."""
     text_width: int = 512
-    """Of the text encoder's GRU, in each direction."""
+    """Hidden size of the text encoder's GRU, in each direction."""
     embedding: int = 512
     """Dimension of the space that both encoders map into."""
     text: Literal["glove", "hashed-ngrams", "distilbert"] = "glove"
-    """Whose word vectors the text encoder reads. Numbers of different ones never stand in one column."""
+    """Name of the word vectors that the text encoder reads. Numbers of different ones never stand in one column."""
     most_tokens: int = 64
     """Later tokens of a text are dropped. GloVe's captions are cut to 20 words whatever stands here."""
     representation: Mode = "continuous"

@@ -1,4 +1,4 @@
-"""Which folders appear behind the fence and where, and the command line of bubblewrap that shows them."""
+"""Arrange the folders that appear behind the fence, and make the command line of bubblewrap that shows them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Mask:
 
 
 def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount | Mask]:
-    """Mounts and masks in the order in which they have to be made: outer ones before inner ones.
+    """Return mounts and masks in the order in which they have to be made: outer ones before inner ones.
 
     Links are followed once, here: what a shown path leads to appears under its own name too, and a hidden folder is
     covered wherever it would appear. Hidden folders that do not exist yet are made where they have to be covered.
@@ -81,7 +81,7 @@ def _masks(mounts: Sequence[Mount], secrets: Sequence[Path]) -> Iterator[Mask]:
 
 
 def _made(folder: Path) -> bool:
-    """Whether a folder is there to be covered; one that cannot be made now will not appear later either."""
+    """Make a folder that is to be covered; one that cannot be made now will not appear later either."""
     try:
         if not folder.exists():
             folder.mkdir(parents=True)
@@ -107,18 +107,18 @@ _PROBE_TIMEOUT = 10.0  # seconds; it takes 10 ms
 
 @dataclass(frozen=True)
 class Fence:
-    """What an isolated method can be kept from on this machine."""
+    """The kind of isolation that works on this machine."""
 
     kind: str
     """``bubblewrap``, or ``process`` where the file system cannot be withheld."""
     program: str | None
     """Path of bubblewrap."""
     reason: str
-    """Why the file system cannot be withheld; empty if it can."""
+    """Reason why the file system cannot be withheld; empty if it can."""
 
     @property
     def notice(self) -> str:
-        """For the user, before a run."""
+        """Message that the user gets before a run."""
         if self.kind == BUBBLEWRAP:
             return "isolated by bubblewrap: paths, objects, environment, network and the file system are withheld."
         return (
@@ -129,7 +129,7 @@ class Fence:
 
 @lru_cache(maxsize=1)
 def available_fence() -> Fence:
-    """The best fence that works here; tried once a process."""
+    """Return the best fence that works here; tried once a process."""
     program = shutil.which("bwrap")
     if program is None:
         return Fence(PROCESS, None, "bubblewrap is not installed")
@@ -147,7 +147,7 @@ def available_fence() -> Fence:
 def bubblewrap_words(
     program: str, *, shown: Sequence[Shown], hidden: Sequence[Path], directory: Path | None
 ) -> tuple[str, ...]:
-    """The words to put before a command so that it sees the system, what it is shown, and nothing else.
+    """Return the words before a command that let it see the system, what it is shown, and nothing else.
 
     Args:
         program: Path of bubblewrap.

@@ -1,4 +1,4 @@
-"""What an isolated method gets of the environment, and what its interpreter needs of the file system."""
+"""Environment variables that an isolated method gets, and folders that its interpreter needs."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _MODEL_CACHES = {"HF_HOME": "huggingface", "TORCH_HOME": "torch"}
 
 
 def isolated_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """What of the user's environment an isolated method gets.
+    """Return the part of the user's environment that an isolated method gets.
 
     ``HOME`` is not among it, nor is any variable of the harness. Where models are cached is named instead.
 
     Args:
-        environment: The user's.
+        environment: Environment variables of the user.
     """
     kept = {
         name: value
@@ -51,12 +51,12 @@ def isolated_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def text_encoder(environment: Mapping[str, str]) -> dict[str, str]:
-    """The only variables of prbench that installed methods need: where the text encoders of our own models lie."""
+    """Return the only variables of prbench that installed methods need: paths of text encoders."""
     return {name: environment[name] for name in _TEXT_ENCODERS if environment.get(name)}
 
 
 def readable_folders(environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Folders that the variables of an isolated environment lead to: models and libraries."""
+    """Return the folders that the variables of an isolated environment lead to: models and libraries."""
     named = [environment.get(name) for name in (*_MODEL_CACHES, "HF_HUB_CACHE", *_TEXT_ENCODERS)]
     libraries = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
     return tuple(Path(text).absolute() for text in [*named, *libraries] if text and Path(text).exists())
@@ -67,12 +67,12 @@ def _cache_home(environment: Mapping[str, str]) -> Path:
 
 
 def import_path() -> tuple[str, ...]:
-    """Where this process finds modules: the folders and archives of ``sys.path`` that exist."""
+    """Return the folders and archives of ``sys.path`` that exist."""
     return tuple(dict.fromkeys(str(Path(entry).absolute()) for entry in sys.path if entry and Path(entry).exists()))
 
 
 def python_folders(target: str) -> tuple[Path, ...]:
-    """What this interpreter needs to import a module.
+    """Return the folders that this interpreter needs to import a module.
 
     Args:
         target: ``module:callable`` of an entry point; nothing of it is imported.
@@ -85,7 +85,7 @@ def python_folders(target: str) -> tuple[Path, ...]:
 
 
 def executable_folders(program: Path) -> tuple[Path, ...]:
-    """What a program needs that lies outside the system's folders: itself, and the installation that it is part of."""
+    """Return a program's files outside the system's folders: itself, and the installation that it is part of."""
     actual = program.resolve()
     found = [program, actual]
     for folder in (program.parent, actual.parent, *_virtual_environment_home(program)):
@@ -95,7 +95,7 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
 
 
 def _virtual_environment_home(program: Path) -> Iterator[Path]:
-    """The folder of the interpreter that a virtual environment was made with."""
+    """Yield the folder of the interpreter that a virtual environment was made with."""
     settings = program.parent.parent / "pyvenv.cfg"
     if settings.is_file():
         for line in settings.read_text(encoding="utf-8").splitlines():
@@ -105,13 +105,13 @@ def _virtual_environment_home(program: Path) -> Iterator[Path]:
 
 
 def _is_personal(folder: Path) -> bool:
-    """A folder too broad to show: the user's home, its ``.local``, or above."""
+    """Return True for a folder too broad to show: the user's home, its ``.local``, or above."""
     home = Path.home()
     return folder == home / ".local" or home.is_relative_to(folder)
 
 
 def _package_folders(name: str) -> Iterator[Path]:
-    """Where a top-level package lies, whichever import hook finds it."""
+    """Yield the folders of a top-level package, whichever import hook finds it."""
     try:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):
@@ -124,7 +124,7 @@ def _package_folders(name: str) -> Iterator[Path]:
 
 
 def _editable_folders() -> Iterator[Path]:
-    """Of packages that setuptools installed in place: their finders hold a mapping from names to folders."""
+    """Yield folders of packages that setuptools installed in place: their finders map names to folders."""
     for finder in sys.meta_path:
         module = sys.modules.get(getattr(finder, "__module__", ""))
         mapping = getattr(module, "MAPPING", None)

@@ -1,4 +1,4 @@
-"""In what a program runs: the user's own environment, a virtual environment, conda or a container."""
+"""Find what a command starts, and put it into the environment that it needs: virtual environment, conda, container."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _INTERPRETERS = {".py": "python", ".js": "node", ".mjs": "node", ".cjs": "node",
 
 
 def find_executable(word: str, *, directory: Path, path: str, where: str) -> str:
-    """The absolute path of a program, found as a shell in ``directory`` would find it.
+    """Find the absolute path of a program as a shell in ``directory`` would find it.
 
     Args:
         word: A name that is looked up in ``path``, or a path, relative to ``directory``.
         directory: Where the program starts.
         path: Folders, joined as in the variable ``PATH``.
-        where: What to call the command's source in messages.
+        where: Name of the command's source in messages.
 
     Raises:
         UsageError: if there is no such program, with what may have been meant.
@@ -96,12 +96,12 @@ class Surroundings:
     where: str
     """What to call the command's source in messages."""
     readable: tuple[Path, ...] = ()
-    """What it cannot do without beside its directory and its executable."""
+    """Paths that it needs beside its directory and its executable."""
     place: str = ""
     """Kind and name of the environment, for the record."""
 
     def found(self) -> Surroundings:
-        """With the program's absolute path; words that begin with ``~/`` are those of the user's home.
+        """Return the same with the program's absolute path; words that begin with ``~/`` lead to the user's home.
 
         Raises:
             UsageError: if the program, or the script that it is to run, does not exist.
@@ -116,7 +116,7 @@ class Surroundings:
 def inside_environment(
     start: Surroundings, table: EnvironmentTable, *, file: Path, weights: Path | None, hidden: tuple[Path, ...]
 ) -> Surroundings:
-    """The command inside the environment that a description asks for.
+    """Return the command inside the environment that a description asks for.
 
     Args:
         start: The command as it would run in the user's own environment.
@@ -140,7 +140,7 @@ def inside_environment(
 
 
 def below(file: Path, path: str) -> Path:
-    """A path in a description: absolute, in the user's home, or relative to the file's folder."""
+    """Resolve a path of a description: absolute, in the user's home, or relative to the file's folder."""
     return Path(os.path.normpath(file.absolute().parent / Path(path).expanduser()))
 
 
@@ -212,7 +212,7 @@ def _in_container(
 
 
 def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tuple[str, str]:
-    """Name and path of what runs containers."""
+    """Return name and path of the program that runs containers."""
     names = (asked,) if asked else ("podman", "docker")
     for name in names:
         program = shutil.which(name, path=environment.get("PATH", os.defpath))
@@ -228,7 +228,7 @@ def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tu
 
 
 def _volume(text: str, file: Path) -> tuple[Path, str]:
-    """A folder of this machine and its place in the container; ``C:`` of Windows is no separator."""
+    """Return a folder of this machine and its place in the container; ``C:`` of Windows is no separator."""
     drive = 2 if text[1:2] == ":" and text[:1].isalpha() else 0
     source, _, target = text[drive:].partition(":")
     folder = below(file, text[:drive] + source)
@@ -247,7 +247,7 @@ def _user(engine: str, asked: str | None) -> list[str]:
 
 
 def _masked(mounts: list[tuple[Path, str]], hidden: tuple[Path, ...]) -> list[str]:
-    """Places in the container that would show a hidden folder."""
+    """Return the places in the container that would show a hidden folder."""
     places = []
     for source, target in mounts:
         for folder in hidden:

@@ -1,4 +1,4 @@
-"""What a program says, checked before anything depends on it: its hello, and its answers to ``generate``."""
+"""The hello of a program and its answers to ``generate``, checked before anything depends on them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _SHOWN_TEXT = 2000  # characters of what a program says about its own error
 
 
 def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, number: int) -> Motions:
-    """The motions of an answer, in the order of the batch.
+    """Return the motions of an answer, in the order of the batch.
 
     Args:
         header: As received.
         payload: As received.
         batch: What was asked for.
-        number: Of the request.
+        number: Number of the request.
 
     Raises:
         ReportedError: if the program says that it failed.
@@ -52,7 +52,7 @@ def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, num
 
 
 def error_text(header: Header) -> str:
-    """What a program says about its own error, without what would move the cursor or colour a terminal.
+    """Return what a program says about its own error, without what would move the cursor or colour a terminal.
 
     Raises:
         BrokenProtocol: if it is no text.
@@ -93,7 +93,7 @@ _TEXT_LIMIT = 100
 
 @dataclass(frozen=True)
 class RemoteWeights:
-    """What a program says that it will use under a condition."""
+    """Weights that a program says it uses under a condition."""
 
     name: str
     sha256: str
@@ -108,7 +108,7 @@ class Introduction:
     declared: Declared
     weights: Mapping[Condition, RemoteWeights] = field(default_factory=dict)
     trainable: bool = False
-    """Of prbench's own worker alone: the installed method can be fitted to a table."""
+    """True if the installed method can be fitted to a table; only prbench's own worker says so."""
 
     @classmethod
     def read(cls, header: Mapping[str, Any], *, origin: str) -> Introduction:
@@ -116,7 +116,7 @@ class Introduction:
 
         Args:
             header: As received.
-            origin: What to call the program in messages.
+            origin: Name of the program in messages.
 
         Raises:
             AdapterError: naming the key that is not what the protocol asks for.

@@ -23,7 +23,7 @@ _POSES = ("initial_joints", "previous_joints", "goal_joints")
 
 
 def conditions_payload(batch: ConditionBatch) -> bytes:
-    """What a program may know about the sequences of a batch, one row each."""
+    """Return as Arrow stream what a program may know about the sequences of a batch, one row each."""
     columns: dict[str, pa.Array] = {
         "opaque_id": pa.array(batch.opaque_id, pa.utf8()),
         "noise_seed": pa.array(batch.noise_seed, pa.int64()),

@@ -78,10 +78,10 @@ class Predictions:
     id_column: str
     """``sequence_id`` or ``opaque_id``."""
     ids: tuple[str, ...]
-    """Of every motion, in the order of the files."""
+    """Id of every motion, in the order of the files."""
     samples: tuple[int, ...]
     n_frames: Int[np.ndarray, " n"] | None
-    """Of every motion; None where only the motions themselves tell (Parquet)."""
+    """Length of every motion; None where only the motions themselves tell (Parquet)."""
     _store: MotionStore = field(repr=False)
     _row_of: dict[tuple[str, int], int] = field(repr=False)
     """(id, sample) → row; of repeated ones the last."""

@@ -25,7 +25,7 @@ class PredictionRows:
     values: Float[np.ndarray, "total 22 3"]
     """Canonical frames, metres."""
     offsets: Int[np.ndarray, " offsets"]
-    """Where each motion begins, then the number of all frames."""
+    """Row at which each motion begins, then the number of all frames."""
 
     @classmethod
     def from_padded(
@@ -55,7 +55,7 @@ class MotionStore(Protocol):
 
 @dataclass(frozen=True)
 class IndexedRows:
-    """What a predictions file holds, known without reading a motion."""
+    """Contents of a predictions file, known without reading a motion."""
 
     paths: tuple[Path, ...]
     id_column: str
@@ -69,7 +69,7 @@ class IndexedRows:
 
 @dataclass(frozen=True)
 class Numbering:
-    """Which motion the files of a folder of numbered motions are: file number i is row i."""
+    """The motions of a folder of numbered files: file number i is row i."""
 
     source: Path
     """The conditions file whose rows are numbered."""

@@ -22,7 +22,7 @@ METADATA_KEY = "prbench_conditions"
 
 
 class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the rows of a conditions file were made. A method may see this as it may see the rows."""
+    """Settings that the rows of a conditions file were made with. A method may see them as it may see the rows."""
 
     format_version: int = FORMAT_VERSION
     condition: Condition
@@ -91,7 +91,7 @@ class SampledBatch:
     """Some rows of a conditions file as a method gets them."""
 
     sample: int
-    """Which of the motions of each sequence is drawn; the same for all rows."""
+    """Number of the motion that is drawn of each sequence; the same for all rows."""
     rows: Int[np.ndarray, " batch"]
     """Their places in the file, from 0."""
     batch: ConditionBatch
@@ -155,7 +155,7 @@ class ConditionsFile:
 
 
 def given_columns(condition: Condition) -> tuple[str, ...]:
-    """The columns that a condition fills beyond those that every file has, in the order of the format."""
+    """Return the columns that a condition fills beyond those that every file has, in the order of the format."""
     order = ("text", "initial_joints", "previous_joints", "goal_joints", "goal_location")
     return tuple(name for name in order if name in GIVEN[condition])
 

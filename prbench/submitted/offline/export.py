@@ -37,7 +37,7 @@ GOALS = frozenset({"goal_joints", "goal_location"})
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """Which conditions to write.
+    """The conditions to write, and the file for them.
 
     Raises:
         UsageError: if parts of it do not fit together.
@@ -52,7 +52,7 @@ class ExportRequest:
     samples: int = 1
     split: str = "test"
     limit: int | None = None
-    """As `prbench run --limit`: of each dataset so many sequences."""
+    """Number of sequences of each dataset, as `prbench run --limit` has it."""
     max_frames: int | None = None
     """Leave out longer sequences; they count as unsupported when the motions are scored."""
     native_fps: float | None = None
@@ -82,17 +82,17 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written."""
+    """Counts of what was written."""
 
     out: Path
     rows: int
     """Motions to be generated."""
     sequences: dict[str, int]
-    """By dataset."""
+    """Sequences by dataset."""
     left_out: dict[str, int]
     """Sequences longer than ``max_frames``, by dataset."""
     notices: tuple[str, ...]
-    """What the datasets' terms ask of whoever passes the file on; stands beside it as ``*.NOTICE.txt``."""
+    """Notice that the datasets' terms ask for; it stands beside the file as ``*.NOTICE.txt``."""
 
 
 def export_conditions(request: ExportRequest) -> ExportReport:
@@ -132,7 +132,7 @@ class MadeConditions:
     file: ConditionsFile
     selections: tuple[Selection, ...]
     left_out: tuple[int, ...]
-    """Of each table, sequences longer than the limit."""
+    """Count the sequences of each table that are longer than the limit."""
 
 
 def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeConditions:

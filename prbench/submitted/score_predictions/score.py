@@ -91,7 +91,7 @@ def _score_submission(tables: list[SequenceTable], request: ScoreRequest, work: 
 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:
-    """What is known of the motions, and what the numbers of numbered files mean."""
+    """Return what is known of the motions, and what the numbers of numbered files mean."""
     stated, numbering = stated_by_request(request), None
     if request.conditions is not None:
         conditions = read_conditions_file(request.conditions)
@@ -131,7 +131,7 @@ def _require_fit(
 
 
 def _name_of(path: Path) -> str:
-    """Of the file; a folder ``motions`` is named by the one that it stands in.
+    """Return the name of the file; a folder ``motions`` is named by the one that it stands in.
 
     Raises:
         UsageError: if the method cannot be called that.

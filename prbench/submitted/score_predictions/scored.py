@@ -30,7 +30,7 @@ from prbench.submitted.score_predictions.stated import Stated
 
 @dataclass(frozen=True)
 class Work:
-    """Where the work is done, and who is told how far it is."""
+    """The engine that does the work, and the receiver of its progress."""
 
     engine: Engine
     progress: ProgressCallback
@@ -38,7 +38,7 @@ class Work:
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """What a summary says of the motions beside their scores."""
+    """Facts on the motions that a summary holds beside their scores."""
 
     method: str
     condition: str
@@ -52,7 +52,7 @@ class Scored:
     chosen: Selection
     """The sequences of split and limit."""
     selection: Selection
-    """Of these, the ones that were scored."""
+    """The chosen sequences that were scored."""
     scores: pa.Table
     summary: DatasetSummary
 
@@ -91,7 +91,7 @@ UNSTATED = "unstated"
 
 
 def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, ...]) -> RunRecord:
-    """What is known of a submission, in the form of a run's record; its version is the digest of its files."""
+    """Return what is known of a submission as a run's record; its version is the digest of its files."""
     protocol = load_protocol()
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,

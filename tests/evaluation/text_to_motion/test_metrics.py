@@ -10,11 +10,11 @@ from prbench.evaluation.text_to_motion import (
     diversity,
     draw_diversity_pairs,
     draw_multimodality_pairs,
+    fid,
     multimodal_distance,
     multimodality,
+    r_precision,
 )
-from prbench.evaluation.text_to_motion import metrics as fid
-from prbench.evaluation.text_to_motion import metrics as r_precision
 
 FEW = "ignore::prbench.evaluation.text_to_motion.FewSamplesWarning"
 
