@@ -107,7 +107,7 @@ def _legend(table: DatasetTable) -> Iterable[str]:
 
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
-    title = f"## Mean over datasets: {', '.join(markdown(name) for name in macro.datasets)}{word}"
+    title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing", "Kind"]
     rows = [
         [
@@ -115,7 +115,7 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
             _marked(row.method, row.mark),
             _variant(row.variant, unverified=row.unverified),
             *(_macro_cell(row, info) for info in MAIN_METRICS),
-            _missing(row),
+            ", ".join(map(markdown, row.missing)),
             markdown(row.origin),
         ]
         for row in macro.rows
@@ -129,10 +129,6 @@ def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
         return _DASH if row.means else ""
     rank = f" ({row.ranks[info.id]})" if info.id in row.ranks else ""
     return f"{info.scale * row.means[info.id]:.2f}{rank}"
-
-
-def _missing(row: MacroRow) -> str:
-    return ", ".join(markdown(name) for name in row.missing)
 
 
 def _column(info: MetricInfo) -> str:

@@ -19,7 +19,7 @@ from prbench.submitted.verification import CheckedSummary, RunChecker
 
 @dataclass(frozen=True)
 class LeaderboardRow:
-    """One run on one dataset."""
+    """A run on one dataset."""
 
     run: str
     """Name of the run folder."""
@@ -27,7 +27,7 @@ class LeaderboardRow:
     table: TableRecord
     summary: DatasetSummary
     unverified: str = ""
-    """Why its scores could not be held against its motions; empty where they were."""
+    """The reason why its scores were not checked against its motions; empty where they were."""
 
     @property
     def method(self) -> str:
@@ -48,12 +48,12 @@ class LeaderboardRow:
 
     @property
     def mark(self) -> str:
-        """What a reader must know of the motions; empty if there is nothing."""
+        """A remark about the motions that readers must know, or an empty text."""
         return self.summary.recorded_motion_mark
 
     @property
     def variant(self) -> str:
-        """What tells two runs of one method apart."""
+        """Control, weights and options: the settings that distinguish runs of one method."""
         method = self.record.method
         parts = [self.record.control] if self.record.control else []
         if method.weights:
@@ -67,7 +67,7 @@ class LeaderboardRow:
         return self.summary.sequences - self.summary.unsupported
 
     def metric(self, name: str) -> MetricSummary | None:
-        """One metric, if the run has it."""
+        """Return one metric, or None if the run lacks it."""
         return next((metric for metric in self.summary.metrics if metric.metric == name), None)
 
 
@@ -120,7 +120,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
 
 
 def _false_name(method: MethodRecord) -> str | None:
-    """What is wrong with the name of a foreign method; runs of prbench 0.5 could bear any."""
+    """Return what is wrong with the name of a foreign method; prbench 0.5 checked no names."""
     foreign = (run_record.PACKAGE, run_record.PROGRAM, run_record.FILE)
     return name_problem(method.name) if method.kind in foreign else None
 

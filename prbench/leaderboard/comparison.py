@@ -19,7 +19,7 @@ from prbench.submitted.verification import RunChecker, recording_key
 
 @dataclass(frozen=True)
 class ComparedMetric:
-    """One metric of one dataset; the difference is first - second."""
+    """A metric on one dataset; the difference is first - second."""
 
     dataset: str
     info: MetricInfo
@@ -60,18 +60,20 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
     unverified = tuple(_unverified(run, name, checker or RunChecker()) for run in runs for name in shared)
-    scores = {name: paired_scores(*runs, name) for name in shared}
-    found = compare({key: pair for name in shared for key, pair in scores[name].items()})
+    scores: dict[str, PairedValues] = {}
+    for name in shared:
+        scores |= paired_scores(*runs, name)
+    found = compare(scores)
     infos = {info.id: info for info in METRICS}
-    metrics = [
-        ComparedMetric(dataset, infos[metric], comparison)
-        for (dataset, metric), comparison in ((key.split("\n"), comparison) for key, comparison in found.items())
-    ]
+    metrics = []
+    for key, comparison in found.items():
+        dataset, metric = key.split("\n")
+        metrics.append(ComparedMetric(dataset, infos[metric], comparison))
     return RunComparison(tuple(metrics), tuple(filter(None, unverified)))
 
 
 def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
-    """Why the scores of a run are unverified; empty if they are not."""
+    """Return why the scores of a run are unverified, or an empty text."""
     record = next(table for table in run.record.tables if table.dataset == dataset)
     why = checker.check(run, record).unverified
     return f"{run.path}: {why}" if why else ""

@@ -2,15 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+import io
+import json
+from collections.abc import Callable, Iterable
+
+import msgspec
 
 from prbench.errors import UsageError
-from prbench.leaderboard.as_csv import as_csv
-from prbench.leaderboard.as_json import as_json
 from prbench.leaderboard.as_markdown import as_markdown
-from prbench.leaderboard.tables import Leaderboard
+from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides
+from prbench.metrics import METRICS, exported_unit, printed_scale
+from prbench.shown import csv_text
 
-FORMATS: dict[str, Callable[[Leaderboard], str]] = {"md": as_markdown, "csv": as_csv, "json": as_json}
+_CSV_COLUMNS: tuple[str, ...] = (
+    "table",
+    "dataset",
+    "condition",
+    "method",
+    "variant",
+    "metric",
+    "value",
+    "unit",
+    "higher_is_better",
+    "low",
+    "high",
+    "sequences",
+    "recordings",
+    "rank",
+    "verified",
+    "note",
+    "kind",
+)
+_TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
+_INFOS = {info.id: info for info in METRICS}
+_JSON_VERSION = 1
 
 
 def export(leaderboard: Leaderboard, format: str) -> str:
@@ -26,3 +52,164 @@ def export(leaderboard: Leaderboard, format: str) -> str:
     if format not in FORMATS:
         raise UsageError(f"unknown format '{format}'; known ones are: {', '.join(FORMATS)}.")
     return FORMATS[format](leaderboard)
+
+
+def _as_csv(leaderboard: Leaderboard) -> str:
+    """Rates in %, metres and ratios as they are; an empty value where a dash is printed. UTF-8, LF."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _CSV_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for number, table in enumerate(leaderboard.tables, start=1):
+        writer.writerows(map(_csv_shown, _csv_dataset_rows(str(number), table)))
+    for number, macro in enumerate(leaderboard.macro, start=1):
+        writer.writerows(map(_csv_shown, _csv_macro_rows(f"macro {number}", macro)))
+    return text.getvalue()
+
+
+def _csv_shown(row: dict[str, str]) -> dict[str, str]:
+    """A row whose names no spreadsheet takes for formulas; numbers may begin with a minus."""
+    return row | {name: csv_text(row[name]) for name in _TEXT_COLUMNS}
+
+
+def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
+    for row in table.rows:
+        for metric in row.entry.summary.metrics:
+            info = _INFOS.get(metric.metric)
+            scale = printed_scale(metric.unit)
+            hidden = info is not None and hides(row.entry, info)
+            notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
+            if hidden:
+                notes.append("stands still")
+            if row.entry.mark:
+                notes.append(row.entry.mark)
+            yield {
+                "table": number,
+                "dataset": table.dataset,
+                "condition": row.entry.record.condition,
+                "method": row.entry.method,
+                "variant": row.variant,
+                "metric": metric.metric,
+                "value": "" if hidden else _csv_number(scale * metric.mean),
+                "unit": exported_unit(metric.unit),
+                "higher_is_better": _csv_direction(metric.metric),
+                "low": "" if hidden or metric.low is None else _csv_number(scale * metric.low),
+                "high": "" if hidden or metric.high is None else _csv_number(scale * metric.high),
+                "sequences": str(metric.sequences),
+                "recordings": str(metric.recordings),
+                "rank": str(row.ranks.get(metric.metric, "")),
+                "verified": "unverified" if row.entry.unverified else "verified",
+                "note": "; ".join(notes),
+                "kind": row.entry.origin,
+            }
+
+
+def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
+    about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
+    for row in macro.rows:
+        for metric, mean in row.means.items():
+            info = _INFOS[metric]
+            yield dict.fromkeys(_CSV_COLUMNS, "") | {
+                "table": number,
+                "dataset": "+".join(macro.datasets),
+                "condition": row.condition,
+                "method": row.method,
+                "variant": row.variant,
+                "metric": metric,
+                "value": _csv_number(info.scale * mean),
+                "unit": exported_unit(info.unit),
+                "higher_is_better": _csv_direction(metric),
+                "rank": str(row.ranks.get(metric, "")),
+                "verified": "unverified" if row.unverified else "verified",
+                "note": "; ".join(part for part in (*about, row.mark) if part),
+                "kind": row.origin,
+            }
+
+
+def _csv_direction(metric: str) -> str:
+    direction = _INFOS[metric].higher_is_better if metric in _INFOS else None
+    return "" if direction is None else str(direction).lower()
+
+
+def _csv_number(value: float) -> str:
+    """Six decimals at most, without an exponent."""
+    text = f"{value:.6f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def _as_json(leaderboard: Leaderboard) -> str:
+    """Sorted keys, two-space indent."""
+    value = {
+        "schema_version": _JSON_VERSION,
+        "tables": [_json_table(table) for table in leaderboard.tables],
+        "macro_means": [_json_macro(macro) for macro in leaderboard.macro],
+        "notes": list(leaderboard.notes),
+    }
+    return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _json_table(table: DatasetTable) -> dict[str, object]:
+    protocol, identity, content, split, chosen = table.key
+    return {
+        "dataset": table.dataset,
+        "title": table.title,
+        "synthetic": table.synthetic,
+        "redistribution": table.redistribution,
+        "protocol_digest": protocol,
+        "identity_digest": identity,
+        "content_digest": content,
+        "split": split,
+        "selection_digest": chosen,
+        "sequences": table.sequences,
+        "recordings": table.recordings,
+        "rows": [_json_row(row) for row in table.rows],
+    }
+
+
+def _json_row(row: TableRow) -> dict[str, object]:
+    entry = row.entry
+    return {
+        "run": entry.run,
+        "method": entry.method,
+        "kind": entry.record.method.kind,
+        "package": entry.record.method.package,
+        "isolation": entry.record.method.isolation,
+        "mark": entry.mark,
+        "version": entry.record.method.version,
+        "weights_digest": entry.record.method.weights_digest,
+        "condition": entry.record.condition,
+        "control": entry.record.control,
+        "variant": row.variant,
+        "seed": entry.record.seed,
+        "samples": entry.record.samples,
+        "scored": entry.scored,
+        "verified": not entry.unverified,
+        "why_unverified": entry.unverified,
+        "unsupported": entry.summary.unsupported,
+        "ranks": row.ranks,
+        "metrics": msgspec.to_builtins(entry.summary.metrics),
+        "says_nothing": [info.id for info in METRICS if hides(entry, info)],
+    }
+
+
+def _json_macro(macro: MacroTable) -> dict[str, object]:
+    return {
+        "datasets": list(macro.datasets),
+        "synthetic": macro.synthetic,
+        "rows": [
+            {
+                "method": row.method,
+                "kind": row.origin,
+                "mark": row.mark,
+                "condition": row.condition,
+                "variant": row.variant,
+                "means": row.means,
+                "ranks": row.ranks,
+                "verified": not row.unverified,
+                "missing": list(row.missing),
+            }
+            for row in macro.rows
+        ],
+    }
+
+
+FORMATS: dict[str, Callable[[Leaderboard], str]] = {"md": as_markdown, "csv": _as_csv, "json": _as_json}

@@ -25,13 +25,13 @@ _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequenc
 
 @dataclass(frozen=True)
 class TableRow:
-    """One line of a dataset's table."""
+    """A line of a dataset's table."""
 
     entry: LeaderboardRow
     variant: str
     """Unique among the rows of one method and condition in one table."""
     ranks: dict[str, int]
-    """By main metric; empty where nothing is ranked."""
+    """Maps main metrics to ranks; empty where nothing is ranked."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class DatasetTable:
     synthetic: bool
     redistribution: str
     key: tuple[str, ...]
-    """What the rows agree on: values of ``_KEYS``."""
+    """Values of ``_KEYS``, on which the rows agree."""
     rows: tuple[TableRow, ...]
-    """By condition, controls last."""
+    """Sorted by condition, controls last."""
 
     @property
     def protocol_digest(self) -> str:
-        """Of the rules that the rows were scored by."""
+        """Digest of the rules by which the rows were scored."""
         return self.key[0]
 
 
@@ -110,7 +110,7 @@ def _comparison_key(row: LeaderboardRow) -> tuple[str, ...]:
 
 
 def _separations(tables: Sequence[DatasetTable]) -> Iterable[str]:
-    """Why a dataset has more than one table."""
+    """Yield a note for each dataset that has more than one table."""
     for dataset in sorted({table.dataset for table in tables}):
         keys = [table.key for table in tables if table.dataset == dataset]
         different = [name for i, name in enumerate(_KEYS) if len({key[i] for key in keys}) > 1]
@@ -144,7 +144,7 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
 
 
 def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
-    """Return True where a number says nothing: a body that stands still does not skate, and the study prints a dash."""
+    """Return True where a metric says nothing of a motionless method, for which the study prints a dash."""
     return entry.record.method.motionless and info.irrelevant_if_motionless
 
 
@@ -158,7 +158,7 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
 
 
 def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
-    """Place of each value, from 1; equal values share the better place. A single value has none."""
+    """Rank each value, from 1; equal values share the better place. A single value has none."""
     if len(values) < 2 or info.higher_is_better is None:
         return {}
     sign = -1 if info.higher_is_better else 1
@@ -171,9 +171,9 @@ def _place(entry: LeaderboardRow) -> tuple:
 
 
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
-    """Variants, told apart by seed or by the run folder's name where method, condition and variant agree.
+    """Return variants, made unique by seed or by the run folder's name where method, condition and variant agree.
 
-    Controls of all conditions stand together, so they are told apart by their condition first.
+    Controls of all conditions stand together, so their condition distinguishes them first.
     """
     plain = [entry.variant for entry in entries]
     conditioned = [_joined(entry.variant, f"condition {entry.record.condition}") for entry in entries]
@@ -199,7 +199,7 @@ def _joined(*parts: str) -> str:
 
 
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
-    """One for each protocol with two datasets or more, if each dataset has one table under it."""
+    """Yield a table for each protocol with two datasets or more, if each dataset has one table under it."""
     for protocol in sorted({table.protocol_digest for table in tables}):
         under = [table for table in tables if table.protocol_digest == protocol]
         datasets = tuple(table.dataset for table in under)

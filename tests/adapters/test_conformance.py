@@ -11,8 +11,8 @@ from typing import ClassVar
 import pytest
 
 from prbench.checking.conformance.cases import write_sequences
-from prbench.checking.conformance.people import invented_sequences
 from prbench.checking.conformance.suite import AdapterConformance
+from prbench.checking.conformance.synthetic_people import synthetic_sequences
 
 pytestmark = pytest.mark.filterwarnings("ignore::prbench.checking.conformance.suite.ConformanceWarning")
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::prbench.checking.conformance.su
 @pytest.fixture(scope="module")
 def short_sequences(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four sequences of 2.5 to 3.5 seconds, in a table."""
-    shortest = sorted(invented_sequences("test", 24), key=lambda sequence: sequence.n_frames)[:4]
+    shortest = sorted(synthetic_sequences("test", 24), key=lambda sequence: sequence.n_frames)[:4]
     by_id = sorted(shortest, key=lambda sequence: sequence.sequence_id)
     return write_sequences(tmp_path_factory.mktemp("short") / "table", by_id)
 

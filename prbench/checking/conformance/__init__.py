@@ -1,7 +1,6 @@
-"""Does a method keep the contract? ``prbench adapters check``, and the same as pytest tests (docs/conformance.md)."""
+"""Checks that a method keeps the contract: ``prbench adapters check``, and pytest tests (docs/conformance.md)."""
 
-from prbench.checking.conformance.finding import Finding, Outcome, Report
-from prbench.checking.conformance.request import CheckRequest
+from prbench.checking.conformance.report import CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
 
 __all__ = ["CheckRequest", "Finding", "Outcome", "Report", "check"]

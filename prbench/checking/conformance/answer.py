@@ -1,40 +1,45 @@
-"""One call of a method, with everything that was seen while it was under way."""
+"""Asks a method for motions, notes everything that happens during the call, and compares two answers."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import random
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
-from prbench.checking.conformance import global_random
 from prbench.contract import Adapter, ConditionBatch, Motions
 from prbench.errors import PrbenchError
 from prbench.methods.motions import generate_checked
 from prbench.methods.threads import computing_threads
 
 STATE_SEED = 20_240_607
-"""Of the global generators before every call, so that only the check that is about them sees them at work."""
+"""Seed of the global generators before every call. Only the check of global generators uses another one."""
 _COPIED = ("n_frames", "initial_joints", "previous_joints", "goal_joints", "goal_location")
+TOLERANCE = 1e-4
+"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method made of a batch."""
+    """The answer of a method to a batch."""
 
     batch: ConditionBatch
     """At the table's rate."""
     motions: Motions | None
     """Checked but for their distance from the origin, float32, at the table's rate; None if they are no motions."""
     error: str = ""
-    """Why, in the harness's words."""
+    """The reason, as the harness words it."""
     returned: object = None
-    """What the method itself gave back."""
+    """The object that the method itself returned."""
     answered: bool = False
-    """It came to its end without raising."""
+    """True if the method returned without raising."""
     seconds: float = 0.0
     halvings: int = 0
     overwritten: tuple[str, ...] = ()
@@ -44,18 +49,18 @@ class Answer:
 
     @property
     def raised(self) -> bool:
-        """The method gave nothing back."""
+        """True if the method returned nothing."""
         return not self.answered
 
     def motion(self, row: int) -> Float[np.ndarray, "frames 22 3"]:
-        """One motion without padding."""
+        """Return one motion without padding, metres."""
         assert self.motions is not None
         return self.motions.joints[row, : int(self.batch.n_frames[row])]
 
 
 @dataclass
 class _Watched:
-    """The method as the harness sees it, with an eye on what goes in and comes out."""
+    """Wraps a method and records what goes in and what comes out."""
 
     adapter: Adapter
     returned: object = None
@@ -70,21 +75,21 @@ class _Watched:
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
         """Generate, and compare the batch and the global generators with what they were."""
         before = {name: getattr(batch, name).copy() for name in _COPIED if getattr(batch, name) is not None}
-        states = global_random.states()
+        states = _generator_states()
         started = time.perf_counter()
         try:
             self.returned = self.adapter.generate(batch, seed=seed)
             self.answered = True
         finally:
             self.seconds += time.perf_counter() - started
-            self.drew_from.update(global_random.touched(states))
+            self.drew_from.update(_generators_touched(states))
             after = {name: getattr(batch, name) for name in before}
             self.overwritten |= {name for name in before if not np.array_equal(before[name], after[name])}
         return self.returned  # type: ignore[return-value] - whatever it is, the harness checks it
 
 
 def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, threads: int) -> Answer:
-    """One call, as a run makes it; whatever the method raises becomes part of the answer.
+    """Call the method as a run does; whatever it raises becomes part of the answer.
 
     Args:
         adapter: The method.
@@ -94,10 +99,12 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
         threads: Of NumPy's and torch's libraries.
     """
     watched = _Watched(adapter)
-    motions, halvings, error = None, 0, ""
+    motions = None
+    halvings = 0
+    error = ""
     own = dataclasses.replace(batch)
     try:
-        with computing_threads(threads), global_random.set_to(state_seed):
+        with computing_threads(threads), _generators_set_to(state_seed):
             motions, halvings = generate_checked(
                 watched,  # type: ignore[arg-type] - its other attributes are the method's
                 own,
@@ -119,3 +126,76 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
         overwritten=tuple(sorted(watched.overwritten)),
         drew_from=tuple(sorted(watched.drew_from)),
     )
+
+
+def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
+    """Return the names of the generators whose state differs from ``before``."""
+    return tuple(name for name, state in _generator_states().items() if before.get(name, state) != state)
+
+
+def _generator_states() -> dict[str, bytes]:
+    """Map the name of each global generator to its state."""
+    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
+    found = {
+        "random": repr(random.getstate()).encode(),
+        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
+    }
+    torch = sys.modules.get("torch")
+    if torch is not None and hasattr(torch, "random"):
+        found["torch"] = torch.random.get_rng_state().numpy().tobytes()
+    return found
+
+
+@contextmanager
+def _generators_set_to(seed: int) -> Iterator[None]:
+    """Seed all global generators, and restore their states at the end."""
+    python = random.getstate()
+    legacy = np.random.get_state()  # noqa: NPY002 - put back as it was
+    torch = sys.modules.get("torch")
+    drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - a method that draws from it is found out by another seed
+    if torch is not None and drawn is not None:
+        torch.random.manual_seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(python)
+        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
+        if torch is not None and drawn is not None:
+            torch.random.set_rng_state(drawn)
+
+
+def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
+    """Return for each motion the largest distance of any joint in any frame between two answers, metres.
+
+    Args:
+        first: Any answer with motions.
+        second: Answers rows of the same lengths.
+        rows: Where in ``first`` each row of ``second`` stands; None for the same order.
+    """
+    places = range(len(second.batch)) if rows is None else rows
+    return np.array(
+        [
+            float(np.linalg.norm(first.motion(place) - second.motion(row), axis=-1).max())
+            for row, place in enumerate(places)
+        ]
+    )
+
+
+def same_bytes(first: Answer, second: Answer) -> bool:
+    """Return True if two answers to the same batch hold the same numbers to the last bit."""
+    return all(np.array_equal(first.motion(row), second.motion(row)) for row in range(len(first.batch)))
+
+
+def metres(distance: float) -> str:
+    """Write a distance in a unit that is easy to read.
+
+    >>> metres(0.034)
+    '3.4 cm'
+    """
+    if distance >= 1:
+        return f"{distance:.2f} m"
+    if distance >= 0.001:
+        return f"{distance * 100:.1f} cm"
+    return f"{distance:.1e} m" if distance else "0 m"

@@ -6,10 +6,11 @@ import dataclasses
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from prbench.contract import ConditionBatch
 from prbench.evaluation.conditions import ConditionSource
 from prbench.evaluation.planning import select
 from prbench.manifests import load_protocol
@@ -19,6 +20,7 @@ from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import recording_batch, sequence_batch
 from prbench.sequences.write_dataset import write_dataset
 
+Conditions = TypeVar("Conditions", ConditionSource, ConditionBatch)
 SEQUENCES = 12
 """Asked about, unless a method is slow."""
 _TO_LEARN_FROM = 12
@@ -26,29 +28,27 @@ _TO_LEARN_FROM = 12
 
 @dataclass(frozen=True)
 class Cases:
-    """What methods are asked about, in the order of length."""
+    """The sequences that methods are asked about, sorted by length."""
 
     source: ConditionSource
     train_folder: Path | None
-    """A dataset that has training sequences; None: invented when a method asks for it."""
+    """A dataset that has training sequences; None if it is made when a method asks for it."""
 
 
-def invented_cases() -> Cases:
-    """Twelve sequences of people who do not exist; the same in every process."""
-    from prbench.checking.conformance.people import (
-        invented_sequences,
-    )  # inventing people takes half a second to import
+def synthetic_cases() -> Cases:
+    """Make twelve sequences of synthetic people, the same in every process."""
+    from prbench.checking.conformance.synthetic_people import synthetic_sequences  # late: its imports take 0.5 s
 
-    return cases_of(invented_sequences("test", SEQUENCES))
+    return cases_of(synthetic_sequences("test", SEQUENCES))
 
 
 def cases_of(sequences: list[Sequence]) -> Cases:
-    """These sequences."""
+    """Make cases of these sequences."""
     return Cases(_by_length(_source(sequences)), None)
 
 
 def cases_of_table(folder: Path) -> Cases:
-    """Twelve test sequences of a table, chosen as ``--limit`` does.
+    """Choose twelve test sequences of a table, chosen as ``--limit`` does.
 
     Raises:
         TableError: if there is no such table, or it has no test sequences.
@@ -57,8 +57,8 @@ def cases_of_table(folder: Path) -> Cases:
     return Cases(_by_length(ConditionSource.read(select(table, split="test", limit=SEQUENCES))), folder)
 
 
-def rows_of(source: ConditionSource, rows: SequenceOf[int] | np.ndarray) -> ConditionSource:
-    """Some of the sequences, in the order given."""
+def rows_of(source: Conditions, rows: SequenceOf[int] | np.ndarray) -> Conditions:
+    """Return some rows of conditions, in the order given."""
     chosen = np.asarray(rows, dtype=np.int64)
     changed: dict[str, Any] = {}
     for field in dataclasses.fields(source):
@@ -71,14 +71,14 @@ def rows_of(source: ConditionSource, rows: SequenceOf[int] | np.ndarray) -> Cond
 
 
 def write_training_table(folder: Path) -> Path:
-    """Write a dataset of twelve invented training sequences, for methods that learn before they generate."""
-    from prbench.checking.conformance.people import invented_sequences
+    """Write a dataset of twelve synthetic training sequences, for methods that learn before they generate."""
+    from prbench.checking.conformance.synthetic_people import synthetic_sequences
 
-    return write_sequences(folder, invented_sequences("train", _TO_LEARN_FROM))
+    return write_sequences(folder, synthetic_sequences("train", _TO_LEARN_FROM))
 
 
 def write_sequences(folder: Path, sequences: list[Sequence]) -> Path:
-    """Write a dataset of invented sequences, sorted by id."""
+    """Write a dataset of synthetic sequences, sorted by id."""
     recordings = {row.recording_id: row for row in sequences}
     records = [
         RecordingRecord(name, row.participant_id, row.split, name, 0.0, {}, "read", "")

@@ -12,11 +12,10 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from prbench.checking.conformance.cases import cases_of_table, invented_cases
+from prbench.checking.conformance.cases import cases_of_table, synthetic_cases
+from prbench.checking.conformance.check import examine
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.examine import examine
-from prbench.checking.conformance.finding import Outcome
-from prbench.checking.conformance.request import CheckRequest
+from prbench.checking.conformance.report import CheckRequest, Outcome
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
 from prbench.methods.loaded_methods import forget_loaded_methods
@@ -65,7 +64,7 @@ def _subject(wanted: CheckRequest, folder: Path) -> Subject:
         timeout=wanted.time_limit if wanted.isolate or is_program(wanted.method) else None,
         hidden=() if wanted.data is None else (wanted.data,),
     )
-    cases = invented_cases() if wanted.data is None else cases_of_table(wanted.data)
+    cases = synthetic_cases() if wanted.data is None else cases_of_table(wanted.data)
     return Subject(spec, cases, folder)
 
 

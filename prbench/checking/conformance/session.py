@@ -6,24 +6,36 @@ fails with that, and another child goes on with those that are left.
 
 from __future__ import annotations
 
+import contextlib
+import json
+import queue
+import subprocess
+import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 from prbench.checking.conformance.cases import cases_of_table
-from prbench.checking.conformance.check import Check
+from prbench.checking.conformance.check import Check, worst_of
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.child_process import ChildProcess, Lost, TimeLimits
-from prbench.checking.conformance.examine import worst_of
-from prbench.checking.conformance.finding import Finding, Outcome, Report, failed, skipped
-from prbench.checking.conformance.request import CheckRequest
+from prbench.checking.conformance.report import CheckRequest, Finding, Outcome, Report, failed, skipped
 from prbench.checking.conformance.subject import working_folder
 from prbench.errors import UsageError
 from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.methods import method_spec
 from prbench.methods.names import METHOD_CONTROLS
+from prbench.methods.remote.faults import exit_story
+from prbench.methods.users_environment import python_words, users_environment
 
-Announce = Callable[[str, int, int], None]
+_MODULE = "prbench.checking.conformance.child"
+_SHOWN_LINES = 5
+_OTHERWISE = 120.0
+_HEARTBEAT = 10.0  # seconds between words about the same work
+_Announce = Callable[[str, int, int], None]
 """Called before each check with its name, its place and how many there are."""
 _GRACE = 10.0  # seconds
 _STARTS = ("import", "load")
@@ -35,12 +47,186 @@ _LOST = (
 _SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-limit."
 
 
-def check(request: CheckRequest, announce: Announce | None = None) -> Report:
+class _Lost(Exception):
+    """The child crashed, or the method did not come to an end; the text says so."""
+
+
+@dataclass(frozen=True)
+class _Event:
+    """A finding, a message about work that takes long, or the beginning of the next check."""
+
+    finding: Finding | None = None
+    waiting: str = ""
+
+
+@dataclass(frozen=True)
+class _TimeLimits:
+    """Seconds."""
+
+    call: float
+    """For each call of the method."""
+    start: float
+    """For importing it, and for loading it."""
+
+    def of(self, event: str) -> float:
+        """Return the limit after an event of the child; the harness's own work has two minutes or more."""
+        if event == "starting":
+            return self.start
+        return self.call if event == "asking" else max(self.call, _OTHERWISE)
+
+
+class _ChildProcess:
+    """Runs some checks in a process of its own, which may crash or hang."""
+
+    def __init__(self, request: CheckRequest, checks: list[str], known: Mapping[str, str], folder: Path) -> None:
+        self._doing = ""
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed in __exit__
+        self._process = subprocess.Popen(
+            python_words(_MODULE),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env=users_environment(),
+        )
+        order = {"request": request.as_json(), "checks": checks, "known": dict(known), "folder": str(folder)}
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.close()
+        except BrokenPipeError:
+            pass  # it is gone already; events() says how it ended
+        self._lines: queue.Queue[bytes] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def __enter__(self) -> _ChildProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it with all that it started."""
+        if self._process.poll() is None:
+            for process in [*_descendants(self._process.pid), psutil.Process(self._process.pid)]:
+                with contextlib.suppress(psutil.Error):
+                    process.kill()
+        self._process.wait()
+        self._log.close()
+
+    def events(self, limits: _TimeLimits) -> Iterator[_Event]:
+        """Yield what the child does, until it has done everything.
+
+        Raises:
+            Lost: if it crashed, or the method took longer.
+        """
+        limit = limits.of("")
+        while True:
+            began = time.monotonic()
+            while (line := self._next(min(_HEARTBEAT, limit - (time.monotonic() - began)))) is None:
+                waited = time.monotonic() - began
+                if waited >= limit:
+                    raise _Lost(f"no end after {limit:g} s{self._story()}")
+                yield _Event(waiting=f"{self._doing or 'while at work'}, {waited:.0f} s so far".removeprefix("while "))
+            if not line:
+                raise _Lost(f"the process of the method {exit_story(self._process.wait())}{self._story()}")
+            message = json.loads(line)
+            if message["event"] == "end":
+                return
+            self._doing = message.get("text", "")
+            limit = limits.of(message["event"])
+            if message["event"] == "check":
+                yield _Event()
+            elif message["event"] == "finding":
+                found = message["finding"]
+                yield _Event(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
+
+    def _next(self, patience: float) -> bytes | None:
+        """Return the next line, empty at the end, or None if none comes in time."""
+        try:
+            return self._lines.get(timeout=max(patience, 0.01))
+        except queue.Empty:
+            return None
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line)
+        self._lines.put(b"")
+
+    def _story(self) -> str:
+        """Describe the work in progress and quote the last lines of stderr."""
+        asked = f", {self._doing}" if self._doing else ""
+        self._log.seek(0)
+        lines = [line for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
+        told = " | ".join(line.strip() for line in lines[-_SHOWN_LINES:])
+        return f"{asked}." + (f" Its last words on stderr: {told}" if told else "")
+
+
+class _Session:
+    """All checks of one method, and their findings so far."""
+
+    def __init__(self, request: CheckRequest, limits: _TimeLimits, folder: Path, announce: _Announce) -> None:
+        self.request = request
+        self.limits = limits
+        self.folder = folder
+        self.announce = announce
+        self.findings: list[Finding] = []
+        self._announced = 0
+        self._lost: list[str] = []
+
+    def run(self, checks: list[Check]) -> None:
+        """Make checks in one process, or in as many as crashes require."""
+        left = list(checks)
+        while left:
+            if why := self._blocked():
+                self.findings += [skipped(why).of(one.name) for one in left]
+                return
+            left = self._in_one_child(left)
+
+    def _in_one_child(self, checks: list[Check]) -> list[Check]:
+        """Make checks in one child until it ends; return the checks that are left."""
+        left = list(checks)
+        under_way = None
+        known = {name: outcome.value for name, outcome in self._known().items()}
+        with _ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
+            try:
+                for event in child.events(self.limits):
+                    if event.finding is not None:
+                        self.findings.append(event.finding)
+                    elif event.waiting:
+                        name = under_way.name if under_way is not None else "starting"
+                        self.announce(f"{name}: {event.waiting}", self._announced, len(CHECKS))
+                    else:
+                        under_way, left = left[0], left[1:]
+                        self._announced += 1
+                        self.announce(under_way.name, self._announced, len(CHECKS))
+            except _Lost as lost:
+                blamed = under_way or left.pop(0)
+                self._lost.append(blamed.name)
+                remedy = f"{_LOST} {_SLOW_START}" if blamed.name in _STARTS else _LOST
+                self.findings.append(failed(str(lost), remedy).of(blamed.name))
+        return left
+
+    def _known(self) -> dict[str, Outcome]:
+        names = {finding.check for finding in self.findings}
+        return {name: worst_of(finding for finding in self.findings if finding.check == name) for name in names}
+
+    def _blocked(self) -> str:
+        """Return why no further check can be made, or an empty text."""
+        blocking = [name for name in self._lost if name in (*_STARTS, *_FORM)]
+        blocking += [name for name, outcome in self._known().items() if name == "load" and outcome is Outcome.FAILED]
+        return f"not looked at before '{blocking[0]}' passes." if blocking else ""
+
+
+def _descendants(pid: int) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.Error):
+        return psutil.Process(pid).children(recursive=True)
+    return []
+
+
+def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
     """Look at a method in every respect that the contract names.
 
     Args:
         request: The method, and what to ask it about.
-        announce: Told what is looked at.
+        announce: Called with what is checked.
 
     Raises:
         AdapterError: if no such method is installed.
@@ -62,7 +248,7 @@ def check(request: CheckRequest, announce: Announce | None = None) -> Report:
 
 
 def _possible(request: CheckRequest) -> MethodSpec:
-    """What the user got wrong is told before any process is started."""
+    """Raise the user's mistakes before any process is started."""
     if request.method in METHOD_CONTROLS:
         raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
     spec = method_spec(request.method, weights=request.weights, options=request.options, isolate=request.isolate)
@@ -71,60 +257,8 @@ def _possible(request: CheckRequest) -> MethodSpec:
     return spec
 
 
-def _limits(request: CheckRequest, spec: MethodSpec) -> TimeLimits:
-    """A program's own limits come a little earlier: they say more about what happened."""
+def _limits(request: CheckRequest, spec: MethodSpec) -> _TimeLimits:
+    """Return limits a little longer than a program's own, whose messages say more about what happened."""
     if spec.program is None:
-        return TimeLimits(request.time_limit, request.start_limit)
-    return TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)
-
-
-class _Session:
-    """All checks of one method, and what came of them so far."""
-
-    def __init__(self, request: CheckRequest, limits: TimeLimits, folder: Path, announce: Announce) -> None:
-        self.request, self.limits, self.folder, self.announce = request, limits, folder, announce
-        self.findings: list[Finding] = []
-        self._announced = 0
-        self._lost: list[str] = []
-
-    def run(self, checks: list[Check]) -> None:
-        """Checks in one process, or in as many as are needed."""
-        left = list(checks)
-        while left:
-            if why := self._hopeless():
-                self.findings += [skipped(why).of(one.name) for one in left]
-                return
-            left = self._in_one_child(left)
-
-    def _in_one_child(self, checks: list[Check]) -> list[Check]:
-        """As far as one child comes; returns what is left."""
-        left, under_way = list(checks), None
-        known = {name: outcome.value for name, outcome in self._known().items()}
-        with ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
-            try:
-                for event in child.events(self.limits):
-                    if event.finding is not None:
-                        self.findings.append(event.finding)
-                    elif event.waiting:
-                        name = under_way.name if under_way is not None else "starting"
-                        self.announce(f"{name}: {event.waiting}", self._announced, len(CHECKS))
-                    else:
-                        under_way, left = left[0], left[1:]
-                        self._announced += 1
-                        self.announce(under_way.name, self._announced, len(CHECKS))
-            except Lost as lost:
-                blamed = under_way or left.pop(0)
-                self._lost.append(blamed.name)
-                remedy = f"{_LOST} {_SLOW_START}" if blamed.name in _STARTS else _LOST
-                self.findings.append(failed(str(lost), remedy).of(blamed.name))
-        return left
-
-    def _known(self) -> dict[str, Outcome]:
-        names = {finding.check for finding in self.findings}
-        return {name: worst_of(finding for finding in self.findings if finding.check == name) for name in names}
-
-    def _hopeless(self) -> str:
-        """Why nothing more can be looked at; empty if it can."""
-        hopeless = [name for name in self._lost if name in (*_STARTS, *_FORM)]
-        hopeless += [name for name, outcome in self._known().items() if name == "load" and outcome is Outcome.FAILED]
-        return f"not looked at before '{hopeless[0]}' passes." if hopeless else ""
+        return _TimeLimits(request.time_limit, request.start_limit)
+    return _TimeLimits(request.time_limit + _GRACE, spec.program.start_timeout + _GRACE)

@@ -26,7 +26,8 @@ RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, C
 """The condition that most checks use is the first of these that works."""
 _SALT = run_salt(0, "conformance")
 _FIRST = "first-motions.npy"
-_FEW, _PATIENCE = 2, 12.0  # sequences that even a slow method is asked about; seconds that a batch should take
+_FEW = 2  # sequences that even a slow method is asked about
+_PATIENCE = 12.0  # seconds that a batch should take
 
 
 class Subject:
@@ -39,15 +40,17 @@ class Subject:
     """
 
     def __init__(self, spec: MethodSpec, cases: Cases, folder: Path) -> None:
-        self.spec, self.cases, self.folder = spec, cases, folder
+        self.spec = spec
+        self.cases = cases
+        self.folder = folder
         self.overwritten: set[str] = set()
         """Fields of batches that the method wrote into."""
         self.drew_from: set[str] = set()
         """Global generators whose state it moved."""
         self.asking: Callable[[str], None] = lambda _text: None
-        """Told what the method is asked, before each call."""
+        """Called before each call of the method, with a text that describes it."""
         self.starting: Callable[[str], None] = lambda _text: None
-        """Told what is under way before there is anything to ask."""
+        """Called with a text that describes the work before the first call."""
         self._answers: dict[Condition, Answer] = {}
 
     @property
@@ -84,44 +87,44 @@ class Subject:
 
     @cached_property
     def declared(self) -> Declared:
-        """What it declares about itself."""
+        """The declarations of the method about itself."""
         return Declared.by(self.adapter, origin=self.origin)
 
     @property
     def origin(self) -> str:
-        """What to call it in messages."""
+        """The name of the method in messages."""
         return f"adapter '{self.spec.name}'"
 
     @property
     def is_installed(self) -> bool:
-        """It is an installed adapter, wherever it runs; not a program that the user named."""
+        """True if it is an installed adapter, wherever it runs; False for a program that the user named."""
         return self.spec.package is None
 
     @property
     def is_program(self) -> bool:
-        """It runs in a process of its own: neither its objects nor its generators can be seen from here."""
+        """True if it runs in its own process: neither its objects nor its generators can be seen from here."""
         return self.spec.program is not None
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """Those that it declares, the richest first."""
+        """The conditions that it declares, the richest first."""
         return tuple(condition for condition in RICHEST_FIRST if condition in self.declared.conditions)
 
     @property
     def working(self) -> tuple[Condition, ...]:
-        """Those under which it generated finite motions of the asked lengths."""
+        """The conditions under which it generated finite motions of the asked lengths."""
         if not len(self.source.n_frames):
             return ()
         return tuple(condition for condition in self.conditions if self.standard(condition).motions is not None)
 
     @property
     def main(self) -> Condition:
-        """The richest of them."""
+        """The richest working condition."""
         return self.working[0]
 
     @cached_property
     def source(self) -> ConditionSource:
-        """Of the sequences that it can generate in full."""
+        """The conditions of the sequences that it can generate in full."""
         source = self.cases.source
         return rows_of(source, [row for row in range(len(source.n_frames)) if self.takes(int(source.n_frames[row]))])
 
@@ -146,8 +149,9 @@ class Subject:
         return n_frames
 
     def takes(self, n_frames: int) -> bool:
-        """Whether a sequence of this length at the table's rate stays below ``max_frames``."""
-        limit, rate = self.declared.max_frames, self.declared.native_fps
+        """Return True if a sequence of this length at the table's rate stays below ``max_frames``."""
+        limit = self.declared.max_frames
+        rate = self.declared.native_fps
         if rate is not None:
             n_frames = int(native_frames(np.array([n_frames]), fps=self.cases.source.fps, native_fps=rate)[0])
         return limit is None or n_frames <= limit
@@ -162,7 +166,7 @@ class Subject:
         return answer
 
     def first_motions(self) -> Float[np.ndarray, "batch frames 22 3"] | None:
-        """Those of the very first batch, of whichever process looked at the method first; None if there are none."""
+        """Return the motions of the very first batch in the first process, or None if there are none."""
         kept = self.folder / _FIRST
         return np.load(kept) if kept.is_file() else None
 
@@ -176,17 +180,17 @@ class Subject:
         return tuple(int(row) for row in np.unique(np.linspace(0, last, number).round().astype(int)))
 
     def standard(self, condition: Condition) -> Answer:
-        """The answer to the usual batch of a condition."""
+        """Return the answer to the usual batch of a condition."""
         if condition not in self._answers:
             self._answers[condition] = self.ask(self.batch(self.rows, condition))
         return self._answers[condition]
 
     def batch(self, rows: Sequence[int], condition: Condition, *, sample: int = 0) -> ConditionBatch:
-        """What the method may know about some sequences."""
+        """Return the conditions of some sequences that the method may know."""
         return self.source.batch(np.array(rows, dtype=np.int64), condition, seed=0, salt=_SALT, sample=sample)
 
     def ask(self, batch: ConditionBatch, *, seed: int = 0, state_seed: int = STATE_SEED) -> Answer:
-        """One call; whatever goes wrong is part of the answer."""
+        """Call the method once; whatever goes wrong is part of the answer."""
         of_one = "1 sequence" if len(batch) == 1 else f"{len(batch)} sequences"
         self.asking(
             f"while it generated {of_one} of up to {int(batch.n_frames.max())} frames under {batch.condition.value}"

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.finding import Finding, Outcome, Report
-from prbench.checking.conformance.request import START_LIMIT, TIME_LIMIT, CheckRequest
+from prbench.checking.conformance.report import START_LIMIT, TIME_LIMIT, CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
 from prbench.errors import UsageError
 
@@ -26,7 +25,7 @@ class ConformanceWarning(UserWarning):
 
 
 class AdapterConformance:
-    """One test a check; the method is examined once, with the first of them.
+    """Holds one test for each check; the first test examines the method, and the others read the report.
 
     A subclass, whose name begins with ``Test``, says what to check.
     """
@@ -37,7 +36,7 @@ class AdapterConformance:
     weights: ClassVar[Path | None] = None
     device: ClassVar[str] = "cpu"
     data: ClassVar[Path | None] = None
-    """A dataset whose test sequences are asked about; None for invented people."""
+    """A dataset whose test sequences are asked about; None for synthetic people."""
 
     time_limit: ClassVar[float] = TIME_LIMIT
     """Seconds for each call of the method."""
@@ -49,7 +48,7 @@ class AdapterConformance:
 
     @classmethod
     def report(cls) -> Report:
-        """What was found, made once a class.
+        """Return the report, made once for each class.
 
         Raises:
             UsageError: if the class names no method.

@@ -1,4 +1,4 @@
-"""All examinations in their order, each on motions that are free of the faults before it."""
+"""Runs all examinations in their order, each on motions that are free of the faults found before it."""
 
 from __future__ import annotations
 
@@ -6,23 +6,31 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from prbench.checking.doctor.body import examine_body
-from prbench.checking.doctor.facing import examine_facing
-from prbench.checking.doctor.finite import examine_finite
-from prbench.checking.doctor.first_frame import examine_first_frame
-from prbench.checking.doctor.floor import examine_floor
+from prbench.checking.doctor.body import examine_body, examine_finite, examine_scale, examine_unit
+from prbench.checking.doctor.clock import examine_clock
+from prbench.checking.doctor.facing import examine_facing, examine_root
+from prbench.checking.doctor.floor import examine_first_frame, examine_floor, examine_position
+from prbench.checking.doctor.frame_rate import examine_frame_rate, examine_length
 from prbench.checking.doctor.joint_order import examine_joint_order
 from prbench.checking.doctor.left_right import examine_left_right
-from prbench.checking.doctor.length import examine_length
-from prbench.checking.doctor.patient import Examination, Patient
-from prbench.checking.doctor.position import examine_position
+from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Examination, Expected, Finding, MotionSet
 from prbench.checking.doctor.quality import examine_quality
-from prbench.checking.doctor.root import examine_root
+from prbench.checking.doctor.recorded_clock import examine_recorded_clock
 from prbench.checking.doctor.shape import examine_shape
-from prbench.checking.doctor.time import examine_time
-from prbench.checking.doctor.types import NOTHING_KNOWN, Diagnosis, Expected
-from prbench.checking.doctor.unit import examine_scale, examine_unit
 from prbench.checking.doctor.up_axis import examine_up_axis
+
+
+def _examine_time(motion_set: MotionSet) -> Finding:
+    """Return one diagnosis of time: uneven time also changes speeds, and a wrong rate also moves instants."""
+    findings = []
+    for examine in (examine_clock, examine_recorded_clock):  # a proof by the recording outweighs a suspicion
+        findings.append(examine(motion_set))
+        if any(diagnosis.certain for diagnosis in findings[-1].diagnoses):
+            return findings[-1]
+    suspicion = next((finding for finding in findings if finding.diagnoses), Finding((), motion_set))
+    rest = examine_frame_rate(suspicion.motion_set)
+    return Finding((*suspicion.diagnoses, *rest.diagnoses), rest.motion_set)
+
 
 _EXAMINATIONS: tuple[Examination, ...] = (
     examine_shape,
@@ -39,7 +47,7 @@ _EXAMINATIONS: tuple[Examination, ...] = (
     examine_position,
     examine_floor,
     examine_length,
-    examine_time,
+    _examine_time,
     examine_quality,
 )
 """In the order in which faults hide one another."""
@@ -67,12 +75,12 @@ def diagnose(
     if not motions:
         return ()
     known = tuple(expected) if expected is not None else (NOTHING_KNOWN,) * len(motions)
-    patient = Patient(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
+    motion_set = MotionSet(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
     diagnoses: list[Diagnosis] = []
     for examine in _EXAMINATIONS:
-        finding = examine(patient)
+        finding = examine(motion_set)
         diagnoses += finding.diagnoses
-        if finding.hopeless:
+        if finding.unreadable:
             break
-        patient = finding.patient
+        motion_set = finding.motion_set
     return tuple(diagnoses)

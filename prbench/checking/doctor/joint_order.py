@@ -1,86 +1,112 @@
-"""Joints in another order than HumanML3D's, or of another skeleton."""
+"""Finds joints in another order than HumanML3D's, and those of another skeleton."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import product
+from collections.abc import Callable, Sequence
+from itertools import combinations, product
 
 import numpy as np
 
-from prbench.checking.doctor.anatomy import PARTS, left_of_hips, sidedness, sideways_agreement, with_sides
+from prbench.checking.doctor.anatomy import (
+    BONE_ENDS,
+    BONE_LENGTHS,
+    PARTS,
+    Distances,
+    fit,
+    left_of_hips,
+    sidedness,
+    sideways_agreement,
+    with_sides,
+)
 from prbench.checking.doctor.body import not_positions
-from prbench.checking.doctor.bones import Distances, fit
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.checking.doctor.orders import ORDERS_OF_22, OTHER_ORDERS, Order
-from prbench.checking.doctor.patient import Finding, Patient, healthy
-from prbench.checking.doctor.recover_order import recovered_order
-from prbench.checking.doctor.types import Diagnosis
+from prbench.randomness import named_generator
+from prbench.representation import REST_OFFSETS
+from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import JOINT_MAPS
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
+_STARTS = 120
+_LOOSENESS = 0.5  # of the last guess: how much chance may change a joint's likeness
+_GOOD = 0.16  # misfit that shuffled joints do not reach by chance
+_PART_OF = np.array([PARTS.index(joint.name.lower().split("_")[-1]) if "_" in joint.name else -1 for joint in Joint])
+_CHOICES = np.array([[part >= 0 and bits[part] for part in _PART_OF] for bits in product((False, True), repeat=8)])
+"""(256, 22); one row for each choice of exchanged parts, True where a joint takes its mirror image's place."""
+_SIZES = (1.65, 1.45, 1.25)  # metres between the joints of a pose that lie farthest apart: standing, working, sitting
+_REST = np.zeros((N_JOINTS, 3))
+for _joint in range(1, N_JOINTS):
+    _REST[_joint] = _REST[PARENTS[_joint]] + REST_OFFSETS[_joint]
+_STANDING = np.linalg.norm(_REST[:, None] - _REST, axis=-1)
+"""Distances between the joints of a body that stands with its arms hanging."""
+_SWAPS = np.array(list(combinations(range(N_JOINTS), 2)))
 _OWN = Order("HumanML3D", tuple(joint.name.lower() for joint in Joint))
-_FITS, _IMPOSSIBLE = 0.3, 0.4  # misfit of the bones; right bodies have 0.03 to 0.15, shuffled ones 0.6
+# Misfit of the bones: right bodies have 0.03 to 0.15, shuffled ones 0.6.
+_FITS = 0.3
+_IMPOSSIBLE = 0.4
 _ALIKE = 0.03  # difference of two orders that only exchange left and right
-_CROSSED, _NOT_CROSSED = -0.3, 0.5  # agreement of a pair with the hips (anatomy.sideways_agreement)
-_GAIN, _CLEAR_GAIN = 0.0015, 0.012  # of the bones' misfit: where pairs lie crossed, and where they do not
+# Agreement of a pair with the hips (anatomy.sideways_agreement).
+_CROSSED = -0.3
+_NOT_CROSSED = 0.5
+# Gain of the bones' misfit by an exchange: where pairs lie crossed, and where they do not.
+_GAIN = 0.0015
+_CLEAR_GAIN = 0.012
 _ARMS = np.array([part in ("collar", "shoulder", "elbow", "wrist") for part in PARTS])
 _NOT_HIPS = np.array([part != "hip" for part in PARTS])
 
 
-def examine_joint_order(patient: Patient) -> Finding:
+def examine_joint_order(motion_set: MotionSet) -> Finding:
     """Find the order under which the bones are those of people and keep their lengths."""
-    distances = Distances.of(patient.motions)
+    distances = Distances.of(motion_set.motions)
     n_joints = len(distances.median)
     if n_joints != N_JOINTS:
-        return _another_skeleton(patient, distances)
+        return _another_skeleton(motion_set, distances)
     own = fit(distances, _OWN.places())
     if own.misfit < _IMPOSSIBLE:
-        return _exchanged_pairs(patient, distances)
+        return _exchanged_pairs(motion_set, distances)
     fits = {order: fit(distances, order.places()) for order in ORDERS_OF_22}
     best = min(fits, key=lambda order: fits[order].badness)
     if fits[best].misfit < _FITS:
         alike = [order for order in fits if fits[order].badness < fits[best].badness + _ALIKE]
-        best = max(alike, key=lambda order: _side(patient, order.index()))
-        return _reordered(patient, best.index(), own.misfit, fits[best].misfit, f"joints stand in {best.name}")
-    index = _recovered(patient, distances)
+        best = max(alike, key=lambda order: _side(motion_set, order.index()))
+        return _reordered(motion_set, best.index(), own.misfit, fits[best].misfit, f"joints stand in {best.name}")
+    index = _recovered(motion_set, distances)
     if index is not None:
         misfit = fit(distances, {name: index[place] for place, name in enumerate(_OWN.joints)}).misfit
-        return _reordered(patient, index, own.misfit, misfit, "joints stand in an order of their own")
-    return _no_body(patient, own.misfit)
+        return _reordered(motion_set, index, own.misfit, misfit, "joints stand in an order of their own")
+    return _no_body(motion_set, own.misfit)
 
 
-def _recovered(patient: Patient, distances: Distances) -> list[int] | None:
-    """An order of its own, with left and right where the body's front and hips have them."""
-    index = recovered_order(distances)
+def _recovered(motion_set: MotionSet, distances: Distances) -> list[int] | None:
+    """Recover an unknown order, with left and right where the body's front and hips have them."""
+    index = _recovered_order(distances)
     if index is None:
         return None
-    crossed = sideways_agreement(patient.poses()[:, index]) < 0
+    crossed = sideways_agreement(motion_set.poses()[:, index]) < 0
     index = with_sides(index, crossed)
-    return with_sides(index, ~np.zeros_like(crossed)) if _side(patient, index) < 0 else index
+    return with_sides(index, ~np.zeros_like(crossed)) if _side(motion_set, index) < 0 else index
 
 
-def _side(patient: Patient, index: Sequence[int]) -> float:
-    """Whether left is left of the front under an order: 1 if so, -1 if not."""
-    poses = patient.poses()[:, list(index)]
+def _side(motion_set: MotionSet, index: Sequence[int]) -> float:
+    """Return 1 if left is left of the front under an order, -1 if it is right of it, 0 if unclear."""
+    poses = motion_set.poses()[:, list(index)]
     return float(np.sign(sidedness(poses, left_of_hips(poses)).mean().round(1)))
 
 
-def _reordered(patient: Patient, index: Sequence[int], before: float, after: float, cause: str) -> Finding:
+def _reordered(motion_set: MotionSet, index: Sequence[int], before: float, after: float, cause: str) -> Finding:
     evidence = f"as HumanML3D's order, bones miss people's lengths by {before:.0%}; in the order found by {after:.0%}"
     remedy = f"Put them into HumanML3D's order: joints[:, {list(index)}] (names: prbench.skeleton.Joint)."
     found = Diagnosis("joint-order", True, evidence, cause, remedy)
-    return Finding((found,), patient.changed(lambda motion: motion[:, list(index)]))
+    return Finding((found,), motion_set.changed(lambda motion: motion[:, list(index)]))
 
 
-def _another_skeleton(patient: Patient, distances: Distances) -> Finding:
-    """Another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
+def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
+    """Diagnose another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
     n_joints = len(distances.median)
     evidence = f"{n_joints} joints a frame instead of 22"
-    mapped = {
-        name: tuple(each.to_22(motion) for motion in patient.motions)
-        for name, each in JOINT_MAPS.items()
-        if len(each.source_joints) == n_joints
-    }
-    misfits = {name: _badness(Distances.of(motions), range(N_JOINTS)) for name, motions in mapped.items()}
+    fitting = {name: each for name, each in JOINT_MAPS.items() if len(each.source_joints) == n_joints}
+    mapped = {name: motion_set.changed(each.to_22) for name, each in fitting.items()}
+    misfits = {name: _badness(Distances.of(each.motions), range(N_JOINTS)) for name, each in mapped.items()}
     best = min(misfits, key=lambda name: misfits[name], default=None)
     if best is not None and misfits[best] < _FITS:
         evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
@@ -88,35 +114,39 @@ def _another_skeleton(patient: Patient, distances: Distances) -> Finding:
         if best.startswith("smpl"):
             remedy += " That is joints[:, :22]."
         found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)
-        return Finding((found,), patient.with_motions(mapped[best]))
+        return Finding((found,), mapped[best])
     known = {each: fit(distances, each.places()).misfit for each in OTHER_ORDERS if len(each.joints) == n_joints}
     order = min(known, key=lambda each: known[each], default=None)
     if order is not None and known[order] < 2 * _FITS:
         evidence += f"; as {order.name}, bones miss people's lengths by {known[order]:.0%}"
         found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {order.name}", order.remedy)
-        return Finding((found,), patient, hopeless=True)
+        return Finding((found,), motion_set, unreadable=True)
     remedy = "Write a map of its joints (prbench.representation.converters.JointMap); the 22 are in prbench.skeleton."
-    return Finding((Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), patient, hopeless=True)
+    return Finding(
+        (Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), motion_set, unreadable=True
+    )
 
 
-def _exchanged_pairs(patient: Patient, distances: Distances) -> Finding:
-    """Single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
-    agreement = sideways_agreement(patient.poses())
+def _exchanged_pairs(motion_set: MotionSet, distances: Distances) -> Finding:
+    """Find single parts, such as the ankles, whose left and right are exchanged against the rest of their limb."""
+    agreement = sideways_agreement(motion_set.poses())
     before = fit(distances, _OWN.places()).badness
-    crossed, gain = agreement < _CROSSED, _GAIN
+    crossed = agreement < _CROSSED
+    gain = _GAIN
     if (crossed == _NOT_HIPS).all():
         crossed = ~crossed
     elif crossed.any() and not (crossed == _ARMS).all():
         crossed = _best_exchange(distances, crossed)
     if not crossed.any():
-        crossed, gain = _best_exchange(distances, _NOT_HIPS), _CLEAR_GAIN
+        crossed = _best_exchange(distances, _NOT_HIPS)
+        gain = _CLEAR_GAIN
         crossed = crossed if (agreement[crossed] < _NOT_CROSSED).all() else np.zeros_like(crossed)
     if (crossed == _ARMS).all() or (crossed == ~_ARMS).all() or not crossed.any():
-        return healthy(patient)  # whole limbs: left_right.py
+        return no_finding(motion_set)  # whole limbs: left_right.py
     index = with_sides(range(N_JOINTS), crossed)
     after = _badness(distances, index)
     if after > min(before - gain, _FITS):
-        return healthy(patient)
+        return no_finding(motion_set)
     names = " and ".join(
         "feet" if part == "foot" else f"{part}s" for part, swap in zip(PARTS, crossed, strict=True) if swap
     )
@@ -129,11 +159,11 @@ def _exchanged_pairs(patient: Patient, distances: Distances) -> Finding:
     found = Diagnosis(
         "joint-order", True, evidence, f"left and right {names} are exchanged, the others are not", remedy
     )
-    return Finding((found,), patient.changed(lambda motion: motion[:, index]))
+    return Finding((found,), motion_set.changed(lambda motion: motion[:, index]))
 
 
 def _best_exchange(distances: Distances, parts: np.ndarray) -> np.ndarray:
-    """Of all ways to exchange left and right of some of these parts the one with the best bones."""
+    """Return the choice of exchanged parts that gives the best bones."""
     choices = [parts & np.array(bits) for bits in product((False, True), repeat=len(PARTS))]
     unique = list({tuple(choice): choice for choice in choices}.values())
     return min(unique, key=lambda choice: _badness(distances, with_sides(range(N_JOINTS), choice)))
@@ -143,13 +173,111 @@ def _badness(distances: Distances, index: Sequence[int]) -> float:
     return fit(distances, {name: index[place] for place, name in enumerate(_OWN.joints)}).badness
 
 
-def _no_body(patient: Patient, misfit: float) -> Finding:
+def _no_body(motion_set: MotionSet, misfit: float) -> Finding:
     evidence = f"bones miss people's lengths by {misfit:.0%}, in every known order by more than {_FITS:.0%}"
-    standardised = not_positions(patient, evidence)
+    standardised = not_positions(motion_set, evidence)
     if standardised is not None:
-        return Finding((standardised,), patient, hopeless=True)
+        return Finding((standardised,), motion_set, unreadable=True)
     remedy = "Check that joints are positions in space, and their order against prbench.skeleton.Joint."
     found = Diagnosis(
         "joint-order", True, evidence, "an order or a skeleton that is not known, or no positions", remedy
     )
-    return Finding((found,), patient, hopeless=True)
+    return Finding((found,), motion_set, unreadable=True)
+
+
+def _recovered_order(distances: Distances) -> list[int] | None:
+    """The index that puts 22 joints into HumanML3D's order, or None if none gives a body.
+
+    Exchanges pairs of joints as long as bones get better, from many starts. Distances alone do not tell left from
+    right.
+    """
+    best = None
+    lowest = np.inf
+    confirmed = 0
+    generator = named_generator("doctor", "joint order")
+    for start in range(_STARTS):
+        cost = _cost(distances, distances.median.max() / _SIZES[start % len(_SIZES)])
+        index, value = _descended(_guess(distances, _LOOSENESS * (start / _STARTS), generator), cost)
+        if value < lowest + 0.06:  # near enough that exchanging whole limbs may help
+            index, value = _sides_exchanged(index, cost)
+        confirmed += abs(value - lowest) < 1e-9
+        if value < lowest - 1e-9:
+            best = index
+            lowest = value
+            confirmed = 0
+        if lowest < _GOOD and confirmed == 3:
+            break
+    if best is None or lowest > _GOOD:
+        return None
+    candidates = _relatives(best)
+    return [int(joint) for joint in candidates[int(_misfit_at_own_size(distances, candidates).argmin())]]
+
+
+def _misfit_at_own_size(distances: Distances, orders: np.ndarray) -> np.ndarray:
+    """Return the cost of each order if its body may have any size."""
+    one, other = BONE_ENDS
+    ends = orders[:, one], orders[:, other]
+    lengths = distances.median[ends]
+    people = BONE_LENGTHS * (lengths.sum(axis=1, keepdims=True) / BONE_LENGTHS.sum())
+    return (np.abs(lengths - people) + distances.spread[ends]).sum(axis=1) / people.sum(axis=1)
+
+
+def _guess(distances: Distances, looseness: float, generator: np.random.Generator) -> np.ndarray:
+    """Assign joints one after another by how alike their distances to all others are to those in a standing body."""
+    here = _profiles(distances.median)
+    there = _profiles(_STANDING)
+    unlike = np.abs(here[None] - there[:, None]).mean(axis=-1)
+    unlike += looseness * unlike.mean() * generator.standard_normal(unlike.shape)
+    order = np.empty(N_JOINTS, dtype=int)
+    for _ in range(N_JOINTS):
+        place, joint = np.unravel_index(unlike.argmin(), unlike.shape)
+        order[place] = joint
+        unlike[place] = np.inf
+        unlike[:, joint] = np.inf
+    return order
+
+
+def _profiles(apart: np.ndarray) -> np.ndarray:
+    return np.sort(apart / apart.max(), axis=1)
+
+
+def _cost(distances: Distances, scale: float) -> Callable[[np.ndarray], np.ndarray]:
+    one, other = BONE_ENDS
+    people = BONE_LENGTHS * scale
+
+    def cost(orders: np.ndarray) -> np.ndarray:
+        ends = orders[:, one], orders[:, other]
+        return (np.abs(distances.median[ends] - people) + distances.spread[ends]).sum(axis=1) / people.sum()
+
+    return cost
+
+
+def _descended(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
+    value = float(cost(order[None])[0])
+    rows = np.arange(len(_SWAPS))
+    while True:
+        neighbours = np.repeat(order[None], len(_SWAPS), axis=0)
+        neighbours[rows, _SWAPS[:, 0]], neighbours[rows, _SWAPS[:, 1]] = order[_SWAPS[:, 1]], order[_SWAPS[:, 0]]
+        values = cost(neighbours)
+        best = int(values.argmin())
+        if values[best] >= value - 1e-12:
+            return order, value
+        order = neighbours[best]
+        value = float(values[best])
+
+
+def _sides_exchanged(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
+    """Return the best of an order's relatives, improved as far as exchanging single joints goes."""
+    relatives = _relatives(order)
+    return _descended(relatives[int(cost(relatives).argmin())], cost)
+
+
+def _relatives(order: np.ndarray) -> np.ndarray:
+    """Return all orders that exchange left and right of single parts, such as both knees, or an ankle and its foot."""
+    variants = [order]
+    for ankle, foot in ((Joint.LEFT_ANKLE, Joint.LEFT_FOOT), (Joint.RIGHT_ANKLE, Joint.RIGHT_FOOT)):
+        for variant in tuple(variants):  # a shin is about as long as from the knee to the toes
+            other = variant.copy()
+            other[[ankle, foot]] = variant[[foot, ankle]]
+            variants.append(other)
+    return np.concatenate([np.where(_CHOICES, each[list(MIRRORED_JOINTS)], each) for each in variants])

@@ -1,4 +1,4 @@
-"""Left and right exchanged, by name or by a mirrored world."""
+"""Finds left and right exchanged, by name or by a mirrored world."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from prbench.checking.doctor.anatomy import (
     sideways_agreement,
     with_sides,
 )
-from prbench.checking.doctor.patient import Finding, Patient, healthy
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.representation import REST_OFFSETS
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.skeleton import N_JOINTS, bone_lengths
 
 _WRONG_SIDE = -0.5  # mean cosine between the front of toes and knees and the one that left and right say
-_ASYMMETRIC, _ALIKE = 0.004, 0.9  # of a skeleton's left and right bones: mean log ratio, correlation
+_ASYMMETRIC = 0.004  # mean log ratio of left to right bones
+_ALIKE = 0.9  # correlation of these ratios with SMPL's
 _ARMS = np.array([part in ("collar", "shoulder", "elbow", "wrist") for part in PARTS])
 
 
-def examine_left_right(patient: Patient) -> Finding:
+def examine_left_right(motion_set: MotionSet) -> Finding:
     """Compare the front that toes, knees and head show with the one that follows from left and right."""
-    poses = patient.poses()
+    poses = motion_set.poses()
     by_hips = float(sidedness(poses, left_of_hips(poses)).mean())
     by_shoulders = float(sidedness(poses, left_of_shoulders(poses)).mean())
     if by_hips > _WRONG_SIDE and by_shoulders > _WRONG_SIDE:
-        return healthy(patient)
+        return no_finding(motion_set)
     evidence = (
         "where toes, knees and head point has a mean cosine of"
         f" {by_hips:+.2f} with the front that left and right hip give, {by_shoulders:+.2f} with that of the shoulders"
     )
     if by_hips * by_shoulders < 0:
-        return _half(patient, evidence, arms=by_shoulders < by_hips)
-    return _whole(patient, evidence)
+        return _half(motion_set, evidence, arms=by_shoulders < by_hips)
+    return _whole(motion_set, evidence)
 
 
-def _half(patient: Patient, evidence: str, *, arms: bool) -> Finding:
-    agreement = sideways_agreement(patient.poses())[_ARMS].mean()
+def _half(motion_set: MotionSet, evidence: str, *, arms: bool) -> Finding:
+    agreement = sideways_agreement(motion_set.poses())[_ARMS].mean()
     if agreement > _WRONG_SIDE:
-        return healthy(patient)  # turned trunks, not exchanged names
+        return no_finding(motion_set)  # turned trunks, not exchanged names
     index = with_sides(range(N_JOINTS), _ARMS if arms else ~_ARMS)
     limbs = "arms" if arms else "legs"
     cause = f"the names of the left and right {limbs} are exchanged, those of the {'legs' if arms else 'arms'} are not"
     found = Diagnosis("left-right", True, evidence, cause, f"Exchange them: joints[:, {index}].")
-    return Finding((found,), patient.changed(lambda motion: motion[:, index]))
+    return Finding((found,), motion_set.changed(lambda motion: motion[:, index]))
 
 
-def _whole(patient: Patient, evidence: str) -> Finding:
-    toes_backwards = float(front(patient.first_poses())[:, 2].mean()) < 0
-    mirrored, reason = _is_mirrored(patient)
+def _whole(motion_set: MotionSet, evidence: str) -> Finding:
+    toes_backwards = float(front(motion_set.first_poses())[:, 2].mean()) < 0
+    mirrored, reason = _is_mirrored(motion_set)
     swap = "joints[:, prbench.representation.clips.MIRRORED_JOINTS]"
     axis = 2 if toes_backwards else 0
     flip = f"joints * [{'1, 1, -1' if toes_backwards else '-1, 1, 1'}]"
@@ -64,33 +64,38 @@ def _whole(patient: Patient, evidence: str) -> Finding:
             "left and right joints are exchanged, or the world is mirrored (an axis negated, or two exchanged);"
             " for a symmetric body the two give the same numbers"
         )
-        kind, remedy = "left-right", f"{remedy_names} If the world is mirrored instead: {flip}."
+        kind = "left-right"
+        remedy = f"{remedy_names} If the world is mirrored instead: {flip}."
     elif mirrored:
-        kind, cause, remedy = "mirrored", f"the world is mirrored ({reason})", remedy_mirrored
+        kind = "mirrored"
+        cause = f"the world is mirrored ({reason})"
+        remedy = remedy_mirrored
     else:
-        kind, cause, remedy = "left-right", f"left and right joints are exchanged ({reason})", remedy_names
+        kind = "left-right"
+        cause = f"left and right joints are exchanged ({reason})"
+        remedy = remedy_names
     undo_by_axis = mirrored or toes_backwards
     signs = np.where(np.arange(3) == axis, -1.0, 1.0)
     found = Diagnosis(kind, True, evidence, cause, remedy)
     if undo_by_axis:
-        return Finding((found,), patient.changed(lambda motion: motion * signs))
-    return Finding((found,), patient.changed(lambda motion: motion[:, list(MIRRORED_JOINTS)]))
+        return Finding((found,), motion_set.changed(lambda motion: motion * signs))
+    return Finding((found,), motion_set.changed(lambda motion: motion[:, list(MIRRORED_JOINTS)]))
 
 
-def _is_mirrored(patient: Patient) -> tuple[bool | None, str]:
-    """Whether the world is mirrored rather than the names exchanged, and how that shows; None if nothing shows it."""
-    for source, judged in (("initial pose", _by_initial_pose(patient)), ("goal", _by_goal(patient))):
+def _is_mirrored(motion_set: MotionSet) -> tuple[bool | None, str]:
+    """Return True for a mirrored world, False for exchanged names, None if nothing tells; and the reason."""
+    for source, judged in (("initial pose", _by_initial_pose(motion_set)), ("goal", _by_goal(motion_set))):
         if judged is not None:
             mirrored, one, other = judged
             return mirrored, f"the {source} is {one:.2f} m away in a mirror, {other:.2f} m with names exchanged"
-    return _by_bones(patient)
+    return _by_bones(motion_set)
 
 
-def _by_initial_pose(patient: Patient) -> tuple[bool, float, float] | None:
+def _by_initial_pose(motion_set: MotionSet) -> tuple[bool, float, float] | None:
     """Compare first frames with initial poses in both ways."""
     pairs = [
         (motion[0], known.initial_joints)
-        for motion, known in zip(patient.motions, patient.expected, strict=True)
+        for motion, known in zip(motion_set.motions, motion_set.expected, strict=True)
         if known.initial_joints is not None
     ]
     if not pairs:
@@ -101,11 +106,11 @@ def _by_initial_pose(patient: Patient) -> tuple[bool, float, float] | None:
     return _decided(in_mirror, exchanged)
 
 
-def _by_goal(patient: Patient) -> tuple[bool, float, float] | None:
+def _by_goal(motion_set: MotionSet) -> tuple[bool, float, float] | None:
     """Compare where wrists end with goals in both ways."""
     pairs = [
         (motion[-1, 20:22], known.goal_location)
-        for motion, known in zip(patient.motions, patient.expected, strict=True)
+        for motion, known in zip(motion_set.motions, motion_set.expected, strict=True)
         if known.goal_location is not None
     ]
     if not pairs:
@@ -125,17 +130,19 @@ def _decided(in_mirror: float, exchanged: float) -> tuple[bool, float, float] | 
 
 
 def _apart(poses: np.ndarray, others: np.ndarray) -> float:
-    """Median distance of joints, positions over the ground left out."""
-    centred, others = poses - poses[:, :1], others - others[:, :1]
-    return float(np.median(np.linalg.norm(centred - others, axis=-1)))
+    """Return the median distance of joints relative to their pelvises, metres."""
+    difference = (poses - poses[:, :1]) - (others - others[:, :1])
+    return float(np.median(np.linalg.norm(difference, axis=-1)))
 
 
-def _by_bones(patient: Patient) -> tuple[bool | None, str]:
-    """SMPL's bodies are not quite symmetric: their right hip is longer than the left one, and so on."""
-    lengths = np.log(np.maximum(bone_lengths(patient.poses()).mean(axis=0), 1e-6))
+def _by_bones(motion_set: MotionSet) -> tuple[bool | None, str]:
+    """Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one."""
+    lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
     people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
-    pairs = [(joint - 1, other - 1) for joint, other in enumerate(MIRRORED_JOINTS) if joint < other]
-    here, there = (np.array([of[one] - of[other] for one, other in pairs]) for of in (lengths, people))
+    one = [joint - 1 for joint, mirrored in enumerate(MIRRORED_JOINTS) if joint < mirrored]
+    other = [MIRRORED_JOINTS[joint + 1] - 1 for joint in one]
+    here = lengths[one] - lengths[other]
+    there = people[one] - people[other]
     if np.abs(here).mean() < _ASYMMETRIC:
         return None, ""
     alike = float(np.corrcoef(here, there)[0, 1])

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from prbench.skeleton import CHAINS, Joint
 
 _NAMES = tuple(joint.name.lower() for joint in Joint)
-_LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("collar", "shoulder", "elbow", "wrist")
+_LEG = ("hip", "knee", "ankle", "foot")
+_ARM = ("collar", "shoulder", "elbow", "wrist")
 _TRUNK = ("spine1", "spine2", "spine3")
 _TOP = ("neck", "head")
 
 
 @dataclass(frozen=True)
 class Order:
-    """One way to write joints one after another."""
+    """An order of joints."""
 
     name: str
     joints: tuple[str, ...]
@@ -23,12 +24,12 @@ class Order:
     """Instead of the index that puts the 22 joints into place."""
 
     def places(self) -> dict[str, int]:
-        """Where each joint stands."""
+        """Map the name of each joint to its place."""
         return {joint: place for place, joint in enumerate(self.joints)}
 
     @property
     def holds_all(self) -> bool:
-        """Whether the 22 joints can be taken out of it."""
+        """True if it holds all 22 joints."""
         return set(_NAMES) <= set(self.joints)
 
     def index(self) -> tuple[int, ...]:

@@ -1,23 +1,56 @@
-"""Bodies that tremble or stretch: the fault of a model rather than of its conversion, so never certain."""
+"""Finds bodies that tremble or stretch: the fault of a model rather than of its conversion, so never certain."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from prbench.checking.doctor.patient import Finding, Patient
-from prbench.checking.doctor.tremor import Tremor
-from prbench.checking.doctor.types import Diagnosis
+import numpy as np
+from jaxtyping import Float
+
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet
 from prbench.skeleton import BONES, Joint, bone_lengths
 
+_TREMBLING = 1.2  # second over first differences (noise 1.7, movement 0.3)
+_TREMOR = 0.003  # metres
+SMOOTHED_OVER = 1.5
+"""Standard deviation of the Gaussian in :func:`smoothed`, frames."""
 _STRETCHY = 0.12  # standard deviation of a bone's length over time, as a share of it
 
 
-def examine_quality(patient: Patient) -> Finding:
+@dataclass(frozen=True)
+class Tremor:
+    """Trembling of most motions; medians over them."""
+
+    ratio: float
+    """Second over first differences of the joints relative to the pelvis."""
+    metres: float
+    motions: int
+    """Number of motions that were long enough."""
+
+    @classmethod
+    def of(cls, motions: Sequence[Float[np.ndarray, "_frames 22 3"]]) -> Tremor | None:
+        """Measure motions; None if they do not tremble, or are too short to tell."""
+        ratios = []
+        sizes = []
+        for motion in motions:
+            if len(motion) <= 4:
+                continue
+            limbs = motion - motion[:, :1]
+            first, second = (np.linalg.norm(np.diff(limbs, n, axis=0), axis=-1).mean(axis=-1) for n in (1, 2))
+            ratios.append(float(np.median(second) / max(float(np.median(first)), 1e-9)))
+            sizes.append(float(np.median(second)) / np.sqrt(6))
+        if not ratios or np.median(ratios) < _TREMBLING or np.median(sizes) < _TREMOR:
+            return None
+        return cls(float(np.median(ratios)), float(np.median(sizes)), len(ratios))
+
+
+def examine_quality(motion_set: MotionSet) -> Finding:
     """Look at bones and at how smoothly joints move."""
-    long = [motion for motion in patient.motions if len(motion) > 4]
+    long = [motion for motion in motion_set.motions if len(motion) > 4]
     if not long:
-        return Finding((), patient)
-    return Finding((*_stretching(long), *_trembling(long)), patient)
+        return Finding((), motion_set)
+    return Finding((*_stretching(long), *_trembling(long)), motion_set)
 
 
 def _stretching(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
@@ -51,3 +84,10 @@ def _trembling(motions: list[np.ndarray]) -> tuple[Diagnosis, ...]:
     cause = "noise of a sampler with few steps, or frames that are generated without their neighbours"
     remedy = "Sample with more steps or smooth the joints; metrics of the head and of feet suffer from it."
     return (Diagnosis("jitter", False, evidence, cause, remedy),)
+
+
+def smoothed(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
+    """Smooth the motion over frames."""
+    from scipy.ndimage import gaussian_filter1d  # late: 0.3 s that a run and its workers do not need
+
+    return gaussian_filter1d(motion, SMOOTHED_OVER, axis=0, mode="nearest")

@@ -1,4 +1,4 @@
-"""Motions from files of any form, right or wrong, so that it can be said what is wrong with them."""
+"""Reads motions from files of any form, right or wrong, so that they can be diagnosed."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _POSE_SIZE = N_JOINTS * 3
 
 @dataclass(frozen=True)
 class NamedMotion:
-    """One motion and what tells which it is."""
+    """A motion and its name."""
 
     name: str
     """Sequence id, opaque id, number or the file's name."""
     sample: int
     values: np.ndarray
-    """Of any shape."""
+    """The array, of any shape."""
 
 
 @dataclass(frozen=True)
-class MotionsRead:
+class _MotionsRead:
     """The motions of a file, or some of them."""
 
     motions: tuple[NamedMotion, ...]
@@ -43,7 +43,7 @@ class MotionsRead:
 
 
 @foreign_input()
-def read_motions(path: Path, *, limit: int | None = None) -> MotionsRead:
+def read_motions(path: Path, *, limit: int | None = None) -> _MotionsRead:
     """Read motions without asking that they be right.
 
     Args:
@@ -60,7 +60,7 @@ def read_motions(path: Path, *, limit: int | None = None) -> MotionsRead:
         raise InputFileError(path, "", expected="motions", found="none")
     count = min(len(motions), limit or len(motions))
     chosen = [motions[place] for place in np.linspace(0, len(motions) - 1, count).round().astype(int)]
-    return MotionsRead(tuple(chosen), len(motions))
+    return _MotionsRead(tuple(chosen), len(motions))
 
 
 def _from_folder(path: Path) -> Iterator[NamedMotion]:
@@ -98,7 +98,7 @@ def _numbers(values: np.ndarray, path: Path, where: str) -> np.ndarray:
 
 
 def _unbatched(name: str, values: np.ndarray) -> Iterator[NamedMotion]:
-    """An array with a batch axis as one motion a row, without the zeros or NaN behind its last frame."""
+    """Split an array with a batch axis into one motion for each row, without the zeros or NaN behind its last frame."""
     if values.ndim < 4 or values.shape[0] == 1 or values.shape[1] == 1:
         yield NamedMotion(name, 0, values)
         return
@@ -139,13 +139,13 @@ def _npz(path: Path) -> Iterator[NamedMotion]:
 
 
 def _motion_like(headers: dict[str, ArrayHeader], names: list[str]) -> list[str]:
-    """Of several arrays those with 22 joints; else the poses of a body's parameters; else all."""
+    """Choose the arrays with 22 joints, else the poses of a body's parameters, else all."""
     joints = [name for name in names if len(headers[name].shape) > 2 and headers[name].shape[-2:] == (N_JOINTS, 3)]
     return joints or [name for name in names if name == "poses"] or names
 
 
 def _npz_columns(archive: Archive) -> Iterator[NamedMotion]:
-    """One array ``joints`` beside ids and lengths, padded or one motion after another."""
+    """Read one array ``joints`` beside ids and lengths, padded or one motion after another."""
     joints = _numbers(archive.read("joints", largest=_LARGEST), archive.path, "'joints'")
     columns = {name: archive.read(name, largest=_LARGEST) for name in archive.members if name != "joints"}
     lengths = columns.get("n_frames")
@@ -190,13 +190,14 @@ def _parquet(path: Path) -> Iterator[NamedMotion]:
 
 
 def _frames(cell: pa.Scalar, path: Path, row: int) -> np.ndarray:
-    """The frames of one row, however deeply their numbers are nested."""
+    """Return the frames of one row, however deeply their numbers are nested."""
     where = f"row {row}, column 'joints'"
     if not cell.is_valid or not pa.types.is_nested(cell.type):
         raise InputFileError(
             path, where, expected="a list of frames", found=str(cell.type) if cell.is_valid else "null"
         )
-    values, count = cell.values, len(cell.values)
+    values = cell.values
+    count = len(cell.values)
     while pa.types.is_nested(values.type):
         if pa.types.is_struct(values.type) or pa.types.is_map(values.type):
             raise InputFileError(path, where, expected="lists of numbers", found=str(values.type))

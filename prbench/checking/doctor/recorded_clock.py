@@ -1,4 +1,4 @@
-"""The clock of motions that follow recorded ones: rate, delay and slide against the table's own time."""
+"""Finds a wrong rate, delay or slide of motions that follow recorded ones, against the table's own time."""
 
 from __future__ import annotations
 
@@ -6,53 +6,53 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.patient import Finding, Patient, healthy, of_motions
-from prbench.checking.doctor.remedies import AT_RATE, AT_TIMES
-from prbench.checking.doctor.types import Diagnosis
+from prbench.checking.doctor.motion_set import AT_RATE, AT_TIMES, Diagnosis, Finding, MotionSet, no_finding
 
 _MOVES = 0.10  # metres that joints leave the first pose by, in the mean
-_COPY, _BETTER = 0.03, 0.5  # metres left after matching; share of what is left without it
-_SLIDE, _DELAY = 0.10, 0.10  # seconds off a straight line; at the beginning
+_COPY = 0.03  # metres left after matching
+_BETTER = 0.5  # share of the distance without matching
+_SLIDE = 0.10  # seconds off a straight line
+_DELAY = 0.10  # seconds at the beginning
 _RATE = 0.04
 _MATCHED = 24  # motions that are matched at most, evenly spread
 
 
 @dataclass(frozen=True, eq=False)
 class _Match:
-    """Which recorded frame each frame shows."""
+    """The recorded frames that the frames of a motion show."""
 
     places: np.ndarray
     left: float
     """Mean distance of joints after matching, metres."""
     before: float
-    """The same, frame by frame."""
+    """Mean distance of joints frame by frame, metres."""
     moves: np.ndarray
     """Frames at which the recorded body moves, so that time can be read off it."""
 
 
-def examine_recorded_clock(patient: Patient) -> Finding:
+def examine_recorded_clock(motion_set: MotionSet) -> Finding:
     """Match motions with recorded ones in time, where they show the same movement on another clock."""
-    rows = [row for row, expected in enumerate(patient.expected) if expected.recorded is not None]
+    rows = [row for row, expected in enumerate(motion_set.expected) if expected.recorded is not None]
     matches = []
     for row in rows[:: max(1, len(rows) // _MATCHED)]:
-        recorded = patient.expected[row].recorded
-        if recorded is None or len(recorded) < 10 or len(patient.motions[row]) < 10:
+        recorded = motion_set.expected[row].recorded
+        if recorded is None or len(recorded) < 10 or len(motion_set.motions[row]) < 10:
             continue
         if float(np.linalg.norm(recorded - recorded[0], axis=-1).mean(axis=1).max()) > _MOVES:
-            matches.append(_matched(patient.motions[row], recorded))
+            matches.append(_matched(motion_set.motions[row], recorded))
     copies = [match for match in matches if match.left < _COPY and match.left < _BETTER * match.before]
     if len(copies) < 0.6 * len(matches) or not copies:
-        return healthy(patient)
-    return Finding(tuple(_judged(copies, patient)), patient)
+        return no_finding(motion_set)
+    return Finding(tuple(_judged(copies, motion_set)), motion_set)
 
 
-def _judged(copies: list[_Match], patient: Patient) -> list[Diagnosis]:
+def _judged(copies: list[_Match], motion_set: MotionSet) -> list[Diagnosis]:
     lines = [_line(match) for match in copies]
     rate = float(np.median([line[0] for line in lines]))
-    delay = float(np.median([line[1] for line in lines])) / patient.fps
-    slide = float(np.median([line[2] for line in lines])) / patient.fps
+    delay = float(np.median([line[1] for line in lines])) / motion_set.fps
+    slide = float(np.median([line[2] for line in lines])) / motion_set.fps
     shared = (
-        f"in {of_motions(len(copies), patient)} frames show recorded ones at other times:"
+        f"in {motion_set.in_words(len(copies))} frames show recorded ones at other times:"
         f" {np.median([match.before for match in copies]):.3f} m apart frame by frame,"
         f" {np.median([match.left for match in copies]):.3f} m when matched in time"
     )
@@ -62,7 +62,7 @@ def _judged(copies: list[_Match], patient: Patient) -> list[Diagnosis]:
         return [Diagnosis("clock", True, evidence, cause, AT_TIMES)]
     if abs(rate - 1) > _RATE:
         evidence = f"{shared}; one frame advances {rate:.3f} recorded frames"
-        made = f"{patient.fps / rate:.3g} frames a second shown at {patient.fps:g}"
+        made = f"{motion_set.fps / rate:.3g} frames a second shown at {motion_set.fps:g}"
         cause = f"motions look like {made}, or were stretched to the asked length"
         return [Diagnosis("frame-rate", True, evidence, cause, AT_RATE)]
     if abs(delay) > _DELAY:
@@ -73,7 +73,7 @@ def _judged(copies: list[_Match], patient: Patient) -> list[Diagnosis]:
 
 
 def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
-    """Dynamic time warping of poses, coarse enough for long motions."""
+    """Match poses by dynamic time warping, of every third joint only, so that long motions stay cheap."""
     apart = np.linalg.norm(motion[:, None, ::3] - recorded[None, :, ::3], axis=-1).mean(axis=-1)
     total = np.full((len(motion) + 1, len(recorded) + 1), np.inf)
     total[0, :] = 0.0  # may begin at any recorded frame
@@ -92,8 +92,9 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
 
 
 def _traced(total: np.ndarray) -> np.ndarray:
-    """Mean recorded frame of each frame along the cheapest way."""
-    row, column = len(total) - 1, int(total[-1, 1:].argmin()) + 1
+    """Return the mean recorded frame of each frame along the cheapest path."""
+    row = len(total) - 1
+    column = int(total[-1, 1:].argmin()) + 1
     ways: list[list[int]] = [[] for _ in range(row)]
     while row > 0 and column > 0:
         ways[row - 1].append(column - 1)
@@ -107,7 +108,7 @@ def _traced(total: np.ndarray) -> np.ndarray:
 
 
 def _line(match: _Match) -> tuple[float, float, float]:
-    """Slope, start and largest departure (95 %) of the straight line through the frames in movement."""
+    """Return slope, start and largest departure (95 %) of the straight line through the frames in movement."""
     frames = np.flatnonzero(match.moves)
     if len(frames) < 8:
         frames = np.arange(len(match.places))

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from prbench.checking.conformance.cases import SEQUENCES, Cases, cases_of, write_sequences
+from prbench.checking.conformance.check import examine
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.examine import examine
-from prbench.checking.conformance.finding import Finding
-from prbench.checking.conformance.people import invented_sequences
+from prbench.checking.conformance.report import Finding
 from prbench.checking.conformance.subject import Subject
+from prbench.checking.conformance.synthetic_people import synthetic_sequences
 from prbench.methods.loaded_methods import forget_loaded_methods
 from prbench.methods.methods import method_spec
 from prbench.sequences import Sequence
@@ -47,8 +47,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def people() -> list[Sequence]:
-    """The twelve invented test sequences."""
-    return invented_sequences("test", SEQUENCES)
+    """The twelve synthetic test sequences."""
+    return synthetic_sequences("test", SEQUENCES)
 
 
 @pytest.fixture(scope="session")
@@ -59,7 +59,7 @@ def cases(people: list[Sequence]) -> Cases:
 
 @pytest.fixture(scope="session")
 def data(people: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of three of them, which a child opens faster than it invents people."""
+    """A dataset of three of them, which a child opens faster than it makes them."""
     return write_sequences(tmp_path_factory.mktemp("invented") / "table", people[:3])
 
 

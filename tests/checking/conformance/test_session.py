@@ -79,7 +79,7 @@ def test_on_a_terminal_the_findings_are_a_table(capsys, monkeypatch):
 
 
 def test_an_import_that_never_ends_has_a_limit_of_its_own_and_is_told_meanwhile(site, data, monkeypatch):
-    monkeypatch.setattr("prbench.checking.conformance.child_process._HEARTBEAT", 0.3)
+    monkeypatch.setattr("prbench.checking.conformance.session._HEARTBEAT", 0.3)
     words = []
     request = CheckRequest("neverimported", data=data, start_limit=2.0)
     report = check(request, lambda name, _place, _total: words.append(name))

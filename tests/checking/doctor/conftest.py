@@ -1,4 +1,4 @@
-"""Correct motions of invented people, cut and put into their canonical frames; acted out once."""
+"""Correct motions of synthetic people, cut and put into their canonical frames; performed once."""
 
 from __future__ import annotations
 

@@ -1,13 +1,12 @@
 """The checks, one file a subject, in the order in which faults have to be repaired."""
 
 from prbench.checking.conformance.check import Check
-from prbench.checking.conformance.checks import batches, body, form, inputs, loading, reproducibility, resources
+from prbench.checking.conformance.checks import body, form, inputs, loading, reproducibility, resources
 
 _BY_SUBJECT = (
     *loading.CHECKS,
     *form.CHECKS,
     *reproducibility.CHECKS,
-    *batches.CHECKS,
     *inputs.CHECKS,
     *body.CHECKS,
     *resources.CHECKS,

@@ -1,4 +1,4 @@
-"""Does a body move, in the frame that the contract asks for, from where it stood to the goal?"""
+"""Checks that a body moves from where it stood to the goal, in the frame that the contract asks for."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ import numpy as np
 
 from prbench.checking.conformance.answer import Answer
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.checking.doctor import Diagnosis, Expected, diagnose
 from prbench.contract import Condition
 from prbench.methods.coordinates import coordinate_problem
 from prbench.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
 
-AWAY_WARNING, AWAY_FAILURE = 0.25, 1.5
+_AWAY_WARNING = 0.25
+_AWAY_FAILURE = 1.5
 """Metres between the first pelvis and the canonical origin, on the ground (median over sequences)."""
-TURNED_WARNING, TURNED_FAILURE = 30.0, 90.0
+_TURNED_WARNING = 30.0
+_TURNED_FAILURE = 90.0
 """Degrees between the first heading and +Z (median)."""
-FLOOR_WARNING, FLOOR_FAILURE = 0.10, 0.50
+_FLOOR_WARNING = 0.10
+_FLOOR_FAILURE = 0.50
 """Metres between the lowest joint of a motion and Y = 0 (median)."""
-INITIAL_WARNING = 0.10
+_INITIAL_WARNING = 0.10
 """Metres between the first frame and the initial pose, mean over joints (median over sequences)."""
-BONES_WARNING, BONES_FAILURE = 0.10, 0.50
+_BONES_WARNING = 0.10
+_BONES_FAILURE = 0.50
 """Relative change of bone lengths (median over bones and sequences)."""
 
 _NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
@@ -38,12 +42,13 @@ _CANONICAL = (
 
 @check("doctor", "no sign of a wrong frame rate, axis, unit, joint order …", of_motions=True)
 def doctor(subject: Subject) -> Iterator[Observation]:
-    """What ``prbench doctor`` says about the motions, with the conditions as expectations."""
+    """Run ``prbench doctor`` on the motions, with the conditions as expectations."""
     found = 0
     for condition in subject.working:
         diagnoses = _diagnosed(subject, condition)
         for diagnosis in diagnoses:
-            evidence, cause = diagnosis.evidence.rstrip("."), diagnosis.cause.rstrip(".")
+            evidence = diagnosis.evidence.rstrip(".")
+            cause = diagnosis.cause.rstrip(".")
             text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
             yield (failed if _is_failure(subject, diagnosis) else warning)(text, diagnosis.remedy)
             found += 1
@@ -56,7 +61,7 @@ def doctor(subject: Subject) -> Iterator[Observation]:
 
 
 def _too_far(answer: Answer) -> str:
-    """What would end a run although every coordinate is a number; empty if nothing would."""
+    """Return what would end a run although every coordinate is a number, or an empty text."""
     for row in range(len(answer.batch)):
         if problem := coordinate_problem(answer.motion(row)):
             return f"sequence #{row}, {problem}"
@@ -74,7 +79,7 @@ def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
 
 
 def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Condition]) -> Observation | None:
-    """What keeps a measurement from telling anything new; None if nothing does."""
+    """Return a skip if a diagnosed fault already explains a measurement, else None."""
     for condition in conditions:
         for diagnosis in _diagnosed(subject, condition):
             if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
@@ -84,7 +89,7 @@ def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Con
 
 @check("canonical-frame", "motions begin at the origin, face +Z and stand on the floor", of_motions=True)
 def canonical_frame(subject: Subject) -> Iterator[Observation]:
-    """Place and heading of the first frames, height of the lowest joints."""
+    """Measure place and heading of the first frames, and the height of the lowest joints."""
     if hidden := _hidden_by(subject, _ELSEWHERE | {"floor"}, subject.working):
         yield hidden
         return
@@ -100,9 +105,9 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
         )
         numbers = {"away_m": away, "turned_deg": turned, "floor_m": floor}
         still = subject.declared.motionless  # an average pose stands where the average person stood
-        if not still and (away > AWAY_FAILURE or turned > TURNED_FAILURE or abs(floor) > FLOOR_FAILURE):
+        if not still and (away > _AWAY_FAILURE or turned > _TURNED_FAILURE or abs(floor) > _FLOOR_FAILURE):
             yield failed(text, _CANONICAL, **numbers)
-        elif away > AWAY_WARNING or turned > TURNED_WARNING or abs(floor) > FLOOR_WARNING:
+        elif away > _AWAY_WARNING or turned > _TURNED_WARNING or abs(floor) > _FLOOR_WARNING:
             yield warning(text, _CANONICAL, **numbers)
         else:
             yield passed(text, **numbers)
@@ -110,7 +115,7 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
 
 @check("initial-pose", "motions begin with the pose that they were given", of_motions=True)
 def initial_pose(subject: Subject) -> Iterator[Observation]:
-    """Distance between the first frame and ``initial_joints``."""
+    """Measure the distance between the first frame and ``initial_joints``."""
     given = [condition for condition in subject.working if subject.standard(condition).batch.initial_joints is not None]
     if hidden := _hidden_by(subject, _ELSEWHERE, given):
         yield hidden
@@ -127,7 +132,7 @@ def initial_pose(subject: Subject) -> Iterator[Observation]:
             f" (median; largest {100 * max(errors):.1f} cm; mean over joints)."
         )
         numbers = {"error_m": float(np.median(errors)), "largest_error_m": max(errors)}
-        if np.median(errors) > INITIAL_WARNING:
+        if np.median(errors) > _INITIAL_WARNING:
             yield warning(text, "Frame 0 is the initial pose, not the frame after it.", **numbers)
         else:
             yield passed(text, **numbers)
@@ -137,7 +142,7 @@ def initial_pose(subject: Subject) -> Iterator[Observation]:
 
 @check("bone-lengths", "one body, of one size, all the time", of_motions=True)
 def bones(subject: Subject) -> Iterator[Observation]:
-    """Change of bone lengths within a motion, and against the initial pose."""
+    """Measure how bone lengths change within a motion, and differ from the initial pose."""
     if hidden := _hidden_by(subject, _NO_BODY, subject.working):
         yield hidden
         return
@@ -157,13 +162,13 @@ def bones(subject: Subject) -> Iterator[Observation]:
         worst = max(change, numbers.get("against_initial_pose", 0.0))
         if shortest < 0.01:
             yield failed(
-                f"under {condition.value}: the bones are {millimetres(shortest)} long.",
+                f"under {condition.value}: the bones are {1000 * shortest:.1f} mm long.",
                 "These are not 22 joints of a body in metres: are positions filled in at all, and not only rotations?",
                 **numbers,
             )
-        elif worst > BONES_FAILURE:
+        elif worst > _BONES_FAILURE:
             yield failed(text, "Check that all 22 joints are positions of one body in Joint order.", **numbers)
-        elif worst > BONES_WARNING:
+        elif worst > _BONES_WARNING:
             yield warning(
                 text,
                 "Predict rotations, or put the bones back to their length (bone by bone from the pelvis).",
@@ -175,7 +180,7 @@ def bones(subject: Subject) -> Iterator[Observation]:
 
 @check("goal", "how near it comes to the goal", of_motions=True)
 def goal(subject: Subject) -> Iterator[Observation]:
-    """Distance to the goal at the end; reported, never judged: that is what a run is for."""
+    """Report the distance to the goal at the end; a run judges it, not this check."""
     given = [name for name in subject.working if name in (Condition.GOAL_LOCATION, Condition.GOAL_POSE)]
     if hidden := _hidden_by(subject, _ELSEWHERE | {"heading"}, given):
         yield hidden
@@ -192,11 +197,6 @@ def goal(subject: Subject) -> Iterator[Observation]:
         )
     if not given:
         yield skipped("it is given no goal.")
-
-
-def millimetres(length: float) -> str:
-    """A length in millimetres."""
-    return f"{1000 * length:.1f} mm"
 
 
 def _expected(answer: Answer) -> list[Expected]:
@@ -229,7 +229,8 @@ def _spread(lengths: np.ndarray) -> float:
 
 def _to_goal(answer: Answer, row: int) -> tuple[float, float]:
     """Distance to the goal in the first and the last frame, metres."""
-    ends, batch = answer.motion(row)[[0, -1]], answer.batch
+    ends = answer.motion(row)[[0, -1]]
+    batch = answer.batch
     if batch.goal_location is not None:
         distances = np.linalg.norm(ends[:, WRISTS] - batch.goal_location[row], axis=-1).min(axis=1)
     else:

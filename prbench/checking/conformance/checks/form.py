@@ -1,4 +1,4 @@
-"""Is what it gives back made of one finite motion of the asked length for each sequence?"""
+"""Checks that a method returns one finite motion of the asked length for each sequence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from prbench.checking.conformance.answer import Answer
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.contract import Condition, Motions
 
@@ -42,7 +42,7 @@ _FINITE = (
 
 @check("generates", "it generates under every condition that it declares", needs=("load",))
 def generates(subject: Subject) -> Iterator[Observation]:
-    """No condition that it declares makes it raise."""
+    """Generate under each declared condition; none may raise."""
     if not len(subject.source.n_frames):
         yield failed(
             f"max_frames is {subject.declared.max_frames}, and the shortest of the sequences has"
@@ -71,14 +71,14 @@ def generates(subject: Subject) -> Iterator[Observation]:
 
 @check("shapes", "motions have the asked shape and lengths", needs=("load",))
 def shapes(subject: Subject) -> Iterator[Observation]:
-    """Motions of shape (batch, frames, 22, 3), with the lengths that were asked for."""
+    """Compare shapes and lengths with (batch, frames, 22, 3) and the lengths that were asked for."""
     answers = _answered(subject)
     yield from _by_condition(answers, _misshapen, _SHAPES, said="(sequences, frames, 22, 3) with the asked lengths")
 
 
 @check("dtype", "positions are decimals of enough digits", needs=("load",))
 def dtype(subject: Subject) -> Iterator[Observation]:
-    """Floating point, and not half precision."""
+    """Require floating point, and warn of half precision."""
     answers = {name: answer for name, answer in _answered(subject).items() if not _misshapen(answer)}
     yield from _by_condition(answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point")
     coarse = [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]
@@ -91,7 +91,7 @@ def dtype(subject: Subject) -> Iterator[Observation]:
 
 @check("finite", "no position is NaN or infinite", needs=("load",))
 def finite(subject: Subject) -> Iterator[Observation]:
-    """Every valid frame holds numbers."""
+    """Require a finite number in every valid frame."""
     answers = {
         name: answer for name, answer in _answered(subject).items() if not _misshapen(answer) and _is_floating(answer)
     }

@@ -1,4 +1,4 @@
-"""Lengths, conditions and texts that a method may meet, and what it does to the batch."""
+"""Checks a method with unusual lengths, conditions and texts, and that it leaves its batches unchanged."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from prbench.checking.conformance.answer import largest_changes, metres
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.comparing import largest_changes, metres
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import RICHEST_FIRST, Subject
 from prbench.contract import GIVEN, ConditionBatch
 
@@ -31,7 +31,7 @@ _ODD_TEXTS = {
 
 @check("lengths", "every length that the protocol asks for", of_motions=True)
 def lengths(subject: Subject) -> Iterator[Observation]:
-    """The protocol's shortest and longest sequence in one batch."""
+    """Ask for the protocol's shortest and longest sequence in one batch."""
     shortest = min(subject.shortest, subject.longest)
     answer = subject.ask(_with_lengths(subject, [shortest, subject.longest]))
     if answer.motions is None:
@@ -54,7 +54,7 @@ def lengths(subject: Subject) -> Iterator[Observation]:
 
 @check("short", "one frame and two", needs=("lengths",), of_motions=True)
 def short(subject: Subject) -> Iterator[Observation]:
-    """Shorter than any sequence of the protocol."""
+    """Ask for fewer frames than any sequence of the protocol has."""
     wrong = []
     for n_frames in (1, 2):
         answer = subject.ask(_with_lengths(subject, [n_frames]))
@@ -97,7 +97,7 @@ def conditions(subject: Subject) -> Iterator[Observation]:
 
 @check("text", "texts of any kind", of_motions=True)
 def text(subject: Subject) -> Iterator[Observation]:
-    """Empty, long and foreign texts."""
+    """Ask with empty, long and foreign texts."""
     with_text = [condition for condition in subject.working if "text" in GIVEN[condition]]
     if not with_text:
         yield skipped("it takes no text.")
@@ -118,7 +118,7 @@ def text(subject: Subject) -> Iterator[Observation]:
 
 @check("inputs", "what it is given stays as it was", of_motions=True)
 def inputs(subject: Subject) -> Iterator[Observation]:
-    """Every array of every batch so far, before and after."""
+    """Report every array of a batch that the method has changed so far."""
     if subject.is_program:
         yield skipped("a program gets its own copy.")
     elif subject.overwritten:

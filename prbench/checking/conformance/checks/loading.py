@@ -1,4 +1,4 @@
-"""Can it be loaded cheaply, what does it say about itself, and does it refuse what it does not know?"""
+"""Checks that a method loads cheaply, declares what the harness needs, and refuses unknown settings."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import find_adapter
 from prbench.methods.weights import used_weights, weights_digest
 
-IMPORT_WARNING = 1.0
+_IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""
 _HEAVY = ("torch", "tensorflow", "jax", "transformers", "pytorch_lightning", "lightning")
-_NO_SUCH_OPTION, _NO_SUCH_WEIGHTS = "prbench-no-such-option", Path("prbench-no-such-weights")
+_NO_SUCH_OPTION = "prbench-no-such-option"
+_NO_SUCH_WEIGHTS = Path("prbench-no-such-weights")
 _NAME = Remedy(
     "Set name to the word that users type behind --method.", "Put the name of the method under 'name' into the hello."
 )
@@ -36,13 +37,14 @@ _LATE = "Import heavy packages and open weights inside load() or generate(), not
 
 @check("import", "importing its module is cheap")
 def imports(subject: Subject) -> Iterator[Observation]:
-    """Seconds, and heavy packages that come along."""
+    """Measure the seconds, and name heavy packages that are imported with it."""
     if not subject.is_installed:
         yield skipped("a program imports nothing into the harness.")
         return
     target = find_adapter(subject.spec.name).target.partition(":")[0]
     subject.starting(f"while importing {target}")
-    before, started = set(sys.modules), time.perf_counter()
+    before = set(sys.modules)
+    started = time.perf_counter()
     try:
         importlib.import_module(target)
     except (Exception, SystemExit):  # told by 'load', in the words that a run would use
@@ -50,7 +52,7 @@ def imports(subject: Subject) -> Iterator[Observation]:
         return
     seconds = time.perf_counter() - started
     heavy = [name for name in _HEAVY if name in sys.modules and name not in before]
-    if heavy or seconds > IMPORT_WARNING:
+    if heavy or seconds > _IMPORT_WARNING:
         along = f" and brings {', '.join(heavy)} along" if heavy else ""
         yield warning(f"importing {target} takes {seconds:.2f} s{along}.", _LATE, import_s=seconds)
     else:
@@ -63,7 +65,8 @@ def load(subject: Subject) -> Iterator[Observation]:
     subject.starting("while starting its program" if subject.is_program else "while loading it")
     started = time.perf_counter()
     try:
-        declared, name = subject.declared, subject.adapter.name
+        declared = subject.declared
+        name = subject.adapter.name
     except PrbenchError as error:
         yield failed(str(error), "Nothing else can be looked at before this is repaired.")
         return
@@ -84,7 +87,7 @@ def load(subject: Subject) -> Iterator[Observation]:
 
 @check("settings", "unknown options and weights are refused", needs=("load",))
 def settings(subject: Subject) -> Iterator[Observation]:
-    """A misspelt option must not lead to a number in a table as if it had been understood."""
+    """Require that unknown options are refused, since a misspelt one would change nothing and be recorded."""
     options = (*subject.spec.options, (_NO_SUCH_OPTION, "1"))
     if _loads(subject, options=tuple(sorted(options))):
         yield failed(
@@ -103,7 +106,7 @@ def settings(subject: Subject) -> Iterator[Observation]:
 
 @check("weights", "the weights that it names are there", needs=("load",))
 def weights(subject: Subject) -> Iterator[Observation]:
-    """What ``weights_for`` says, twice, for each condition."""
+    """Ask ``weights_for`` twice for each condition."""
     if subject.is_program:
         yield _named_by_program(subject)
         return
@@ -139,7 +142,7 @@ def weights(subject: Subject) -> Iterator[Observation]:
 
 
 def _named_by_program(subject: Subject) -> Observation:
-    """What its hello says; the handshake has checked the form."""
+    """Report the weights of a program's hello, whose form the handshake has checked."""
     named = getattr(subject.adapter, "weights", {})
     if not named:
         return skipped("its hello names no weights; a run records the path that its user gives.")
@@ -149,7 +152,7 @@ def _named_by_program(subject: Subject) -> Observation:
 
 
 def _loads(subject: Subject, **changed: object) -> bool:
-    """Whether the method can be loaded with other settings."""
+    """Return True if the method can be loaded with other settings."""
     spec = replace(subject.spec, fit_folder=None, table_folder=None, **changed)  # type: ignore[arg-type]
     try:
         spec.load()

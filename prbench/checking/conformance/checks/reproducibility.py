@@ -1,4 +1,4 @@
-"""Same input and noise seed, same motion: whatever was generated before, and whatever else is drawn from."""
+"""Checks that the same input and noise seed give the same motion, in any batch and in any process."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from prbench.checking.conformance.answer import STATE_SEED, Answer
+from prbench.checking.conformance.answer import STATE_SEED, TOLERANCE, Answer, largest_changes, metres, same_bytes
+from prbench.checking.conformance.cases import rows_of
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.comparing import TOLERANCE, largest_changes, metres, same_bytes
-from prbench.checking.conformance.finding import Observation, Remedy, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 
 _OWN_GENERATORS = Remedy(
@@ -19,11 +19,17 @@ _OWN_GENERATORS = Remedy(
     "Draw from one generator a sequence, made of the noise_seed of its row alone (numpy.random.default_rng(noise_seed),"
     " SplitMix64 …).",
 )
+_ROUNDING = np.float32(1e-6)  # metres; about the last digit of a float32 position some metres away
+_AMPLIFIED = 30.0  # how much more than such a nudge another batch may move a motion of a method that amplifies rounding
+_OWN_ROW = (
+    "Every row is complete in itself: draw its noise from its own noise_seed, mask padding in attention, losses and"
+    " averages, and let no statistic (batch normalisation, the longest row, a common stopping rule) run over rows."
+)
 
 
 @check("determinism", "the same batch gives the same motions", of_motions=True)
 def determinism(subject: Subject) -> Iterator[Observation]:
-    """The usual batch again, after another one."""
+    """Ask for the usual batch again, after another one."""
     first = subject.standard(subject.main)
     subject.ask(subject.batch(subject.rows[:1], subject.main, sample=7))
     again = subject.ask(first.batch)
@@ -35,7 +41,7 @@ def determinism(subject: Subject) -> Iterator[Observation]:
 
 @check("global-random", "nothing is drawn from global generators", needs=("determinism",), of_motions=True)
 def global_random(subject: Subject) -> Iterator[Observation]:
-    """The usual batch with other states of Python's, NumPy's and torch's global generators."""
+    """Ask for the usual batch with other states of Python's, NumPy's and torch's global generators."""
     if subject.is_program:
         yield skipped("a program's generators are its own; 'determinism' and 'process' see what they would change.")
         return
@@ -58,7 +64,7 @@ def global_random(subject: Subject) -> Iterator[Observation]:
 
 @check("noise-seed", "noise_seed is the only source of chance", needs=("determinism", "global-random"), of_motions=True)
 def noise_seed(subject: Subject) -> Iterator[Observation]:
-    """The usual batch for another run's seed and opaque ids; then with other noise seeds."""
+    """Ask for the usual batch with another run's seed and opaque ids, then with other noise seeds."""
     first = subject.standard(subject.main)
     renamed = tuple(name[::-1] for name in first.batch.opaque_id)
     other_run = subject.ask(dataclasses.replace(first.batch, opaque_id=renamed), seed=1)
@@ -91,7 +97,7 @@ def noise_seed(subject: Subject) -> Iterator[Observation]:
 
 @check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
 def process(subject: Subject) -> Iterator[Observation]:
-    """The first batch of all, in a process that has done nothing else."""
+    """Ask for the very first batch in a process that has done nothing else."""
     kept = subject.first_motions()
     if kept is None:
         yield skipped("there are no motions of the first process to compare with.")
@@ -112,8 +118,46 @@ def process(subject: Subject) -> Iterator[Observation]:
     yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
 
 
+@check("single-row", "a batch of one sequence works", of_motions=True)
+def single_row(subject: Subject) -> Iterator[Observation]:
+    """Ask for the first sequence alone."""
+    answer = subject.ask(subject.batch(subject.rows[:1], subject.main))
+    if answer.motions is None:
+        yield failed(
+            f"a batch of one sequence: {answer.error}",
+            "Keep the first axis: squeeze() without an axis and indexing by a boolean lose it when there is one row.",
+        )
+    else:
+        yield passed("one sequence alone works.")
+
+
+@check(
+    "batch",
+    "neither order nor size of the batch changes a motion",
+    needs=("determinism", "global-random", "noise-seed", "single-row"),
+    of_motions=True,
+)
+def batch(subject: Subject) -> Iterator[Observation]:
+    """Ask for the usual sequences in reverse, and in two parts."""
+    first = subject.standard(subject.main)
+    n = len(first.batch)
+    if n < 2:
+        yield skipped("there is only one sequence to ask about.")
+        return
+    orders = {"in reverse order": [list(range(n))[::-1]], "in two parts": [list(range(n // 2)), list(range(n // 2, n))]}
+    moved: dict[str, float] = {}
+    for name, parts in orders.items():
+        for part in parts:
+            answer = subject.ask(rows_of(first.batch, part))
+            if answer.motions is None:
+                yield failed(f"the same sequences {name}: {answer.error}", _OWN_ROW)
+                return
+            moved[name] = max(moved.get(name, 0.0), largest_changes(first, answer, part).max())
+    yield _judged(subject, first, moved)
+
+
 def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
-    """Equal bytes pass, rounding is a remark, anything else a failure."""
+    """Pass equal bytes, warn of rounding, and fail anything else."""
     if second.motions is None:
         return failed(f"{when}: {second.error}", remedy)
     if same_bytes(first, second):
@@ -129,4 +173,30 @@ def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) ->
     return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
 
 
-CHECKS = (determinism, global_random, noise_seed, process)
+def _judged(subject: Subject, first: Answer, moved: dict[str, float]) -> Observation:
+    most = max(moved.values())
+    told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
+    if most <= TOLERANCE:
+        return passed(f"the same within {metres(most)} (tolerance {metres(TOLERANCE)}).", change_m=most)
+    amplified = _amplified(subject, first)
+    if most <= _AMPLIFIED * amplified:
+        return warning(
+            f"the same sequences move {told}; but a nudge of {_ROUNDING:.0e} m of their input alone moves them by"
+            f" {metres(amplified)}: the method amplifies rounding, as optimisation does.",
+            "Only scores can be compared between batch sizes, not motions; name the batch size beside your results.",
+            change_m=most,
+            amplified_m=amplified,
+        )
+    return failed(f"the same sequences move {told}.", _OWN_ROW, change_m=most, amplified_m=amplified)
+
+
+def _amplified(subject: Subject, first: Answer) -> float:
+    """Return how far motions move, in metres, if their input changes in the last digit only."""
+    if first.batch.initial_joints is None:
+        return 0.0
+    nudged = dataclasses.replace(first.batch, initial_joints=first.batch.initial_joints + _ROUNDING)
+    answer = subject.ask(nudged)
+    return 0.0 if answer.motions is None else float(largest_changes(first, answer).max())
+
+
+CHECKS = (determinism, global_random, noise_seed, process, single_row, batch)

@@ -1,4 +1,4 @@
-"""What generating takes: memory that is given back, and seconds."""
+"""Checks the memory and the time that generating takes."""
 
 from __future__ import annotations
 
@@ -9,23 +9,26 @@ import numpy as np
 import psutil
 
 from prbench.checking.conformance.check import check
-from prbench.checking.conformance.finding import Observation, failed, passed, skipped, warning
+from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.methods.loaded_methods import unload_method
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.faults import exit_story
 from prbench.methods.remote.process import EXIT_SECONDS
 
-_ROUNDS, _FEWEST_ROUNDS, _SETTLING = 14, 8, 3
+_ROUNDS = 14
+_FEWEST_ROUNDS = 8
+_SETTLING = 3
 _PATIENCE = 20.0  # seconds for all rounds
-GROWTH_WARNING, GROWTH_FAILURE = 32 * 1024, 128 * 1024
+_GROWTH_WARNING = 32 * 1024
+_GROWTH_FAILURE = 128 * 1024
 """Bytes a motion that stay behind; 128 KiB are 2.2 GiB in a run over 18,000 sequences."""
 _LEAST_GROWTH = 4 * 1024 * 1024  # bytes in all that count as growth
 
 
 @check("memory", "memory does not grow from batch to batch", needs=("determinism",), of_motions=True)
 def memory(subject: Subject) -> Iterator[Observation]:
-    """Resident memory of this process and all that it started, after each of many equal batches."""
+    """Measure resident memory of this process and its children after each of many equal batches."""
     usual = subject.standard(subject.main)
     rounds = min(_ROUNDS, int(_PATIENCE / max(usual.seconds, 1e-6)))
     if rounds < _FEWEST_ROUNDS:
@@ -41,7 +44,7 @@ def memory(subject: Subject) -> Iterator[Observation]:
             if error := subject.ask(usual.batch).error:
                 yield failed(f"in repeated batches: {error}", "Give back what a batch has taken.")
                 return
-            resident.append(resident_bytes())
+            resident.append(_resident_bytes())
     finally:
         gc.unfreeze()
     growth = growth_per_round(np.array(resident[_SETTLING:], dtype=np.float64)) / len(usual.batch)
@@ -49,9 +52,9 @@ def memory(subject: Subject) -> Iterator[Observation]:
     text = f"{growth / 1024:.0f} KiB a motion stayed behind over {rounds} batches; {total:.0f} MiB in all."
     remedy = "Keep nothing of a batch: look for lists and caches that grow, and for torch graphs (torch.no_grad())."
     numbers = {"growth_bytes_a_motion": growth, "resident_mib": total}
-    if growth >= GROWTH_FAILURE:
+    if growth >= _GROWTH_FAILURE:
         yield failed(text, remedy, **numbers)
-    elif growth >= GROWTH_WARNING:
+    elif growth >= _GROWTH_WARNING:
         yield warning(text, remedy, **numbers)
     else:
         yield passed(f"no growth over {rounds} batches; {total:.0f} MiB in all.", **numbers)
@@ -59,8 +62,9 @@ def memory(subject: Subject) -> Iterator[Observation]:
 
 @check("speed", "how long it takes", of_motions=True)
 def speed(subject: Subject) -> Iterator[Observation]:
-    """Seconds of the first batch, which pays for what loads on first use, and of a usual one."""
-    first, usual = subject.first_answer, subject.standard(subject.main)
+    """Measure the seconds of the first batch, which pays for what loads on first use, and of a usual one."""
+    first = subject.first_answer
+    usual = subject.standard(subject.main)
     a_motion = usual.seconds / len(usual.batch)
     yield passed(
         f"first batch ({len(first.batch)}) {first.seconds:.2f} s; then {len(usual.batch)} in {usual.seconds:.2f} s:"
@@ -93,8 +97,8 @@ def exits(subject: Subject) -> Iterator[Observation]:
     )
 
 
-def resident_bytes() -> int:
-    """Memory of this process and its children; what has just ended counts no more."""
+def _resident_bytes() -> int:
+    """Return the memory of this process and its living children."""
     gc.collect()
     own = psutil.Process()
     total = own.memory_info().rss
@@ -107,7 +111,7 @@ def resident_bytes() -> int:
 
 
 def growth_per_round(resident: np.ndarray) -> float:
-    """Bytes that a round leaves behind: the median of all slopes (Theil and Sen), 0 unless most rounds add to it.
+    """Return the bytes that a round adds: the median of all slopes (Theil and Sen), 0 unless most rounds add.
 
     Args:
         resident: Bytes after each round, settled.

@@ -1,4 +1,4 @@
-"""What the checks are built from: invented people, memory growth, distances, the table to learn from."""
+"""What the checks are built from: synthetic people, memory growth, distances, the table to learn from."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 
 from prbench.checking.conformance.cases import cases_of, write_training_table
 from prbench.checking.conformance.checks.resources import growth_per_round
-from prbench.checking.conformance.people import invented_sequences
-from prbench.checking.conformance.request import CheckRequest
+from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
+from prbench.checking.conformance.synthetic_people import synthetic_sequences
 from prbench.methods.methods import method_spec
 from prbench.methods.training_split import TrainingSplit
 from prbench.skeleton import WRISTS, Joint, facing_yaw
@@ -17,7 +17,7 @@ from prbench.skeleton import WRISTS, Joint, facing_yaw
 MIB = 2**20
 
 
-def test_invented_sequences_are_canonical_and_reach_their_goals(people):
+def test_synthetic_sequences_are_canonical_and_reach_their_goals(people):
     assert len({row.participant_id for row in people}) > 1
     for row in people:
         assert row.joints.shape == (row.n_frames, 22, 3)
@@ -39,8 +39,8 @@ def test_gaze_is_in_the_canonical_frame(people):
     assert to_goal @ row.gaze_direction[at] / np.linalg.norm(to_goal) > 0.97
 
 
-def test_the_invented_sequences_are_the_same_every_time(people):
-    again = invented_sequences("test", 6)  # the first recording
+def test_the_synthetic_sequences_are_the_same_every_time(people):
+    again = synthetic_sequences("test", 6)  # the first recording
     first = {row.sequence_id: row for row in people}
     assert all(np.array_equal(row.joints, first[row.sequence_id].joints) for row in again)
 

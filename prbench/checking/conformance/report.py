@@ -1,14 +1,21 @@
-"""What a check says about a method, and all of it together."""
+"""The request of a check, its findings about a method, and the report that holds them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+TIME_LIMIT = 600.0
+"""Default limit of each call of the method, seconds."""
+START_LIMIT = 120.0
+"""Default limit of importing and of loading a method, seconds; programs have the same for their hello."""
 
 
 class Outcome(StrEnum):
-    """How a check ended, from good to bad."""
+    """The result of a check, from good to bad."""
 
     PASSED = "passed"
     SKIPPED = "skipped"
@@ -24,11 +31,11 @@ class Finding:
     """Name of the check; one check may find several things."""
     outcome: Outcome
     said: str
-    """What was seen, with its numbers; of a skipped check, why."""
+    """The observation with its numbers; for a skipped check, the reason."""
     remedy: str = ""
-    """What to change; empty where there is nothing."""
+    """The change to make; empty where there is none."""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """What was measured, by a name that ends in its unit."""
+    """Maps names that end in their unit to measured numbers."""
 
 
 @dataclass(frozen=True)
@@ -41,19 +48,19 @@ class Report:
 
     @property
     def failed(self) -> tuple[Finding, ...]:
-        """What has to be changed."""
+        """The findings that need a change."""
         return self.of(Outcome.FAILED)
 
     def of(self, outcome: Outcome) -> tuple[Finding, ...]:
-        """The findings of one outcome."""
+        """Return the findings of one outcome."""
         return tuple(finding for finding in self.findings if finding.outcome is outcome)
 
     def about(self, check: str) -> tuple[Finding, ...]:
-        """The findings of one check."""
+        """Return the findings of one check."""
         return tuple(finding for finding in self.findings if finding.check == check)
 
     def as_json(self) -> dict[str, object]:
-        """The report as plain values."""
+        """Return the report as plain values."""
         counts = {outcome.value: len(self.of(outcome)) for outcome in Outcome}
         findings = [asdict(finding) | {"outcome": finding.outcome.value} for finding in self.findings]
         return {"method": self.method, "seconds": round(self.seconds, 3), "counts": counts, "findings": findings}
@@ -61,17 +68,17 @@ class Report:
 
 @dataclass(frozen=True)
 class Remedy:
-    """What to change, told otherwise to the author of an adapter in Python than to the author of a program."""
+    """A change to make, worded for the author of an adapter in Python and for the author of a program."""
 
     adapter: str
     program: str
 
     def then(self, text: str) -> Remedy:
-        """The same with a sentence for both behind it."""
+        """Return the remedy with ``text`` appended to both wordings."""
         return Remedy(f"{self.adapter} {text}", f"{self.program} {text}")
 
     def after(self, text: str) -> Remedy:
-        """The same with a sentence for both before it."""
+        """Return the remedy with ``text`` before both wordings."""
         return Remedy(f"{text} {self.adapter}", f"{text} {self.program}")
 
 
@@ -85,7 +92,7 @@ class Observation:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, check: str, *, by_program: bool = False) -> Finding:
-        """As the finding of a check, about a program of the user's own or an adapter."""
+        """Make it the finding of a check, worded for a user's own program or for an adapter."""
         numbers = {name: float(value) for name, value in self.numbers.items()}
         remedy = self.remedy
         if isinstance(remedy, Remedy):
@@ -93,21 +100,52 @@ class Observation:
         return Finding(check, self.outcome, self.said, remedy, numbers)
 
 
+@dataclass(frozen=True)
+class CheckRequest:
+    """A method, and how to check it."""
+
+    method: str
+    """Installed name, ``cmd:`` and a command, or a TOML file."""
+    weights: Path | None = None
+    options: Mapping[str, str] = field(default_factory=dict)
+    device: str = "cpu"
+    threads: int = 1
+    isolate: bool = False
+    data: Path | None = None
+    """A dataset whose test sequences are asked about; None for synthetic people."""
+    time_limit: float = TIME_LIMIT
+    """Seconds for each call of the method."""
+    start_limit: float = START_LIMIT
+    """Seconds for importing it, and for loading it; a program's own are in its TOML file."""
+
+    def as_json(self) -> dict[str, object]:
+        """Return the request as plain values, for another process."""
+        weights = None if self.weights is None else str(self.weights)
+        data = None if self.data is None else str(self.data.absolute())
+        return asdict(self) | {"options": dict(self.options), "weights": weights, "data": data}
+
+    @classmethod
+    def of_json(cls, values: Mapping[str, Any]) -> CheckRequest:
+        """Read the request that :meth:`as_json` wrote."""
+        paths = {name: None if values[name] is None else Path(values[name]) for name in ("weights", "data")}
+        return cls(**{**values, **paths})
+
+
 def passed(said: str, **numbers: float) -> Observation:
-    """All is well; ``said`` holds the evidence."""
+    """Make the observation that all is well; ``said`` holds the evidence."""
     return Observation(Outcome.PASSED, said, numbers=numbers)
 
 
 def skipped(said: str) -> Observation:
-    """Not looked at, and why."""
+    """Make the observation that a check did not apply, with the reason."""
     return Observation(Outcome.SKIPPED, said)
 
 
 def warning(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
-    """Allowed, but its author should know."""
+    """Make an observation that is allowed but that the author should know."""
     return Observation(Outcome.WARNING, said, remedy, numbers)
 
 
 def failed(said: str, remedy: str | Remedy, **numbers: float) -> Observation:
-    """Against the contract, or a wrong number in every table that shows this method."""
+    """Make an observation against the contract, which makes numbers of this method wrong."""
     return Observation(Outcome.FAILED, said, remedy, numbers)

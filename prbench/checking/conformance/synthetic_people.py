@@ -1,4 +1,4 @@
-"""Sequences of invented people, made in memory: what the check asks a method about when no table is given.
+"""Sequences of synthetic people, made in memory: what the check asks a method about when no table is given.
 
 Perfect curation of noise-free performances (docs/specification/synthetic-recordings.md), so that every pose is
 plausible, every goal is reached by the person who was recorded, and every run of a check sees the same.
@@ -20,11 +20,13 @@ from prbench.synthetic.performance import Performance
 from prbench.synthetic.true_clips import FPS, PREROLL, TrueClip, sample_joints, true_clips
 
 DATASET = "synthetic-conformance"
-_PRESET, _SEED, _RATE = "adt", 2024, 60.0  # another seed than that of the embedded table
+_PRESET = "adt"
+_SEED = 2024  # differs from that of the embedded table, whose people a method may have learnt from
+_RATE = 60.0
 _CLIPS_OF_ONE = 6  # sequences a recording, so that several people are seen
 
 
-def invented_sequences(split: str, number: int) -> list[Sequence]:
+def synthetic_sequences(split: str, number: int) -> list[Sequence]:
     """The first sequences of a split, by id; equal in every process.
 
     Args:
@@ -45,7 +47,8 @@ def _sequences(split: str) -> Iterator[Sequence]:
 
 
 def _sequence(performance: Performance, clip: TrueClip, split: str) -> Sequence:
-    event, n_frames = clip.event, len(clip.joints)
+    event = clip.event
+    n_frames = len(clip.joints)
     assert event.prime_time is not None  # clips are made of primed events only
     name = name_of_recording(_PRESET, _SEED, performance.index)
     world_from_canonical = canonical_frame(clip.joints)
