@@ -8,7 +8,6 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.methods.adapters import InstalledAdapter, find_adapter
-from prbench.methods.cache import cache_folder
 from prbench.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.methods.isolation.isolated import Fit
 from prbench.methods.loaded_methods import HELD, MethodSpec
@@ -17,7 +16,7 @@ from prbench.methods.programs import MethodProgram, is_program, own_environment,
 from prbench.methods.remote.process import Program
 from prbench.methods.users_environment import users_environment
 from prbench.sequences import SequenceTable
-from prbench.storage import text_digest
+from prbench.storage import cache_folder, text_digest
 
 
 def method_spec(
