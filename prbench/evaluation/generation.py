@@ -13,7 +13,7 @@ import psutil
 from prbench.contract import ConditionBatch, Motions
 from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.motions import generate_checked
-from prbench.methods.threads import computing_threads
+from prbench.methods.users_environment import computing_threads
 from prbench.runs.cost import BatchCost
 from prbench.runs.predictions import PredictionRows, write_part
 

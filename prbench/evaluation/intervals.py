@@ -36,13 +36,13 @@ Ids = Sequence[str] | np.ndarray
 """One name a row."""
 
 CONFIDENCE = 0.95
-FEWEST_FOR_BOOTSTRAP = 10
+_FEWEST_FOR_BOOTSTRAP = 10
 EQUAL_WITHIN = 1e-5
 """Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
 
-FEW_RECORDINGS = "few_recordings"
-ONE_RECORDING = "one_recording"
-ALL_EQUAL = "all_equal"
+_FEW_RECORDINGS = "few_recordings"
+_ONE_RECORDING = "one_recording"
+_ALL_EQUAL = "all_equal"
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ class ClusteredValues:
         """Remarks that a reader of the interval needs."""
         count = len(self.sequences)
         found = {
-            ONE_RECORDING: count == 1,
-            FEW_RECORDINGS: count < FEWEST_FOR_BOOTSTRAP,
-            ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
+            _ONE_RECORDING: count == 1,
+            _FEW_RECORDINGS: count < _FEWEST_FOR_BOOTSTRAP,
+            _ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
         }
         return tuple(mark for mark, holds in found.items() if holds)
 
@@ -188,7 +188,7 @@ def mean_interval(
     data = clustered(values, recording_ids, sequence_ids)
     if len(data.sequences) == 1:
         return data.estimate(None, None, "none")
-    if len(data.sequences) < FEWEST_FOR_BOOTSTRAP:
+    if len(data.sequences) < _FEWEST_FOR_BOOTSTRAP:
         reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(jackknife_variance(data))
         low, high, method = data.mean - reach, data.mean + reach, "t-jackknife"
     else:

@@ -20,13 +20,12 @@ from prbench.evaluation.planning import Selection, plan_batches, plan_digest, se
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import load_protocol
-from prbench.methods.adapters import find_adapter, require_condition
+from prbench.methods.adapters import find_adapter, require_condition, require_weights, used_weights, weights_digest
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
 from prbench.methods.methods import fitted_to, method_spec
 from prbench.methods.native_rate import native_frames
 from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.methods.weights import require_weights, used_weights, weights_digest
 from prbench.runs.record import (
     BUILT_IN,
     CONTROL,

@@ -1,9 +1,9 @@
-"""The request of a run."""
+"""The request of a run, and the reports on how far it has got."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,3 +88,21 @@ class RunRequest:
     def method_label(self) -> str:
         """Name of the method before it is loaded: its name, its command, or the name of its file."""
         return short_name(self.method)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One step of the way through one dataset."""
+
+    dataset: str
+    stage: str
+    """``generate`` (counted in planned batches) or ``score`` (in sequences)."""
+    done: int
+    total: int
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+def silent(progress: Progress) -> None:
+    """Say nothing."""

@@ -144,7 +144,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
     mismatched = max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0)
     return DatasetSummary(
         dataset=scored.info.dataset,
-        title=titled(scored.info.title, synthetic=scored.info.synthetic),
+        title=_titled(scored.info.title, synthetic=scored.info.synthetic),
         synthetic=scored.info.synthetic,
         redistribution=scored.info.redistribution,
         method=scored.method,
@@ -160,7 +160,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
     )
 
 
-def titled(title: str, *, synthetic: bool) -> str:
+def _titled(title: str, *, synthetic: bool) -> str:
     """The title of a dataset, with the word "synthetic" where the data are."""
     return f"{title} (synthetic)" if synthetic and "synthetic" not in title.lower() else title
 

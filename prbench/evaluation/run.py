@@ -20,8 +20,7 @@ from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
-from prbench.evaluation.progress import Progress, ProgressCallback, silent
-from prbench.evaluation.request import RunRequest
+from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.locks import sole_writer

@@ -80,7 +80,7 @@ class LoadedMethod:
 
 
 @dataclass
-class HeldMethods:
+class _HeldMethods:
     """The method that this process has loaded last, and its copies of training rows."""
 
     spec: MethodSpec | None = None
@@ -114,7 +114,7 @@ class HeldMethods:
         self.spec = self.loaded = None
 
 
-HELD = HeldMethods()
+HELD = _HeldMethods()
 
 
 def forget_loaded_methods() -> None:

@@ -75,12 +75,6 @@ class TrainingSplit(SequenceTable):
         return SequenceTable(self.folder, self.info)
 
 
-def _of_training(split: str | None) -> str:
-    if split not in (None, _SPLIT):
-        raise AdapterError(f"a method may learn from split '{_SPLIT}' only; it asked for '{split}'.")
-    return _SPLIT
-
-
 _TRAIN = "train"
 _PREFIX = "prbench-train-"
 
@@ -148,6 +142,12 @@ def write_training_copy(table: SequenceTable, folder: Path) -> None:
         ("events", events.filter(of_training), EVENTS),
     ):
         write_table(folder / f"{name}.parquet", _batches(rows), schema, protocol_version=version)
+
+
+def _of_training(split: str | None) -> str:
+    if split not in (None, _SPLIT):
+        raise AdapterError(f"a method may learn from split '{_SPLIT}' only; it asked for '{split}'.")
+    return _SPLIT
 
 
 def _remove_orphans() -> None:

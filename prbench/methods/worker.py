@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions, Trainable, TrainingRun
 from prbench.errors import PrbenchError
-from prbench.methods.adapters import load_adapter
+from prbench.methods.adapters import load_adapter, used_weights, weights_digest
 from prbench.methods.declared import Declared
 from prbench.methods.motions import own_copy, release_memory, told, well_formed
 from prbench.methods.remote.messages import (
@@ -27,9 +27,8 @@ from prbench.methods.remote.messages import (
     read_message,
     write_message,
 )
-from prbench.methods.threads import computing_threads
 from prbench.methods.training_split import FIT_SEED, TrainingCopy
-from prbench.methods.weights import used_weights, weights_digest
+from prbench.methods.users_environment import computing_threads
 from prbench.workers import is_out_of_memory
 
 

@@ -16,7 +16,7 @@ from prbench.storage import write_json
 FILE_NAME = "summary.json"
 RECORDED_MOTION = "recorded_motion"
 """Flag of a motion that is the recorded one, beside its MPJPE."""
-RECORDED_SHARE = 0.01
+_RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
@@ -73,7 +73,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def hands_in_recordings(self) -> bool:
         """True if there are too many of them for an accident, so that the scores are those of no method."""
-        return self.recorded_motions > RECORDED_SHARE * self._motions
+        return self.recorded_motions > _RECORDED_SHARE * self._motions
 
     @property
     def recorded_motion_mark(self) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
-from prbench.evaluation.progress import silent
+from prbench.evaluation.request import silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.manifests import load_protocol
 from prbench.runs.folder import RunFolder

@@ -21,9 +21,9 @@ from prbench.evaluation.text_to_motion.metrics import (
     r_precision,
 )
 
-R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
+_R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
 FID, DISTANCE, DIVERSITY, MULTIMODALITY = "fid", "multimodal_distance", "diversity", "multimodality"
-METRICS = (*R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
+METRICS = (*_R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
 """Ids in the order in which they are shown; R-precision as shares from 0 to 1."""
 
 
@@ -62,7 +62,7 @@ def measure_pairs(pairs: EmbeddedPairs) -> Measured:
         ValueError: if there are fewer than 32 pairs.
     """
     ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
-    values = dict(zip(R_PRECISION, ranking.top.tolist()))
+    values = dict(zip(_R_PRECISION, ranking.top.tolist()))
     return Measured(values | {DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking)
 
 

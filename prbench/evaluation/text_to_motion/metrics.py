@@ -50,7 +50,7 @@ DIVERSITY_PAIRS = 300
 MULTIMODALITY_PROMPTS = 100
 MULTIMODALITY_SAMPLES = 30
 """Motions generated for each prompt."""
-MULTIMODALITY_PAIRS = 10
+_MULTIMODALITY_PAIRS = 10
 """Pairs of them that are compared."""
 
 
@@ -95,7 +95,7 @@ def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs:
 
 
 def draw_multimodality_pairs(
-    n_samples: int, generator: np.random.Generator, *, n_pairs: int = MULTIMODALITY_PAIRS
+    n_samples: int, generator: np.random.Generator, *, n_pairs: int = _MULTIMODALITY_PAIRS
 ) -> Int[np.ndarray, "2 pairs"]:
     """Two sets of samples, each without repetition.
 

@@ -108,7 +108,7 @@ class MovementDecoder(nn.Module):
         return self.convolutions(self.input(snippets).transpose(1, 2)).transpose(1, 2)
 
 
-class SequenceEncoder(nn.Module):
+class _SequenceEncoder(nn.Module):
     """Linear, bidirectional GRU with a learned initial state, and a head on the last states of both directions.
 
     Args:
@@ -137,7 +137,7 @@ class SequenceEncoder(nn.Module):
         return self.head(torch.cat((last[0], last[1]), dim=-1))
 
 
-class MotionEncoder(SequenceEncoder):
+class MotionEncoder(_SequenceEncoder):
     """Snippets to an embedding."""
 
     def __init__(self, configuration: EvaluatorConfiguration) -> None:
@@ -158,7 +158,7 @@ class TextEncoder(nn.Module):
         words = WORD_DIMENSION if configuration.text == GLOVE else dimension
         self.classes = nn.Linear(len(POS_CLASSES), words) if configuration.text == GLOVE else None
         width = configuration.text_width
-        self.sequence = SequenceEncoder(words, width, width, width, configuration.embedding)
+        self.sequence = _SequenceEncoder(words, width, width, width, configuration.embedding)
 
     def forward(
         self, tokens: Float[torch.Tensor, "batch tokens dimension"], lengths: Int[torch.Tensor, " batch"]

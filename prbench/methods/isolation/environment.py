@@ -62,10 +62,6 @@ def readable_folders(environment: Mapping[str, str]) -> tuple[Path, ...]:
     return tuple(Path(text).absolute() for text in [*named, *libraries] if text and Path(text).exists())
 
 
-def _cache_home(environment: Mapping[str, str]) -> Path:
-    return Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-
-
 def import_path() -> tuple[str, ...]:
     """Return the folders and archives of ``sys.path`` that exist."""
     return tuple(dict.fromkeys(str(Path(entry).absolute()) for entry in sys.path if entry and Path(entry).exists()))
@@ -92,6 +88,10 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
         if folder.name in ("bin", "condabin", "Scripts", "shims") and not _is_personal(folder.parent):
             found.append(folder.parent)
     return tuple(dict.fromkeys(found))
+
+
+def _cache_home(environment: Mapping[str, str]) -> Path:
+    return Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def _virtual_environment_home(program: Path) -> Iterator[Path]:

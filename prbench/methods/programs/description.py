@@ -18,7 +18,7 @@ _Seconds = Annotated[float, msgspec.Meta(gt=0)]
 _Text = Annotated[str, msgspec.Meta(min_length=1)]
 
 
-class MethodTable(msgspec.Struct, frozen=True, kw_only=True):
+class _MethodTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[method]``: what is started, and where."""
 
     command: _Text | Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -50,7 +50,7 @@ class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab"
     """Further environment variables."""
 
 
-class LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
+class _LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[limits]``: time limits, seconds."""
 
     start_s: _Seconds = 120.0
@@ -62,20 +62,20 @@ class LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
 class MethodDescription(msgspec.Struct, frozen=True, kw_only=True):
     """The whole TOML file."""
 
-    method: MethodTable
+    method: _MethodTable
     environment: EnvironmentTable = EnvironmentTable()
-    limits: LimitsTable = LimitsTable()
+    limits: _LimitsTable = _LimitsTable()
 
     @classmethod
     def of(cls, words: tuple[str, ...]) -> MethodDescription:
         """Describe a bare command."""
-        return cls(method=MethodTable(command=words))
+        return cls(method=_MethodTable(command=words))
 
 
 _TABLES: dict[str, type[msgspec.Struct]] = {
-    "method": MethodTable,
+    "method": _MethodTable,
     "environment": EnvironmentTable,
-    "limits": LimitsTable,
+    "limits": _LimitsTable,
 }
 _PLACES = ("virtual_environment", "conda", "container")
 _OF_CONTAINERS = ("engine", "gpus", "user", "volumes")

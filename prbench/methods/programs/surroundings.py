@@ -51,37 +51,6 @@ def require_script(words: tuple[str, ...], *, directory: Path, where: str) -> No
         )
 
 
-def _is_path(word: str) -> bool:
-    return "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~")
-
-
-def _require_executable(file: Path, word: str, where: str) -> Path:
-    if not file.is_file():
-        names = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
-        raise UsageError(f"{where}: expected a program at {file}, found none.{did_you_mean(file.name, names)}")
-    if not os.access(file, os.X_OK):
-        started = f' Start it with its interpreter: cmd:"{_interpreter(word)} {word}".' if _interpreter(word) else ""
-        raise UsageError(f"{where}: {file} is a file, but not one that can be executed.{started}")
-    return Path(os.path.normpath(file.absolute()))
-
-
-def _hint(word: str, directory: Path, path: str) -> str:
-    if (directory / word).is_file():
-        interpreter = _interpreter(word)
-        return f' Did you mean cmd:"{interpreter} {word}"?' if interpreter else f" Did you mean ./{word}?"
-    return did_you_mean(word, _names_in(path)) or " It is looked up in the folders of PATH."
-
-
-def _interpreter(word: str) -> str:
-    return _INTERPRETERS.get(Path(word).suffix.lower(), "")
-
-
-def _names_in(path: str) -> Iterator[str]:
-    for folder in dict.fromkeys(path.split(os.pathsep)):
-        if folder and Path(folder).is_dir():
-            yield from (file.name for file in Path(folder).iterdir())
-
-
 _METHOD_FOLDER = "/method"  # where a container finds the program's folder
 _BIN = "Scripts" if os.name == "nt" else "bin"
 
@@ -142,6 +111,37 @@ def inside_environment(
 def below(file: Path, path: str) -> Path:
     """Resolve a path of a description: absolute, in the user's home, or relative to the file's folder."""
     return Path(os.path.normpath(file.absolute().parent / Path(path).expanduser()))
+
+
+def _is_path(word: str) -> bool:
+    return "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~")
+
+
+def _require_executable(file: Path, word: str, where: str) -> Path:
+    if not file.is_file():
+        names = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise UsageError(f"{where}: expected a program at {file}, found none.{did_you_mean(file.name, names)}")
+    if not os.access(file, os.X_OK):
+        started = f' Start it with its interpreter: cmd:"{_interpreter(word)} {word}".' if _interpreter(word) else ""
+        raise UsageError(f"{where}: {file} is a file, but not one that can be executed.{started}")
+    return Path(os.path.normpath(file.absolute()))
+
+
+def _hint(word: str, directory: Path, path: str) -> str:
+    if (directory / word).is_file():
+        interpreter = _interpreter(word)
+        return f' Did you mean cmd:"{interpreter} {word}"?' if interpreter else f" Did you mean ./{word}?"
+    return did_you_mean(word, _names_in(path)) or " It is looked up in the folders of PATH."
+
+
+def _interpreter(word: str) -> str:
+    return _INTERPRETERS.get(Path(word).suffix.lower(), "")
+
+
+def _names_in(path: str) -> Iterator[str]:
+    for folder in dict.fromkeys(path.split(os.pathsep)):
+        if folder and Path(folder).is_dir():
+            yield from (file.name for file in Path(folder).iterdir())
 
 
 def _in_virtual_environment(start: Surroundings, named: str, file: Path) -> Surroundings:

@@ -50,6 +50,34 @@ def without_folders(word: str) -> str:
     return word
 
 
+PREFIX = "cmd:"
+_SUFFIX = ".toml"
+_LONGEST = 60  # characters of a command in messages
+
+
+def is_command(method: str) -> bool:
+    """Return True for a command, such as ``cmd:python glide.py``."""
+    return method.startswith(PREFIX)
+
+
+def is_description(method: str) -> bool:
+    """Return True for the path of a description, such as ``glide.toml``."""
+    return not is_command(method) and method.lower().endswith(_SUFFIX)
+
+
+def is_program(method: str) -> bool:
+    """Return True for a program of its own, False for the name of an installed adapter or of a control."""
+    return is_command(method) or is_description(method)
+
+
+def short_name(method: str) -> str:
+    """Return the name that a method has before it has introduced itself; never a path."""
+    if is_command(method):
+        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
+        return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
+    return Path(method).stem if is_description(method) else method
+
+
 def _split_on_windows(text: str) -> list[str]:
     """Split as programs on Windows do: quotes group, a backslash escapes only before a quote."""
     words: list[str] = []
@@ -75,31 +103,3 @@ def _split_on_windows(text: str) -> list[str]:
     if quoted:
         raise ValueError("No closing quotation")
     return words + ([word] if begun else [])
-
-
-PREFIX = "cmd:"
-SUFFIX = ".toml"
-_LONGEST = 60  # characters of a command in messages
-
-
-def is_command(method: str) -> bool:
-    """Return True for a command, such as ``cmd:python glide.py``."""
-    return method.startswith(PREFIX)
-
-
-def is_description(method: str) -> bool:
-    """Return True for the path of a description, such as ``glide.toml``."""
-    return not is_command(method) and method.lower().endswith(SUFFIX)
-
-
-def is_program(method: str) -> bool:
-    """Return True for a program of its own, False for the name of an installed adapter or of a control."""
-    return is_command(method) or is_description(method)
-
-
-def short_name(method: str) -> str:
-    """Return the name that a method has before it has introduced itself; never a path."""
-    if is_command(method):
-        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
-        return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
-    return Path(method).stem if is_description(method) else method

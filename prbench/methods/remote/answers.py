@@ -67,27 +67,6 @@ def error_text(header: Header) -> str:
     return shown or "no reason given"
 
 
-def _require_batch(header: Header, number: int) -> None:
-    found = header.get("batch")
-    if (type(found) is int and found == number) or (found is None and header["message"] == "error"):
-        return
-    answered = "without the number of a batch" if found is None else f"batch {shown_json(found)}"
-    raise BrokenProtocol(
-        f"answered {answered}, where batch {number} was due: every request has exactly one answer, which repeats its"
-        " number"
-    )
-
-
-def _reported(header: Header) -> MemoryError | ReportedError:
-    """The failure that a program reports."""
-    text, out_of_memory = error_text(header), header.get("out_of_memory")
-    if out_of_memory is not None and not isinstance(out_of_memory, bool):
-        raise BrokenProtocol(
-            f"reported the error '{text}' with 'out_of_memory' {shown_json(out_of_memory)}, where true or false was due"
-        )
-    return MemoryError(text) if out_of_memory else ReportedError(f"reported an error: {text}")
-
-
 _TEXT_LIMIT = 100
 
 
@@ -144,6 +123,27 @@ class Introduction:
             _weights(header.get("weights"), origin),
             trainable=header.get("trainable") is True,
         )
+
+
+def _require_batch(header: Header, number: int) -> None:
+    found = header.get("batch")
+    if (type(found) is int and found == number) or (found is None and header["message"] == "error"):
+        return
+    answered = "without the number of a batch" if found is None else f"batch {shown_json(found)}"
+    raise BrokenProtocol(
+        f"answered {answered}, where batch {number} was due: every request has exactly one answer, which repeats its"
+        " number"
+    )
+
+
+def _reported(header: Header) -> MemoryError | ReportedError:
+    """The failure that a program reports."""
+    text, out_of_memory = error_text(header), header.get("out_of_memory")
+    if out_of_memory is not None and not isinstance(out_of_memory, bool):
+        raise BrokenProtocol(
+            f"reported the error '{text}' with 'out_of_memory' {shown_json(out_of_memory)}, where true or false was due"
+        )
+    return MemoryError(text) if out_of_memory else ReportedError(f"reported an error: {text}")
 
 
 def _array(header: Mapping[str, Any], key: str, origin: str) -> list[Any]:

@@ -110,14 +110,6 @@ def motions_of(payload: bytes, batch: ConditionBatch) -> Motions:
     return ReceivedMotions.read(payload).in_order_of(batch.opaque_id)
 
 
-def _stream(columns: Mapping[str, pa.Array]) -> bytes:
-    rows = pa.record_batch(list(columns.values()), names=list(columns))
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, rows.schema) as writer:
-        writer.write_batch(rows)
-    return sink.getvalue().to_pybytes()
-
-
 __all__ = [
     "HEADER_LIMIT",
     "WIRE_VERSION",
@@ -182,10 +174,6 @@ def shown_json(value: object) -> str:
     return f"{text} ({names[type(value)]})" if type(value) in names else text
 
 
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no JSON")
-
-
 def write_message(stream: BinaryIO | io.BufferedIOBase, header: Header, payload: bytes | None = None) -> None:
     """Write one message and flush.
 
@@ -221,3 +209,15 @@ def read_message(stream: BinaryIO | io.BufferedIOBase) -> tuple[Header, bytes | 
     if len(payload) < header["bytes"]:
         raise EOFError(f"the stream ended after {len(payload):,} of {header['bytes']:,} bytes of payload")
     return header, payload
+
+
+def _stream(columns: Mapping[str, pa.Array]) -> bytes:
+    rows = pa.record_batch(list(columns.values()), names=list(columns))
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, rows.schema) as writer:
+        writer.write_batch(rows)
+    return sink.getvalue().to_pybytes()
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON")

@@ -24,7 +24,7 @@ _NAME = re.compile(r"\d+\.npy", re.ASCII)
 _FORM = "the shape (frames, 22, 3) or (frames, 66) of float32 or float64"
 
 
-def numbered_folder(path: Path) -> Path | None:
+def _numbered_folder(path: Path) -> Path | None:
     """The folder of numbered motions that a path means: itself or its ``motions``; None if there is none."""
     if (path / FOLDER).is_dir():
         return path / FOLDER
@@ -49,11 +49,11 @@ def index_numbered(folder: Path, numbering: Numbering | None) -> IndexedRows:
     paths = _paths(folder, numbering)
     headers = [_header(path) for path in paths]
     lengths = np.array([header.shape[0] for header in headers], dtype=np.int64)
-    return IndexedRows(paths, "opaque_id", numbering.ids, numbering.samples, lengths, NumberedMotions(paths))
+    return IndexedRows(paths, "opaque_id", numbering.ids, numbering.samples, lengths, _NumberedMotions(paths))
 
 
 @dataclass(frozen=True)
-class NumberedMotions:
+class _NumberedMotions:
     """One file a motion."""
 
     paths: tuple[Path, ...]
@@ -187,7 +187,7 @@ def _indexed(path: Path, numbering: Numbering | None) -> IndexedRows:
     if not path.is_dir():
         _require_parquet(path)
         return index_parquet((path,))
-    if folder := numbered_folder(path):
+    if folder := _numbered_folder(path):
         return index_numbered(folder, numbering)
     parts = tuple(sorted(part for part in path.glob("*.parquet") if part.name[0] != "."))
     if not parts:

@@ -83,7 +83,7 @@ def fingerprints(identities: Iterable[str]) -> tuple[str, ...]:
 
 
 DEFAULT_BATCH_SIZE = 64
-SUFFIXES = (".parquet", ".npz")
+_SUFFIXES = (".parquet", ".npz")
 
 
 @dataclass(frozen=True)
@@ -166,8 +166,8 @@ def require_suffix(path: Path) -> None:
     Raises:
         UsageError: naming the two suffixes.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}, found '{path.suffix}'.")
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}, found '{path.suffix}'.")
 
 
 def _taken(values: tuple[str, ...] | np.ndarray | None, rows: np.ndarray) -> tuple[str, ...] | np.ndarray | None:

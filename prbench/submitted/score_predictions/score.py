@@ -9,7 +9,7 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import RunError, UsageError
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
-from prbench.evaluation.progress import ProgressCallback, silent
+from prbench.evaluation.request import ProgressCallback, silent
 from prbench.evaluation.scoring import ScoringRules
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol

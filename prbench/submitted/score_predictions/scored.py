@@ -13,7 +13,7 @@ import prbench
 from prbench.engine import Engine
 from prbench.errors import StorageError
 from prbench.evaluation.planning import Selection
-from prbench.evaluation.progress import Progress, ProgressCallback
+from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.evaluation.results import ScoredSet, summarise
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import load_protocol
@@ -102,7 +102,7 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
             name=name,
             kind=FILE,
             package=path.name,
-            version=predictions_digest(path)[:12],
+            version=_predictions_digest(path)[:12],
             weights=None,
             weights_digest=None,
             options={},
@@ -123,7 +123,7 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
     )
 
 
-def predictions_digest(path: Path) -> str:
+def _predictions_digest(path: Path) -> str:
     """SHA-256 of a file, or of the names and contents of a folder's files."""
     if path.is_file():
         return file_digest(path)
