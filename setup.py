@@ -11,7 +11,16 @@ FOLDERS = {
     "prbench_benchmarks": "benchmarks",
     "prbench_data_manifests": "data_manifests",
 }
-DATA = ["*.toml", "*.csv", "*.json", "*.safetensors", "*.template", "py.typed"]
+DATA = [
+    "*.toml",
+    "*.csv",
+    "*.json",
+    "*.safetensors",
+    "*.template",
+    "py.typed",
+    "weights/*.json",
+    "weights/*.safetensors",
+]
 NOT_SHIPPED = ["speed", "speed.*"]  # timing programs, of use only beside the source
 
 packages = [

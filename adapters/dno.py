@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench_adapters.diffusion.goals import require_goals_within_reach
+from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+    from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
 DEFAULT_WEIGHTS = "mdm-small"
 _NO_PROMPT, _OWN_PROMPT = "none", "own"
 _MODES = ("fast", "paper")
 
 
-class DNO:
+class DNO(SingleModelMethod):
     """Meets the first frame and the goal by moving the noise; the initial velocity has no term unless asked for."""
 
     name = "dno"
@@ -33,13 +33,8 @@ class DNO:
     def __init__(
         self, model: MotionModel, weights: Path, settings: OptimisationSettings, *, prompt: str = _NO_PROMPT
     ) -> None:
-        self.model, self.weights, self.settings, self.prompt = model, weights, settings, prompt
-        self.max_frames = model.configuration.max_frames
-        self.native_fps = model.configuration.fps
-
-    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one prior for both goals
-        """The weights file in use."""
-        return self.weights
+        super().__init__(model, weights, settings)
+        self.prompt = prompt
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Optimise one motion for each row.
@@ -47,7 +42,8 @@ class DNO:
         Raises:
             AdapterError: for a goal that no body can reach, or a sequence that is longer than the prior knows.
         """
-        from prbench_adapters.diffusion.noise_optimisation import generate_optimised, keyframes
+        from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
+        from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
 
         require_goals_within_reach(batch, adapter=self.name)
         return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
@@ -62,7 +58,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """Entry point ``dno``.
 
     Options: ``optimise`` (fast or paper), ``prompt`` (none, own for each sequence's text, or any text), ``guidance``
-    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`.
+    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`.
 
     Args:
         weights: File, folder or name of bundled weights of a text-to-motion model; None for ``mdm-small``.
@@ -76,7 +72,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """
     from prbench_adapters.diffusion.bundled import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
-    from prbench_adapters.diffusion.noise_optimisation import KEYFRAME_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation.settings import KEYFRAME_OPTIONS
     from prbench_adapters.diffusion.options import require_known
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
@@ -95,7 +91,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
 def _settings(options: Mapping[str, str], diffusion_steps: int) -> OptimisationSettings:
     from dataclasses import replace
 
-    from prbench_adapters.diffusion.noise_optimisation import dno_paper, fast, optimisation_settings
+    from prbench_adapters.diffusion.noise_optimisation.settings import dno_paper, fast, optimisation_settings
     from prbench_adapters.diffusion.options import choice, number
 
     preset = {"fast": fast, "paper": dno_paper}[choice(options, "optimise", _MODES)](diffusion_steps)

@@ -1,4 +1,4 @@
-"""From worlds with Z up, as most datasets have, to that of recordings with Y up, and back."""
+"""Turn worlds with Z up, as most datasets have, into that of recordings with Y up, and back."""
 
 from __future__ import annotations
 

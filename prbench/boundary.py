@@ -68,7 +68,7 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
 
 
 def _refusal(error: Exception) -> str:
-    """Why the system did not let a file be read; empty if that was not what went wrong."""
+    """Return the reason why the system did not let a file be read; empty if that was not what went wrong."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     looping = isinstance(error, RuntimeError) and str(error).startswith("Symlink loop")  # of Path.resolve

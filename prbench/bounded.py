@@ -16,7 +16,7 @@ _WELL_KNOWN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:
-    """All bytes of a file.
+    """Read all bytes of a file.
 
     Args:
         path: The file.

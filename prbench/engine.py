@@ -6,9 +6,13 @@ spread work (a cluster, say) is one more class and no change elsewhere.
 
 from __future__ import annotations
 
+import errno
 import gc
 import itertools
 import multiprocessing
+import os
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -17,22 +21,103 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from prbench.errors import MemoryFullError, PrbenchError
-from prbench.workers import Full, answer, call, start_worker
+from prbench.shown import quoted
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+IfFull = Callable[[Item, PrbenchError], Result] | None
+"""Gives the result of an item for which the memory does not suffice."""
+_KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
+
+
+@dataclass(frozen=True)
+class Full:
+    """Stands in place of a result: the memory did not suffice, or the worker was killed."""
+
+    reason: str
+    error: PrbenchError | None = None
+    """An error whose message already says it."""
+
+
+def is_out_of_memory(error: BaseException | None) -> bool:
+    """Return True if Python, NumPy, Arrow or torch lacked memory; torch is recognised without importing it.
+
+    One of our own errors is, if such a one has caused it.
+    """
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+        return True
+    if isinstance(error, PrbenchError):
+        return is_out_of_memory(error.__cause__)
+    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+
+
+def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:
+    """The result, or that the memory did not suffice, also where a message already says so."""
+    try:
+        return function(item)
+    except Exception as error:
+        if is_out_of_memory(error):
+            ours = error if isinstance(error, PrbenchError) else None
+            return Full(f"the memory of this machine does not suffice ({quoted(error) or type(error).__name__})", ours)
+        raise
+
+
+class _CtrlC:
+    """Handles Ctrl-C in a worker: ends the item under way, and all that follow at once, without a traceback."""
+
+    def __init__(self) -> None:
+        self.working = self.pressed = False
+
+    def __call__(self, *_: object) -> None:
+        """Handle the signal."""
+        self.pressed = True
+        if self.working:
+            raise KeyboardInterrupt
+
+
+_ctrl_c = _CtrlC()
+
+
+def call(function: Callable[[Item], Result], item: Item) -> Result | Full:
+    """:func:`answer` in a worker, where Ctrl-C ends the item under way."""
+    if _ctrl_c.pressed:
+        raise KeyboardInterrupt
+    _ctrl_c.working = True
+    try:
+        return answer(function, item)
+    finally:
+        _ctrl_c.working = False
+
+
+def _start_worker(threads: int) -> None:
+    """Set up a worker process, before the numerical libraries load."""
+    signal.signal(signal.SIGINT, _ctrl_c)
+    # Numerical libraries read these when they load, which in a spawned worker is after this.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(threads)
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """End this child as soon as its parent was killed and cannot tell it to: it would wait, or work, for ever."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @runtime_checkable
 class Engine(Protocol):
-    """Where work runs."""
+    """Something that runs work."""
 
     def map(
-        self,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        *,
-        if_full: Callable[[Item, PrbenchError], Result] | None = None,
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """Yield ``function(item)`` for every item, in the order of the items.
 
@@ -53,11 +138,7 @@ class InProcess:
     """One item after the other, in this process."""
 
     def map(
-        self,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        *,
-        if_full: Callable[[Item, PrbenchError], Result] | None = None,
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """See :class:`Engine`.
 
@@ -80,11 +161,7 @@ class ProcessPool:
     threads_per_worker: int = 1
 
     def map(
-        self,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        *,
-        if_full: Callable[[Item, PrbenchError], Result] | None = None,
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """See :class:`Engine`.
 
@@ -133,7 +210,7 @@ class ProcessPool:
     def _pool(self, workers: int) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(
-            workers, mp_context=context, initializer=start_worker, initargs=(self.threads_per_worker,)
+            workers, mp_context=context, initializer=_start_worker, initargs=(self.threads_per_worker,)
         )
 
 
@@ -171,21 +248,18 @@ class _Submitted(Generic[Item]):
         self.suspected = killed or (self.future.exception() is None and isinstance(self.future.result(), Full))
 
 
-_KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
-
-
-def _settled(found: Result | Full, item: Item, if_full: Callable[[Item, PrbenchError], Result] | None) -> Result:
+def _settled(found: Result | Full, item: Item, if_full: IfFull[Item, Result]) -> Result:
     """The result of the second try, or what stands for it."""
     if not isinstance(found, Full):
         return found
-    error = found.told or MemoryFullError(_name(item), found.reason)
+    error = found.error or MemoryFullError(_name(item), found.reason)
     if if_full is None:
         raise error
     return if_full(item, error)
 
 
 def _name(item: object) -> str:
-    """What an item is called in a message."""
+    """Return the name of an item for a message."""
     for attribute in ("recording_id", "name"):
         name = getattr(item, attribute, None)
         if isinstance(name, str):

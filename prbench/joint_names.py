@@ -81,7 +81,7 @@ def _side(match: re.Match[str]) -> str:
 
 
 class Matched(NamedTuple):
-    """Which joints of a hierarchy are the 22."""
+    """The joints of a hierarchy that are the 22."""
 
     columns: tuple[int, ...]
     """Index of each of the 22; -1 where no name matches."""

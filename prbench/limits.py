@@ -1,4 +1,4 @@
-"""How large, how deep and how far what is read may be; looked at before anything is unpacked or believed.
+"""Limits of size, depth and distance for everything that is read, checked before anything is unpacked or believed.
 
 Each limit is far above anything that the datasets and methods hold; what exceeds it is a damaged or hostile file.
 """

@@ -24,9 +24,9 @@ from prbench.storage import atomic_path, cache_folder, remove_leftovers, text_di
 
 _OWNER = re.compile(rb"(\d+) ([^\s]{1,255})\n")
 _OWNER_AT = 1
-"""Where the owner stands in the file: Windows lets nobody read the first byte, which is the locked one."""
+"""Position of the owner's name in the file: Windows lets nobody read the first byte, which is the locked one."""
 _PATIENCE_S = 0.2
-"""How long an owner may take from getting the lock to writing its name, and between two looks while waiting."""
+"""Seconds that an owner may take from getting the lock to writing its name, and between two looks while waiting."""
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ Redistribution = Literal["none", "non-commercial", "yes"]
 
 
 class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where a dataset's body poses come from and how they map to the 22 joints."""
+    """The source of a dataset's body poses and their mapping to the 22 joints."""
 
     pose_source: str
     head_tilt_deg: float
@@ -31,7 +31,7 @@ class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """When an object counts as held: a contact point close to it, and the object moving. Metres and seconds."""
+    """The rule of an object that counts as held: a contact point is close, and it moves. Metres and seconds."""
 
     contact: Literal["middle_finger_base", "wrist", "hand_vertex"]
     target: Literal["oriented_box", "origin", "surface"]
@@ -46,7 +46,7 @@ class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class BuildEstimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How long a build takes and what it leaves, measured with one core on synthetic recordings of the dataset."""
+    """Time and size of a build, measured with one core on synthetic recordings of the dataset."""
 
     megabytes_per_second: float
     """Input files, read and curated."""
@@ -73,7 +73,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     wanted_roles: dict[str, str] = {}
     """The same for files without which a recording is read, and yields less."""
     estimate: BuildEstimate | None = None
-    """What ``--dry-run`` reckons with; None for corpora."""
+    """The figures that ``--dry-run`` reckons with; None for corpora."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
     """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
@@ -81,10 +81,10 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     other_bodies: dict[str, BodySource] = {}
     """Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``)."""
     in_hand: InHandRule | None = None
-    """None where the dataset annotates its events."""
+    """The in-hand rule; None where the dataset annotates its events."""
     in_hand_alternatives: dict[str, InHandRule] = {}
     publishes_priming: bool = False
-    """Whether the dataset's own files say when events were primed (``--priming published``)."""
+    """True if the dataset's own files say when events were primed (``--priming published``)."""
     thresholds: dict[str, float] = {}
     """Numbers of the reader that the dataset's page leaves to choose, by name."""
     known_bad: dict[str, str] = {}
@@ -218,7 +218,7 @@ def load_protocol() -> BenchmarkProtocol:
 
 @cache
 def load_citations() -> Citations:
-    """What to cite beside the datasets: the study that defined the task, and this toolkit."""
+    """Load what to cite beside the datasets: the study that defined the task, and this toolkit."""
     return read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", Citations)
 
 

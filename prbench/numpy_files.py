@@ -32,7 +32,7 @@ _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), o
 
 
 @runtime_checkable
-class ByteStream(Protocol):
+class _ByteStream(Protocol):
     """A file that is open for reading, in an archive or not."""
 
     def read(self, size: int = ..., /) -> bytes:
@@ -40,13 +40,13 @@ class ByteStream(Protocol):
         ...
 
     def tell(self) -> int:
-        """How many were read."""
+        """Number of bytes that were read."""
         ...
 
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """What a ``.npy`` says about its array."""
+    """The header of a ``.npy``."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -56,7 +56,7 @@ class ArrayHeader:
 
     @property
     def nbytes(self) -> int:
-        """Of the values."""
+        """Bytes of the values."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     def shaped(self, values: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ class ArrayHeader:
         return values.reshape(self.shape, order="F" if self.fortran_order else "C")
 
 
-def read_header(stream: ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
+def read_header(stream: _ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
@@ -155,7 +155,7 @@ def _require_bytes(path: Path, header: ArrayHeader, *, largest: int, present: in
         )
 
 
-def _values(stream: ByteStream, header: ArrayHeader) -> np.ndarray:
+def _values(stream: _ByteStream, header: ArrayHeader) -> np.ndarray:
     """The values behind a header, flat, in memory of their own."""
     values = bytearray(header.nbytes)
     filled = 0
@@ -171,13 +171,13 @@ class Archive:
 
     path: Path
     content: bytes | None = None
-    """All its bytes, where they are at hand; ``path`` is then for messages."""
+    """The bytes, where they are at hand; ``path`` is then for messages."""
     remedy: str = ""
-    """What to do if it is damaged or another file, for messages."""
+    """Advice for messages if it is damaged or another file."""
 
     @cached_property
     def members(self) -> dict[str, zipfile.ZipInfo]:
-        """By the name of the array.
+        """Maps each array's name to the array.
 
         Raises:
             InputFileError: if the file is missing or no ZIP archive, or holds an array twice.
@@ -279,7 +279,7 @@ class Archive:
         return found
 
     def stored_as_is(self, name: str) -> bool:
-        """Whether :meth:`mapped` can give single rows without unpacking the whole."""
+        """Return True if :meth:`mapped` can give single rows without unpacking the whole."""
         return self.members[name].compress_type == zipfile.ZIP_STORED
 
     def mapped(self, name: str) -> np.ndarray:
@@ -337,7 +337,7 @@ class Archive:
         header = self.header(name)
         return map_array(target, replace(header, offset=0))
 
-    def _header(self, name: str, stream: ByteStream) -> ArrayHeader:
+    def _header(self, name: str, stream: _ByteStream) -> ArrayHeader:
         header, info = read_header(stream, self.path, f"'{name}'", remedy=self.remedy), self.members[name]
         if header.offset + header.nbytes != info.file_size:
             raise InputFileError(
@@ -378,7 +378,7 @@ _DAMAGED = (
     OSError,
     ValueError,  # of a table of contents that points before the start of the file
 )
-"""What zipfile says of damaged archives."""
+"""Exceptions that zipfile raises for damaged archives."""
 
 
 def _write_piece(file: BinaryIO, part: bytes) -> None:

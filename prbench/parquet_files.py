@@ -44,7 +44,7 @@ def read_parquet(path: Path, columns: list[str] | None = None, *, verify: bool =
 
 
 def _excess(metadata: pq.FileMetaData) -> str:
-    """What a file declares too much of, in a few words; empty if nothing."""
+    """Say in a few words what a file declares too much of; empty if nothing."""
     if metadata.num_rows > MOST_ROWS:
         return f"{metadata.num_rows:,} rows declared, expected at most {MOST_ROWS:,}"
     for number in range(metadata.num_row_groups):

@@ -1,4 +1,4 @@
-"""What the study printed about its sequences (*Prime and Reach*, Table 1 and Table S2)."""
+"""The study's printed figures for its sequences (*Prime and Reach*, Table 1 and Table S2)."""
 
 from __future__ import annotations
 

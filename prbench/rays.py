@@ -72,9 +72,9 @@ class NearMisses:
     """Result of the proximity check for n rays and m boxes."""
 
     distance: Float[np.ndarray, "n m"]
-    """From the ray's closest point to the box, measured towards the box centre, metres (delta of equation 7)."""
+    """Distance from the ray's closest point to the box, measured towards its centre, metres (delta of equation 7)."""
     along: Float[np.ndarray, "n m"]
-    """Where on the ray the closest point lies (t_closest of equation 5); negative behind the origin."""
+    """Position of the closest point on the ray (t_closest of equation 5); negative behind the origin."""
 
     def within(self, tolerance: float) -> Bool[np.ndarray, "n m"]:
         """Near misses: ``distance <= tolerance`` and the closest point in front of the origin (equation 7)."""
@@ -87,7 +87,7 @@ def near_miss(
     box_min: Float[np.ndarray, "m 3"],
     box_max: Float[np.ndarray, "m 3"],
 ) -> NearMisses:
-    """How closely n rays pass m boxes (equations 5 to 7).
+    """Compute how closely n rays pass m boxes (equations 5 to 7).
 
     The closest point is the one nearest to the box *centre*; from it a second ray runs to the centre, and the distance
     is the stretch of that ray before it enters the box.

@@ -22,6 +22,8 @@ from prbench.limits import LARGEST_JSON, LONGEST_NAME
 from prbench.shown import clean
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
+_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST}
 
 
 @contextlib.contextmanager
@@ -116,10 +118,6 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
-_FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST}
 
 
 @contextlib.contextmanager
@@ -248,7 +246,7 @@ def inside(root: Path, relative: str) -> Path:
 
 
 def is_path_part(name: str) -> bool:
-    """Whether a name can be that of one folder or file: it leads nowhere else and cannot be mistaken for an option."""
+    """Return True if a name can be that of one folder or file: it leads nowhere else and is not taken for an option."""
     return (
         0 < len(name) <= LONGEST_NAME
         and name[0] not in ".-"
@@ -258,5 +256,20 @@ def is_path_part(name: str) -> bool:
 
 
 def cache_folder() -> Path:
-    """Where prbench keeps what it can make again: the folder named by ``PRBENCH_CACHE``, else the user's cache."""
+    """Return the folder of what prbench can make again: ``PRBENCH_CACHE``, else the user's cache."""
     return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("prbench", appauthor=False))
+
+
+def turn_into_paths(request: object, *names: str) -> None:
+    """Turn text in some attributes of a frozen data class into paths; for its ``__post_init__``.
+
+    Args:
+        request: The instance.
+        names: Attributes that hold a path, several paths, or None.
+    """
+    for name in names:
+        value = getattr(request, name)
+        if isinstance(value, str):
+            object.__setattr__(request, name, Path(value))
+        elif isinstance(value, tuple | list):
+            object.__setattr__(request, name, tuple(Path(each) for each in value))

@@ -35,7 +35,7 @@ def covered(
     max_gap: float,
     tolerance: float = _ROUNDING,
 ) -> Bool[np.ndarray, " m"]:
-    """Whether each query time can be interpolated from *valid* neighbours that are at most ``max_gap`` apart.
+    """Return True for each time that can be interpolated from *valid* neighbours at most ``max_gap`` apart.
 
     A query that coincides with a valid sample is covered whatever its neighbours are. Nothing is extrapolated.
 
@@ -164,7 +164,7 @@ def _span(span: tuple[float, float]) -> str:
 
 
 def _unit_hint(ranges: Mapping[str, tuple[float, float]], early: str, late: str) -> str:
-    """Which stream's unit to look at: the one that the other streams do not agree with, else the later one."""
+    """Name the stream whose unit to look at: the one that the others do not agree with, else the later one."""
     for factor, unit in _FACTORS.items():
         enlarged = (ranges[early][0] * factor, ranges[early][1] * factor)
         if not _overlap(enlarged, ranges[late]):

@@ -5,20 +5,25 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import sys
 from collections.abc import Generator
 from pathlib import Path
 
-import jaxtyping
 import pytest
 
-from tests.shapes import unchecked
+from tests.shapes import check_array_annotations, unchecked
 
 os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
+
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):  # hundreds of interpreters are started, which would each compile anew
+    sys.dont_write_bytecode = False
+
+os.fsync = lambda _file: None  # no test outlives a power failure, which is all that waiting for the disk is for
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # each processor runs a test; more of PyTorch's threads only wait
 
 if os.environ.get("PRBENCH_CHECK_SHAPES", "1") == "1":
-    jaxtyping.install_import_hook(["prbench", "prbench_adapters"], "beartype.beartype")
+    check_array_annotations("prbench", "prbench_adapters")
 
 
 @pytest.hookimpl(wrapper=True)

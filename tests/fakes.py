@@ -10,7 +10,7 @@ from prbench.randomness import named_generator
 from prbench.sequences import DatasetInfo, EventRecord, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 
 STANDING = np.array(
     [

@@ -17,7 +17,7 @@ import pytest
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.main import main
 from prbench.errors import StorageError
-from prbench.synthetic.layouts.egoallo import write_smplh_model
+from prbench.synthetic.egoallo import write_smplh_model
 from tests.fakes import fake_dataset
 from tests.readers import gimo_sample
 from tests.training.toy import entry_points_of

@@ -21,7 +21,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
 
 
 def training_task() -> DartTask:
-    """What ``prbench train --method dart`` trains."""
+    """Make the task that ``prbench train --method dart`` trains."""
     from prbench_adapters.dart.task import DartTask
 
     return DartTask()

@@ -3,34 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
+from dataclasses import fields, replace
 from pathlib import Path
 
-from prbench.contract import Condition, ConditionBatch, Motions
-from prbench_adapters.dart.generation import generate
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import pad
+
+from prbench.contract import Condition, ConditionBatch, Cost, Motions
+from prbench.errors import AdapterError
+from prbench.skeleton import N_JOINTS, Joint
+from prbench_adapters.dart.configuration import OPTIONS, DartSettings, dart_settings
+from prbench_adapters.dart.guidance import GuidedDenoiser, by_ddim, by_ddpm
 from prbench_adapters.dart.model import DartModel
-from prbench_adapters.dart.settings import OPTIONS, DartSettings, dart_settings
-from prbench_adapters.diffusion.bundled import require_default, resolve
-from prbench_adapters.diffusion.goals import require_goals_within_reach
+from prbench_adapters.dart.optimisation import optimise
+from prbench_adapters.dart.rollout import Primitive, SampleLatent, first_history, roll_out
+from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise
+from prbench_adapters.diffusion.bundled import own_weights
+from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
+from prbench_adapters.diffusion.noise_optimisation.generation import targets_of
 from prbench_adapters.diffusion.options import require_known
+from prbench_adapters.kinematics import DART
 
-NAME = "dart"
-DEFAULT_WEIGHTS = "dart-small"
+_LARGEST_PART = {"cpu": 320}  # primitives, of all sequences side by side; all passes are kept for the gradient
+_LARGEST_PART_ELSEWHERE = 960
+_SHORTEST_ACROSS = 1e-6  # metres between the hips, along the ground
 
 
-class DartControl:
+class DartControl(SingleModelMethod):
     """Starts with the initial pose and velocity, and moves the noise of all primitives until the last frame fits."""
 
-    name = NAME
+    name = "dart"
     conditions = frozenset({Condition.GOAL_POSE, Condition.GOAL_LOCATION})
 
-    def __init__(self, model: DartModel, weights: Path, settings: DartSettings) -> None:
-        self.model, self.weights, self.settings = model, weights, settings
-        self.native_fps = model.configuration.fps
-
-    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model for both goals
-        """The weights file in use."""
-        return self.weights
+    model: DartModel
+    settings: DartSettings
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Generate one motion for each row.
@@ -61,9 +70,152 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
         ValueError: for options that are unknown or have impossible values.
     """
     require_known(options, OPTIONS)
-    folder = Path(str(files("prbench_adapters.dart.weights")))
-    if weights is None:
-        require_default(NAME, DEFAULT_WEIGHTS, folder)
-    path = resolve(weights, DEFAULT_WEIGHTS, folder=folder)
+    path = own_weights(DartControl.name, weights)
     model = DartModel.load(path, device, text_path=options.get("text-path"))
     return DartControl(model, path, dart_settings(options, diffusion_steps=model.configuration.diffusion_steps))
+
+
+def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) -> Motions:
+    """One motion for each row, each from its own noise seed; its first frame is the initial pose.
+
+    Args:
+        model: The frozen model.
+        batch: Conditions with an initial state, a text and a goal.
+        settings: Of roll-out and optimisation.
+
+    Raises:
+        AdapterError: for another frame rate than the model's, or an initial state that is not finite or has no heading.
+    """
+    _require_frame_rate(batch, model)
+    _require_headings(batch)
+    bodies = ModelBodies.of(batch, model.configuration)
+    joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
+    passes = 0
+    primitives = _primitives(model, batch)
+    for rows in parts_of_similar_cost(primitives, _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)):
+        part = _Part(model, _rows(bodies.batch, rows), settings)
+        own = part.motions()
+        joints[rows, : own.shape[1]] = own
+        passes += part.passes
+    return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
+
+
+def parts_of_similar_cost(primitives: Int[np.ndarray, " batch"], largest: int) -> list[Int[np.ndarray, " _"]]:
+    """Row numbers in as few parts as hold about ``largest`` primitives each, longest sequences first.
+
+    A sequence leaves its part when it ends, so lengths in a part may differ; the more of them go side by side, the less
+    each costs.
+    """
+    order = np.argsort(-primitives, kind="stable")
+    before = np.cumsum(primitives[order]) - primitives[order]
+    total = int(primitives.sum())
+    part = before * -(-total // largest) // total
+    return [order[part == number] for number in np.unique(part)]
+
+
+def _primitives(model: DartModel, batch: ConditionBatch) -> Int[np.ndarray, " batch"]:
+    """Count the primitives that each sequence takes; the frame before its first counts."""
+    return np.array([model.configuration.primitives_for(int(n) + 1) for n in batch.n_frames])
+
+
+class _Part:
+    """Sequences that are generated side by side, the longest first."""
+
+    def __init__(self, model: DartModel, batch: ConditionBatch, settings: DartSettings) -> None:
+        assert batch.text is not None
+        self.model, self.batch, self.settings = model, batch, settings
+        targets = targets_of(batch, model.device)
+        if settings.seeding == "repeat":
+            targets = replace(targets, previous_joints=targets.initial_joints)
+        self.targets = targets
+        self.n_frames = int(batch.n_frames.max())
+        primitives = _primitives(model, batch)
+        self.going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
+        previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
+        frames, self.placement = first_history(previous, initial)
+        self.history = model.scaling.standardised(frames)
+        self.denoiser = GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)
+        self.decoded = 0
+        self._noise = SequenceNoise(batch.noise_seed, np.ones(len(batch), dtype=np.int64), model.device)
+
+    @property
+    def passes(self) -> int:
+        """Passes of denoiser and decoder, summed over sequences; those for gradients alone are not counted."""
+        return self.denoiser.passes + self.decoded
+
+    def motions(self) -> Float[np.ndarray, "rows frames 22 3"]:
+        if not self.settings.optimised:
+            with torch.no_grad():
+                return self._joints(self._free()).cpu().numpy()
+        start = self.settings.noise_scale * torch.stack([self._draw() for _ in self.going_on])
+        lengths = torch.as_tensor(self.batch.n_frames, device=self.model.device)
+        found = optimise(self._from_noise, start, self.targets, lengths, self.settings)
+        return found.joints.cpu().numpy()
+
+    def _draw(self) -> Float[Tensor, "batch 1 latent"]:
+        """The next noise of every sequence, drawn from its own seed: neither batch nor length changes a number."""
+        return self._noise.draw(self.model.configuration.latent)
+
+    def _free(self) -> list[Primitive]:
+        return self._roll_out(by_ddpm(self.denoiser, self.model.schedule, self._draw))
+
+    def _from_noise(self, noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
+        sample = by_ddim(self.denoiser, self.model.schedule, noise, steps=self.settings.ddim_steps)
+        return self._joints(self._roll_out(sample))
+
+    def _roll_out(self, sample: SampleLatent) -> list[Primitive]:
+        self.decoded += sum(self.going_on)
+        return roll_out(
+            self.model,
+            self.history,
+            self.placement,
+            sample,
+            len(self.going_on),
+            going_on=self.going_on,
+            checkpointing=self.settings.checkpointing,
+        )
+
+    def _joints(self, primitives: list[Primitive]) -> Float[Tensor, "batch frames 22 3"]:
+        """The initial pose and what follows it, cut to the longest sequence, zeros behind the others' end; canonical.
+
+        The world that is rolled out in is the canonical frame with its axes exchanged, so nothing else has to be
+        turned back.
+        """
+        rows = [pad(each.joints, (0, 0) * 3 + (0, len(self.batch) - len(each.joints))) for each in primitives]
+        future = DART.to_y_up(torch.cat(rows, dim=1))
+        return torch.cat((self.targets.initial_joints[:, None], future), dim=1)[:, : self.n_frames]
+
+
+def _require_frame_rate(batch: ConditionBatch, model: DartModel) -> None:
+    if batch.fps != model.configuration.fps:
+        raise AdapterError(
+            f"adapter 'dart': expected {model.configuration.fps:g} frames per second, found {batch.fps:g}."
+        )
+
+
+def _rows(batch: ConditionBatch, rows: Int[np.ndarray, " rows"]) -> ConditionBatch:
+    """Some rows of a batch, in this order."""
+    changed = {}
+    for field in fields(batch):
+        value = getattr(batch, field.name)
+        if isinstance(value, np.ndarray):
+            changed[field.name] = value[rows]
+        elif isinstance(value, tuple):
+            changed[field.name] = tuple(value[row] for row in rows)
+    return replace(batch, **changed)
+
+
+def _require_headings(batch: ConditionBatch) -> None:
+    """Refuse initial states that no primitive can start from."""
+    for name in ("previous_joints", "initial_joints"):
+        joints = getattr(batch, name)
+        across = joints[:, Joint.RIGHT_HIP] - joints[:, Joint.LEFT_HIP]
+        finite = np.isfinite(joints).all(axis=(1, 2))
+        bad = np.flatnonzero(~finite | ~(np.hypot(across[:, 0], across[:, 2]) > _SHORTEST_ACROSS))
+        if bad.size:
+            row = int(bad[0])
+            found = "hips on one vertical line" if finite[row] else "joints that are not finite"
+            raise AdapterError(
+                f"adapter 'dart', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}), {name}: expected a"
+                f" pose whose hips say which way it faces, found {found}. `prbench validate` checks a table."
+            )

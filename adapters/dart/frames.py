@@ -1,6 +1,6 @@
 """Frames of motion as DART describes them: 276 numbers each, and the frame of reference of a primitive.
 
-World with Z up, metres, per frame. Rotations are those that :mod:`prbench_adapters.kinematics.skeleton` fits to joints,
+World with Z up, metres, per frame. Rotations are those that :mod:`prbench_adapters.kinematics` fits to joints,
 so no body model is needed; the body's translation is its pelvis
 (docs/specification/dart.md#skeleton-only-re-implementation).
 """
@@ -14,17 +14,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prbench.skeleton import N_JOINTS, Joint
-from prbench_adapters.kinematics.rotations import matrices_of, rows_of, unit
-from prbench_adapters.kinematics.skeleton import fitted_rotations
+from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, unit
 
 N_FEATURES = 276
 _SIZES = (3, 6, 6 * (N_JOINTS - 1), 3, 6, 3 * N_JOINTS, 3 * N_JOINTS)
-"""In the order of the fields of :class:`Frames`."""
+"""Numbers of each field of :class:`Frames`, in their order."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a primitive's frame of reference stands in another: points there are ``rotation @ p + origin``."""
+    """Placement of a primitive's frame of reference in another: points there are ``rotation @ p + origin``."""
 
     rotation: Float[Tensor, "batch 3 3"]
     origin: Float[Tensor, "batch 3"]
@@ -34,7 +33,7 @@ class Placement:
         return _turned(self.rotation, points) + _broadcast(self.origin, points)
 
     def first(self, n: int) -> Placement:
-        """Those of the first motions."""
+        """Placements of the first motions."""
         return Placement(self.rotation[:n], self.origin[:n])
 
     def then(self, inner: Placement) -> Placement:
@@ -50,7 +49,7 @@ class Frames:
 
     translation: Float[Tensor, "batch frames 3"]
     orientation: Float[Tensor, "batch frames 3 3"]
-    """Of the root."""
+    """Orientation of the root."""
     body: Float[Tensor, "batch frames 21 6"]
     """Each other joint's rotation relative to the bone before: the first two rows, as they are; predicted ones need
     not be those of a rotation, and go on to the next history as predicted (as in the original)."""
@@ -77,7 +76,7 @@ class Frames:
 
     @classmethod
     def unpack(cls, features: Float[Tensor, "batch frames 276"]) -> Frames:
-        """From features in metres; orientations that are no rotation become one (Gram-Schmidt)."""
+        """Read features in metres; orientations that are no rotation become one (Gram-Schmidt)."""
         translation, orientation, body, step, turn, joints, moves = features.split(_SIZES, dim=-1)
         return cls(
             translation=translation,
@@ -90,7 +89,7 @@ class Frames:
         )
 
     def pack(self) -> Float[Tensor, "batch frames 276"]:
-        """As features, metres: translation 3, rotations 132, its delta 3, orientation's delta 6, joints 66, deltas 66.
+        """Write features, metres: translation 3, rotations 132, delta 3, orientation's delta 6, joints 66, deltas 66.
 
         Rotations are the first two *rows* of their matrices.
         """
@@ -114,7 +113,7 @@ class Frames:
         return Frames(*(getattr(self, field.name)[:, start:stop] for field in fields(self)))
 
     def seen_from(self, placement: Placement) -> Frames:
-        """The same frames in the frame of reference that ``placement`` places in the present one."""
+        """Express the frames in the frame of reference that ``placement`` places in the present one."""
         back, origin = placement.rotation.mT, placement.origin
         return Frames(
             translation=_turned(back, self.translation - _broadcast(origin, self.translation)),

@@ -1,6 +1,8 @@
-"""What primitives are trained for (docs/specification/dart.md#training); every loss is Huber's with δ = 1."""
+"""Losses of primitives, and the phases of their training (docs/specification/dart.md#training)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import msgspec
 import torch
@@ -10,7 +12,7 @@ from torch.nn import functional
 
 from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.kinematics.skeleton import forward_kinematics
+from prbench_adapters.kinematics import forward_kinematics
 
 PerMotion = Float[Tensor, " batch"]
 Shares = tuple[float, float, float]
@@ -26,8 +28,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """
 
     vae_share: float = 0.4
-    """Of the whole training: the VAE's phase, after which it is frozen and the denoiser trained. 0 keeps the VAE of the
-    initial weights."""
+    """Share of the VAE's phase in the training, after which it is frozen and the denoiser trained. 0 keeps the VAE of
+    the initial weights."""
     vae_stages: Shares = (0.5, 0.25, 0.25)
     """Shares of the phase in which primitives start from recorded history, ever more often from the end of what was
     just predicted, and always from that."""
@@ -35,16 +37,16 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     primitives: int = 4
     """Consecutive ones of each training motion."""
     windows: int = 1
-    """How often they are drawn from each motion of a batch."""
+    """Number of times that they are drawn from each motion of a batch."""
     vae_batch_size: int | None = None
     """Motions of each batch that the VAE's phase looks at; None for all."""
     kl_weight: float = 1e-6
     joint_weight: float = 10.0
-    """Of joints that follow from predicted rotations, against the recorded."""
+    """Weight of joints that follow from predicted rotations, against the recorded."""
     consistency_weight: float = 10.0
-    """Of predicted joints against those that follow from predicted rotations."""
+    """Weight of predicted joints against those that follow from predicted rotations."""
     vae_delta_weight: float = 100.0
-    """Of predicted deltas against differences of predictions: translation, orientation and joints each."""
+    """Weight of predicted deltas against differences of predictions: translation, orientation and joints each."""
     latent_weight: float = 1.0
     denoiser_delta_weight: float = 1e4
     text_drop: float = 0.1
@@ -64,31 +66,31 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def huber(predicted: Float[Tensor, "batch *values"], wanted: Float[Tensor, "batch *values"]) -> PerMotion:
-    """Mean of each motion's values."""
+    """Huber's loss with δ = 1, mean over each motion's values."""
     return functional.huber_loss(predicted, wanted, reduction="none").flatten(1).mean(dim=1)
 
 
 def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor, "batch 1 latent"]) -> PerMotion:
-    """From the standard normal distribution, mean over dimensions."""
+    """Divergence from the standard normal distribution, mean over dimensions."""
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).flatten(1).mean(dim=1)
 
 
 def body_losses(
     predicted: Frames, recorded: Frames, offsets: Float[Tensor, "batch 22 3"]
 ) -> tuple[PerMotion, PerMotion]:
-    """Of joints that follow from predicted rotations: against the recorded joints, and of the predicted against them.
+    """Compare the joints that follow from predicted rotations with the recorded and with the predicted joints.
 
     Args:
         predicted: Future frames.
         recorded: The same in the recording.
-        offsets: Bones of each motion (:func:`prbench_adapters.kinematics.skeleton.rest_offsets`).
+        offsets: Bones of each motion (:func:`prbench_adapters.kinematics.rest_offsets`).
     """
     moved = forward_kinematics(predicted.rotations(), predicted.translation, offsets[:, None])
     return huber(moved, recorded.joints), huber(predicted.joints, moved)
 
 
 def delta_loss(predicted: Frames, history: Frames) -> PerMotion:
-    """Of deltas against the differences that they announce, from the last frame of the history on; sum of three.
+    """Compare deltas with the differences that they announce, from the last frame of the history on; sum of three.
 
     Args:
         predicted: Future frames.
@@ -129,3 +131,39 @@ class Totals:
         parts = {name: total / count for name, total in self.sums.items()}
         loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
         return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Phase and progress of a training at one call."""
+
+    vae: bool
+    """True while the VAE is trained, False while the denoiser is."""
+    progress: float
+    """Share of the phase that is over, from 0 to 1."""
+    feedback: float
+    """Probability that a primitive starts from the end of what was predicted before it."""
+
+
+def moment_of(step: int, calls: int, objective: Objective) -> Moment:
+    """Return the phase and progress of a training at one call.
+
+    Args:
+        step: Counts the calls of the whole training from 0.
+        calls: How many there are.
+        objective: Shares of the phases, and of their stages.
+    """
+    of_vae = round(objective.vae_share * calls)
+    if step < of_vae:
+        progress = step / of_vae
+        return Moment(True, progress, feedback(progress, objective.vae_stages))
+    progress = min(1.0, (step - of_vae) / max(1, calls - of_vae))
+    return Moment(False, progress, feedback(progress, objective.denoiser_stages))
+
+
+def feedback(progress: float, stages: Shares) -> float:
+    """Probability of starting from one's own prediction: 0 in the first stage, 1 in the last, rising in between."""
+    recorded, rising, _ = stages
+    if progress < recorded:
+        return 0.0
+    return min(1.0, (progress - recorded) / rising) if rising else 1.0

@@ -14,9 +14,8 @@ from prbench.training.weights import Weights, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.diffusion.model import torch_device
-from prbench_adapters.diffusion.schedule import CosineSchedule
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import TextVectors, torch_device
+from prbench_adapters.diffusion.sampling import CosineSchedule
 
 KIND = "dart"
 REPRESENTATION = f"dart-{N_FEATURES}/fitted"
@@ -35,11 +34,11 @@ class FeatureScaling:
         self.mean, self.std = mean, std
 
     def standardised(self, frames: Frames) -> Float[Tensor, "batch frames 276"]:
-        """What the networks see."""
+        """Standardise frames, as the networks see them."""
         return (frames.pack() - self.mean) / self.std
 
     def frames(self, standardised: Float[Tensor, "batch frames 276"]) -> Frames:
-        """What the networks mean."""
+        """Restore frames from what the networks put out."""
         return Frames.unpack(standardised * self.std + self.mean)
 
 
@@ -95,7 +94,8 @@ class DartModel:
         where = torch_device(device)
         weights = read_weights(path, kind=KIND)
         configuration = weights.configuration(DartConfiguration)
-        vae, denoiser = PrimitiveVAE(configuration), LatentDenoiser(configuration)
+        vae = PrimitiveVAE(configuration)
+        denoiser = LatentDenoiser(configuration)
         weights.load_into(vae, "vae")
         weights.load_into(denoiser, "denoiser")
         return cls(

@@ -17,7 +17,7 @@ _LARGEST_LOG_VARIANCE = 10.0
 _SPREAD = 0.02  # of learned tokens and positions before the first step
 
 
-class SkipTransformer(nn.Module):
+class _SkipTransformer(nn.Module):
     """A transformer encoder whose later layers also see what the earlier ones gave, as in a U-Net."""
 
     def __init__(self, width: int, heads: int, feed_forward: int, layers: int, dropout: float) -> None:
@@ -56,11 +56,11 @@ class PrimitiveVAE(nn.Module):
         self.frame_embedding = nn.Linear(N_FEATURES, width)
         self.distribution_tokens = nn.Parameter(torch.randn(2, width) * _SPREAD)
         self.encoder_positions = nn.Parameter(torch.randn(2 + frames, width) * _SPREAD)
-        self.encoder = SkipTransformer(*sizes, configuration.dropout)
+        self.encoder = _SkipTransformer(*sizes, configuration.dropout)
         self.encoder_head = nn.Linear(width, configuration.latent)
         self.latent_embedding = nn.Linear(configuration.latent, width)
         self.decoder_positions = nn.Parameter(torch.randn(1 + frames, width) * _SPREAD)
-        self.decoder = SkipTransformer(*sizes, configuration.dropout)
+        self.decoder = _SkipTransformer(*sizes, configuration.dropout)
         self.decoder_head = nn.Linear(width, N_FEATURES)
 
     def encode(

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from prbench.skeleton import Joint
-from prbench_adapters.dart.settings import DartSettings, GradientNorm
+from prbench_adapters.dart.configuration import DartSettings, GradientNorm
 from prbench_adapters.diffusion.noise_optimisation.objective import (
     Targets,
     chosen_wrist,
@@ -31,13 +31,13 @@ _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
 
 @dataclass(frozen=True)
 class Optimised:
-    """What an optimisation found."""
+    """Result of an optimisation."""
 
     noise: Noise
     joints: Joints
-    """Of the final noise."""
+    """Joints of the final noise."""
     losses: Float[Tensor, "iterations batch"]
-    """Of each iterate before its step."""
+    """Loss of each iterate before its step."""
 
 
 def optimise(
@@ -93,12 +93,12 @@ def goal_loss(
     if settings.jerk_weight or settings.floor_weight:
         whole = torch.cat((targets.previous_joints[:, None], joints), dim=1)
         loss = loss + settings.jerk_weight * largest_jerk(whole, n_frames + 1)
-        loss = loss + settings.floor_weight * depth_below_floor(whole, n_frames + 1)
+        loss = loss + settings.floor_weight * _depth_below_floor(whole, n_frames + 1)
     return loss
 
 
-def depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
-    """How far the lowest of ankles and toes is below that of frame 0, metres; mean over each sequence's frames."""
+def _depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
+    """Measure how far the lowest of ankles and toes is below that of frame 0, metres; mean over the frames."""
     lowest = joints[:, :, _FEET, 1].amin(dim=2)
     below = (lowest[:, :1] - lowest).clamp_min(0.0)
     inside = torch.arange(joints.shape[1], device=joints.device) < n_frames[:, None]

@@ -15,7 +15,7 @@ from prbench_adapters.dart.frames import Frames, Placement
 from prbench_adapters.dart.model import DartModel
 
 SampleLatent = Callable[[int, Float[Tensor, "batch history 276"]], Float[Tensor, "batch 1 latent"]]
-"""From the number of a primitive and its history, standardised, to its clean latent, divided by the latents' std."""
+"""Maps number and standardised history of a primitive to its clean latent, divided by the latents' std."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Primitive:
     features: Float[Tensor, "batch future 276"]
     """Standardised, likewise."""
     placement: Placement
-    """Of its frame of reference in the world."""
+    """Placement of its frame of reference in the world."""
     joints: Float[Tensor, "batch future 22 3"]
-    """Of the future frames, in the world, metres."""
+    """Joints of the future frames, in the world, metres."""
 
 
 def first_history(
@@ -82,7 +82,8 @@ def roll_out(
         future = model.scaling.frames(features)
         done.append(Primitive(history, latent, features, placement, placement.points(future.joints)))
         frames, inner = next_history(future)
-        history, placement = model.scaling.standardised(frames), placement.then(inner)
+        history = model.scaling.standardised(frames)
+        placement = placement.then(inner)
     return done
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import UsageError
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.losses import Objective
@@ -16,10 +15,10 @@ from prbench_adapters.dart.model import KIND, scaling_of
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
 from prbench_adapters.dart.training import DartTraining
 from prbench_adapters.dart.windows import feature_scaling
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import TextVectors
 
 FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 class DartTask:
@@ -60,7 +59,8 @@ class DartTask:
         start = read_weights(initial, kind=KIND) if initial is not None else None
         if objective.vae_share == 0 and start is None:
             raise UsageError("model.vae_share: 0 keeps the VAE of initial weights; give some with --init.")
-        vae, denoiser = PrimitiveVAE(configuration), LatentDenoiser(configuration)
+        vae = PrimitiveVAE(configuration)
+        denoiser = LatentDenoiser(configuration)
         if start is not None:
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(vae, "vae")

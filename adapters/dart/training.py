@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
@@ -17,20 +16,27 @@ from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench.training import MotionBatch, SequenceDataset
 from prbench.training.task import TrainingModule
+from prbench.training.weights import weights_header
 from prbench_adapters.dart.adapter import DartControl
-from prbench_adapters.dart.configuration import HISTORY_FRAMES
+from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartSettings
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.losses import Objective, Totals, body_losses, delta_loss, divergence, huber
+from prbench_adapters.dart.losses import (
+    Moment,
+    Objective,
+    Totals,
+    body_losses,
+    delta_loss,
+    divergence,
+    huber,
+    moment_of,
+)
 from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, FeatureScaling, pooled_texts
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.dart.phases import Moment, moment_of
 from prbench_adapters.dart.rollout import next_history
-from prbench_adapters.dart.settings import DartSettings
 from prbench_adapters.dart.windows import Window, drawn_starts, primitives_of, window
-from prbench_adapters.diffusion.sampling import sample_ddpm
-from prbench_adapters.diffusion.schedule import CosineSchedule
-from prbench_adapters.diffusion.text_vectors import TextVectors
-from prbench_adapters.kinematics.skeleton import rest_offsets
+from prbench_adapters.diffusion.model import TextVectors
+from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddpm
+from prbench_adapters.kinematics import rest_offsets
 
 _MEASURED_MOTIONS = 512
 
@@ -93,7 +99,8 @@ class DartTraining(TrainingModule):
             ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.losses.PARTS`).
         """
         _require_one_process()
-        moment, generator = self.moment(step), self.generator(step)
+        moment = self.moment(step)
+        generator = self.generator(step)
         rows = self._rows(len(batch), moment)
         cut = self._windows(batch, rows, generator)
         if moment.vae:
@@ -104,7 +111,7 @@ class DartTraining(TrainingModule):
             return self._train_denoiser(cut, texts, moment, generator)
 
     def moment(self, step: int) -> Moment:
-        """Where a call is; a validation is in the phase of the training around it, without feedback."""
+        """Return the phase of a call; a validation is in that of the training around it, without feedback."""
         if step < 0:
             return Moment(not self._measured(), 0.0, 0.0)
         return moment_of(step, self.calls, self.objective)
@@ -114,7 +121,7 @@ class DartTraining(TrainingModule):
         return max(0.0, 1.0 - self.moment(step).progress)
 
     def _rows(self, motions: int, moment: Moment) -> Int[Tensor, " windows"]:
-        """Which motion of a batch each window is cut out of."""
+        """Number the motion of the batch that each window is cut out of."""
         most = self.objective.vae_batch_size if moment.vae else None
         return torch.arange(min(motions, most or motions)).repeat_interleave(self.objective.windows)
 
@@ -231,7 +238,8 @@ class DartTraining(TrainingModule):
         """Measure the latents' standard deviation, one number for all dimensions, when the denoiser's phase begins."""
         if self._measured():
             return
-        n, few = len(self.data), min(len(self.data), _MEASURED_MOTIONS)
+        n = len(self.data)
+        few = min(len(self.data), _MEASURED_MOTIONS)
         places = [place * n // few for place in range(few)]
         self.vae.eval()
         latents = []
@@ -254,11 +262,7 @@ class DartTraining(TrainingModule):
         tensors = {f"vae.{name}": tensor for name, tensor in self.vae.state_dict().items()}
         tensors |= {f"denoiser.{name}": tensor for name, tensor in self.denoiser.state_dict().items()}
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std, "latent.std": self.latent_std}
-        metadata = {
-            "kind": KIND,
-            "configuration": msgspec.json.encode(self.configuration).decode(),
-            "representation": REPRESENTATION,
-        }
+        metadata = weights_header(KIND, self.configuration, REPRESENTATION)
         return tensors, metadata
 
     def adapter(self, device: str) -> Adapter | None:
@@ -273,10 +277,6 @@ class DartTraining(TrainingModule):
             texts=self.texts,
         )
         return DartControl(model, Path("the networks in training"), DartSettings())
-
-    def learned_from(self) -> tuple[str, ...]:
-        """The initial weights and the text encoder."""
-        return self.origin
 
     def gradient_groups(self) -> tuple[tuple[nn.Parameter, ...], ...]:
         """Each network's gradient is clipped by its own norm."""

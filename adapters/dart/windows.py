@@ -14,10 +14,10 @@ from prbench.training import MotionBatch, SequenceDataset, collate
 from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.model import FeatureScaling
-from prbench_adapters.kinematics.worlds import DART
+from prbench_adapters.kinematics import DART
 
 _STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
-"""Of positions and rotations, their deltas, joints, theirs: bones that never turn must not be blown up (the original
+"""Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original
 divided 12 such features of a user's data by zero)."""
 _ITEMS_AT_ONCE = 64
 
@@ -29,10 +29,10 @@ class Window:
     frames: Frames
     """All of them, in the motions' own worlds with Z up; primitive k has the frames k·F to k·F + H + F."""
     valid: Bool[Tensor, "batch primitives"]
-    """Which primitives lie inside their motion, the step that leads on from their last frame included."""
+    """True for primitives that lie inside their motion, the step that leads on from their last frame included."""
 
     def primitive(self, number: int, future_frames: int) -> Frames:
-        """One of them, in its own frame of reference."""
+        """Cut out one primitive, in its own frame of reference."""
         start = number * future_frames
         return self.frames.part(start, start + HISTORY_FRAMES + future_frames).canonical()[0]
 
@@ -78,7 +78,9 @@ def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> 
     Raises:
         UsageError: if no motion is long enough for a primitive.
     """
-    total, squares, count = torch.zeros(N_FEATURES).double(), torch.zeros(N_FEATURES).double(), 0
+    total = torch.zeros(N_FEATURES).double()
+    squares = torch.zeros(N_FEATURES).double()
+    count = 0
     for features in _all_primitives(data, configuration):
         total += features.double().sum(dim=0)
         squares += features.double().square().sum(dim=0)

@@ -59,17 +59,26 @@ def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -
     return bundled_weights(weights.name, folder)
 
 
-def require_default(method: str, default: str, folder: Path) -> None:
-    """Say how to get weights where a method's default is not among those that come with this version.
+def own_weights(method: str, weights: Path | None) -> Path:
+    """The weights file that is meant, for a method that runs on none but its own.
+
+    Args:
+        method: Its name. The folder ``weights`` beside its code holds those that come with it; ``<method>-small`` is
+            the default.
+        weights: As for :func:`resolve`.
 
     Raises:
-        AdapterError: with the command that trains some.
+        AdapterError: if nothing of that kind is there; where this version comes without the default, with the command
+            that trains some.
     """
-    if default not in bundled_names(folder):
+    folder = Path(str(files("prbench_adapters"))) / method / "weights"
+    default = f"{method}-small"
+    if weights is None and default not in bundled_names(folder):
         raise AdapterError(
             f"{method}: no weights come with this version of prbench. Train some (`prbench train --method {method}"
             " --config small --data …`) and give --weights."
         )
+    return resolve(weights, default, folder=folder)
 
 
 def _only_file(folder: Path) -> Path:
@@ -87,5 +96,5 @@ def _files(folder: Path | None) -> dict[str, Path]:
 
 
 def _folders() -> list[Path]:
-    """Where the methods that come with prbench keep theirs: in the folder ``weights`` beside their code."""
+    """List the folders ``weights`` beside the code of the methods that come with prbench."""
     return sorted(Path(str(files("prbench_adapters"))).glob("*/weights"))

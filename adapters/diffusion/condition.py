@@ -1,4 +1,10 @@
-"""Conditions as a denoiser takes them: encoded text, and the vector of initial state and goal."""
+"""Conditions as a denoiser takes them: encoded text, and the vector p of initial pose, initial velocity and goal.
+
+docs/specification/pr-model.md#task-and-conditions and docs/specification/pr-model.md#network (*Prime and Reach*,
+section 4.1). Everything is given in the canonical frame of the first pose, in metres; velocities are in metres per
+second. :attr:`~prbench_adapters.diffusion.configuration.DenoiserConfiguration.condition_parts` tells where each part
+stands in the vector.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +14,13 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float
 
+from prbench.contract import ConditionBatch
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+
 
 @dataclass(frozen=True)
 class EncodedCondition:
-    """What B motions are conditioned on."""
+    """Conditions of B motions."""
 
     text: Float[torch.Tensor, "batch tokens dimension"]
     """Vectors of the frozen text encoder, one per word piece."""
@@ -44,6 +53,80 @@ class EncodedCondition:
         return EncodedCondition(torch.cat([self.text, other.text]), torch.cat([self.padding, other.padding]), vector)
 
     def to(self, device: torch.device | str) -> EncodedCondition:
-        """The same on another device."""
+        """Move the conditions to another device."""
         vector = None if self.vector is None else self.vector.to(device)
         return EncodedCondition(self.text.to(device), self.padding.to(device), vector)
+
+
+def raw_condition(
+    initial_joints: Float[torch.Tensor, "batch 22 3"],
+    previous_joints: Float[torch.Tensor, "batch 22 3"],
+    goal: Float[torch.Tensor, "batch 22 3"] | Float[torch.Tensor, "batch 3"],
+    fps: float,
+) -> Float[torch.Tensor, "batch size"]:
+    """Initial pose (m), initial velocity (m/s) and goal (m) of each sequence, flattened and joined, unscaled.
+
+    Args:
+        initial_joints: The first frame, canonical, metres.
+        previous_joints: The frame before it, same frame.
+        goal: The last frame, or the location to reach.
+        fps: Frames per second.
+    """
+    velocity = (initial_joints - previous_joints) * fps
+    return torch.cat([part.flatten(1) for part in (initial_joints, velocity, goal)], dim=1).float()
+
+
+def raw_condition_of(
+    batch: ConditionBatch, configuration: DenoiserConfiguration
+) -> Float[torch.Tensor, "batch size"] | None:
+    """:func:`raw_condition` of what a method is given; None for a model without a goal.
+
+    Raises:
+        ValueError: if the batch holds no goal of the model's kind.
+    """
+    if configuration.goal == "none":
+        return None
+    target = batch.goal_joints if configuration.goal == "pose" else batch.goal_location
+    if target is None or batch.initial_joints is None or batch.previous_joints is None:
+        raise ValueError(f"a model of goals of kind '{configuration.goal}' cannot use '{batch.condition.value}'")
+    initial, previous, goal = (
+        torch.as_tensor(part, dtype=torch.float32) for part in (batch.initial_joints, batch.previous_joints, target)
+    )
+    return raw_condition(initial, previous, goal, batch.fps)
+
+
+@dataclass(frozen=True)
+class ConditionScaling:
+    """Scales a raw vector for the network: ``(raw - mean) / std``, dropped conditions zero."""
+
+    mean: Float[torch.Tensor, " size"]
+    std: Float[torch.Tensor, " size"]
+    kept: Float[torch.Tensor, " size"]
+    """0 for conditions that the model never sees, in training and test alike (table 3), else 1."""
+
+    @classmethod
+    def of(
+        cls,
+        configuration: DenoiserConfiguration,
+        mean: Float[torch.Tensor, " size"],
+        std: Float[torch.Tensor, " size"],
+    ) -> ConditionScaling:
+        """Scale by the statistics of a training split, or by none if the configuration says so.
+
+        ``condition_scaling = "none"`` is the literal reading of the study: metres, and metres per frame for the
+        velocity (docs/specification/pr-model.md#gaps-in-the-study, gap 8).
+        """
+        parts, kept = configuration.condition_parts, torch.ones_like(mean)
+        if configuration.condition_scaling == "none":
+            mean = torch.zeros_like(mean)
+            std = torch.ones_like(std)
+            std[parts["initial_velocity"]] = configuration.fps
+        for name, part in parts.items():
+            if name in configuration.dropped:
+                kept[part] = 0.0
+        return cls(mean, std, kept)
+
+    def __call__(self, raw: Float[torch.Tensor, "batch size"]) -> Float[torch.Tensor, "batch size"]:
+        """Scale a batch, on its own device."""
+        mean, std, kept = (values.to(raw.device) for values in (self.mean, self.std, self.kept))
+        return (raw - mean) / std * kept

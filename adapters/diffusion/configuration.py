@@ -1,4 +1,4 @@
-"""What a denoiser is made of: one frozen record, stored as JSON beside its weights."""
+"""Architecture of a denoiser: one frozen record, stored as JSON beside its weights."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     fps: float = 20.0
     max_frames: int = 241
     time_in_frames: bool = False
-    """Whether the time token is also put in front of the frames of a decoder.
+    """Put the time token also in front of the frames of a decoder.
 
     Source: docs/specification/mdm.md#network.
     """
     uniform_skeleton: bool = False
-    """Whether the features are those of bodies rescaled to HumanML3D's skeleton.
+    """True if the features are those of bodies rescaled to HumanML3D's skeleton.
 
     Source: docs/specification/pr-model.md#data-and-features.
     """
@@ -79,7 +79,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 
     @property
     def condition_parts(self) -> dict[ConditionPart, slice]:
-        """Where the initial pose, the initial velocity and the goal stand in the condition vector."""
+        """Places of the initial pose, the initial velocity and the goal in the condition vector."""
         if self.goal == "none":
             return {}
         return {

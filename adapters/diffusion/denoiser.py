@@ -1,22 +1,69 @@
-"""The x0-predicting transformer shared by MDM, DNO and P&R.
+"""The x0-predicting transformer shared by MDM, DNO and P&R, and the two ways in which conditions enter it.
 
-Sources: docs/specification/mdm.md#network, docs/specification/pr-model.md#network.
+Sources: docs/specification/mdm.md#network, docs/specification/pr-model.md#network; *Prime and Reach*, sections 4.1
+and D.3, equation 8. Both ways start at zero, so that fine-tuning starts at the output of the pre-trained model.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor, nn, softmax, stack
 
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.injection import Addition, CrossAttentionInjection
 from prbench_adapters.diffusion.layers import CrossAttention, KeysValues, TransformerLayer, sinusoid_table
+
+
+class _Addition(nn.Module):
+    """z̃ = z + Linear(p), the same for every memory token."""
+
+    def __init__(self, configuration: DenoiserConfiguration) -> None:
+        super().__init__()
+        self.projection = nn.Linear(configuration.condition_size, configuration.width)
+        nn.init.zeros_(self.projection.weight)
+        nn.init.zeros_(self.projection.bias)
+
+    def forward(
+        self, tokens: Float[Tensor, "batch tokens width"], vector: Float[Tensor, "batch size"]
+    ) -> Float[Tensor, "batch tokens width"]:
+        """Add the projected vector to every token."""
+        return tokens + self.projection(vector)[:, None]
+
+
+class _CrossAttentionInjection(nn.Module):
+    """z̃ = z + softmax(z W_Q (P W_K)ᵀ / √d) P W_V with three condition tokens P: pose, velocity and goal.
+
+    With one token the softmax would be over one element and this would be an addition
+    (docs/specification/pr-model.md#network); so each part of the vector has a linear layer of its own.
+    """
+
+    def __init__(self, configuration: DenoiserConfiguration) -> None:
+        super().__init__()
+        width = configuration.width
+        self.parts = tuple(configuration.condition_parts.values())
+        self.embeddings = nn.ModuleDict(
+            {name: nn.Linear(part.stop - part.start, width) for name, part in configuration.condition_parts.items()}
+        )
+        self.query = nn.Linear(width, width, bias=False)
+        self.key = nn.Linear(width, width, bias=False)
+        self.value = nn.Linear(width, width, bias=False)
+        nn.init.zeros_(self.value.weight)
+
+    def forward(
+        self, tokens: Float[Tensor, "batch tokens width"], vector: Float[Tensor, "batch size"]
+    ) -> Float[Tensor, "batch tokens width"]:
+        """Let every token look at the three parts of the vector."""
+        parts = stack(
+            [layer(vector[:, part]) for layer, part in zip(self.embeddings.values(), self.parts, strict=True)], dim=1
+        )
+        scores = self.query(tokens) @ self.key(parts).transpose(1, 2) / math.sqrt(tokens.shape[-1])
+        return tokens + softmax(scores, dim=-1) @ self.value(parts)
 
 
 @dataclass(frozen=True)
@@ -28,7 +75,7 @@ class PreparedCondition:
     layers: tuple[KeysValues | Tensor | None, ...]
     """Per layer: keys and values of the memory; the constant of a single memory token; None in an encoder."""
     visible: Bool[Tensor, "batch 1 1 tokens"] | None
-    """Which memory tokens may be attended to; None for all of them."""
+    """True for memory tokens that may be attended to; None for all of them."""
 
 
 class Denoiser(nn.Module):
@@ -45,7 +92,7 @@ class Denoiser(nn.Module):
         self.frame_embedding = nn.Linear(N_FEATURES * configuration.frames_per_token, width)
         self.time_embedding = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.text_embedding = nn.Linear(configuration.text_dimension, width)
-        injections = {"addition": Addition, "cross-attention": CrossAttentionInjection}
+        injections = {"addition": _Addition, "cross-attention": _CrossAttentionInjection}
         self.condition = injections[configuration.injection](configuration) if configuration.condition_size else None
         self.dropout = nn.Dropout(configuration.dropout)
         self.layers = nn.ModuleList(
@@ -125,7 +172,7 @@ class Denoiser(nn.Module):
         attentions = [cast(CrossAttention, layer.cross_attention) for layer in self.layers]
         if memory.shape[1] == 1 and not self.training:
             return PreparedCondition(front, tuple(attention.of_one_token(memory) for attention in attentions), None)
-        visible = None if memory.shape[1] == 1 else token_mask(condition.padding)
+        visible = None if memory.shape[1] == 1 else _token_mask(condition.padding)
         return PreparedCondition(front, tuple(attention.keys_values(memory) for attention in attentions), visible)
 
     def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch tokens width"]:
@@ -159,7 +206,7 @@ def frame_mask(
     return torch.arange(frames, device=device) < n_frames.to(device, non_blocking=True)[:, None]
 
 
-def token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
+def _token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
     """True for word pieces that may be attended to, among them the first of each row; None as in :func:`frame_mask`."""
     if padding.device.type == "cpu" and not bool(padding[:, 1:].any()):
         return None

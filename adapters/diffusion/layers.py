@@ -16,7 +16,7 @@ KeysValues = tuple[Tensor, Tensor]
 """Keys and values of one layer's cross-attention, each (batch, heads, tokens, width / heads)."""
 
 
-class SelfAttention(nn.Module):
+class _SelfAttention(nn.Module):
     """Multi-head attention of a stream to itself."""
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
@@ -46,7 +46,7 @@ class CrossAttention(nn.Module):
         _reset(self.query, self.key_value, self.output)
 
     def keys_values(self, memory: Float[Tensor, "batch tokens width"]) -> KeysValues:
-        """What the memory tokens contribute, whatever the stream."""
+        """Compute the contribution of the memory tokens, whatever the stream."""
         key, value = _split_heads(self.key_value(memory), 2, self.heads)
         return key, value
 
@@ -67,7 +67,7 @@ class CrossAttention(nn.Module):
         return self.output(_attend(query, *keys_values, visible, self.dropout if self.training else 0.0))
 
 
-class FeedForward(nn.Module):
+class _FeedForward(nn.Module):
     """Two linear layers with an exact GELU between them."""
 
     def __init__(self, width: int, hidden: int, dropout: float) -> None:
@@ -86,12 +86,12 @@ class TransformerLayer(nn.Module):
 
     def __init__(self, width: int, heads: int, feed_forward: int, dropout: float, *, cross_attention: bool) -> None:
         super().__init__()
-        self.self_attention = SelfAttention(width, heads, dropout)
+        self.self_attention = _SelfAttention(width, heads, dropout)
         self.self_attention_norm = nn.LayerNorm(width, eps=1e-5)
         if cross_attention:
             self.cross_attention = CrossAttention(width, heads, dropout)
             self.cross_attention_norm = nn.LayerNorm(width, eps=1e-5)
-        self.feed_forward = FeedForward(width, feed_forward, dropout)
+        self.feed_forward = _FeedForward(width, feed_forward, dropout)
         self.feed_forward_norm = nn.LayerNorm(width, eps=1e-5)
         self.dropout = nn.Dropout(dropout)
 
@@ -145,7 +145,7 @@ def _attend(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, d
 
 
 def _attend_written_out(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, dropout: float) -> Tensor:
-    """The same, step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long."""
+    """Attend step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long."""
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
     if visible is not None:
         scores = scores.masked_fill(~visible, -math.inf)

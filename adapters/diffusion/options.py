@@ -59,7 +59,7 @@ def whole_number(options: Mapping[str, str], key: str, *, most: int) -> int | No
 
 
 def choice(options: Mapping[str, str], key: str, values: tuple[str, ...]) -> str:
-    """One of ``values``; the first if the option is not given.
+    """Return one of ``values``; the first if the option is not given.
 
     Raises:
         ValueError: naming the option.

@@ -12,21 +12,18 @@ import torch
 from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench.representation.features import N_FEATURES
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
-from prbench_adapters.diffusion.condition_vector import ConditionScaling
+from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.losses import Objective
-from prbench_adapters.diffusion.model import KIND, MotionModel
-from prbench_adapters.diffusion.text_vectors import TextVectors
-from prbench_adapters.diffusion.training import DiffusionTraining
+from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors
+from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
 )
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ class DiffusionTask:
         start = read_weights(initial, kind=KIND) if initial is not None else None
         denoiser = Denoiser(configuration)
         if start is not None:
-            continue_from(denoiser, start)
+            _continue_from(denoiser, start)
         return DiffusionTraining(
             denoiser,
             statistics=_statistics(start, data),
@@ -101,7 +98,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, O
     return split_model_table(model, DenoiserConfiguration, Objective)
 
 
-def continue_from(denoiser: Denoiser, start: Weights) -> None:
+def _continue_from(denoiser: Denoiser, start: Weights) -> None:
     """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start.
 
     Raises:
@@ -141,8 +138,10 @@ def _scaling(
     if configuration.goal == "none":
         return None
     found = data.train.condition_statistics(configuration.goal)  # refuses data without goals, whatever we start from
-    mean, std = torch.as_tensor(found.mean), torch.as_tensor(found.std)
+    mean = torch.as_tensor(found.mean)
+    std = torch.as_tensor(found.std)
     if start is not None and start.part("condition"):
         size = (configuration.condition_size,)
-        mean, std = start.require("condition.mean", size), start.require("condition.std", size)
+        mean = start.require("condition.mean", size)
+        std = start.require("condition.std", size)
     return ConditionScaling.of(configuration, mean, std)

@@ -1,6 +1,9 @@
-"""Training of denoisers: on text alone, or on text, initial state and goal.
+"""Training of denoisers, on text alone or on text, initial state and goal, and what it minimises.
 
-Source: docs/specification/pr-model.md#training.
+Source: docs/specification/pr-model.md#training (*Prime and Reach*, section 4.2: L + L_joint).
+
+Minimised are squared errors of features and of joints over the valid frames. Both sums are divided by 263 x valid
+frames, which keeps the study's ratio between them and MDM's scale.
 """
 
 from __future__ import annotations
@@ -8,33 +11,109 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
 
 from prbench.contract import Adapter
+from prbench.representation.features import N_FEATURES
 from prbench.representation.tensors import decode
+from prbench.skeleton import BONES
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
-from prbench.training.weights import representation_entry
-from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.condition_vector import ConditionScaling, raw_condition
+from prbench.training.weights import representation_entry, weights_header
+from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.losses import Objective, losses
-from prbench_adapters.diffusion.model import KIND, MotionModel
-from prbench_adapters.diffusion.schedule import CosineSchedule
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors
+from prbench_adapters.diffusion.sampling import CosineSchedule
+
+_PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
+
+
+class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The losses, which diffusion steps are trained, and how often the text is hidden."""
+
+    joint_loss_weight: float = 1.0
+    """Weight of L_joint in square metres; 0 trains on features alone (table S5)."""
+    velocity_loss_weight: float = 0.0
+    """Weight of the squared error of joint displacements between neighbouring frames, m²; not in the study."""
+    bone_loss_weight: float = 0.0
+    """Weight of the squared error of the 21 bone vectors, m²; not in the study. It teaches small models to keep
+    lengths, and where the head points."""
+    noisiest_share: float = 0.0
+    """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
+    the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
+    text_drop: float = 0.2
+    """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
+    loss_average: Literal["frames", "sequences"] = "frames"
+    """Average a batch over its frames (P&R) or over its sequences.
+
+    Source: docs/specification/mdm.md#training.
+    """
+
+
+def losses(
+    objective: Objective,
+    predicted: Float[torch.Tensor, "batch frames features"],
+    clean: Float[torch.Tensor, "batch frames features"],
+    predicted_joints: Float[torch.Tensor, "batch frames 22 3"],
+    joints: Float[torch.Tensor, "batch frames 22 3"],
+    padding: Bool[torch.Tensor, "batch frames"],
+) -> dict[str, torch.Tensor]:
+    """The weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
+
+    Args:
+        objective: The weights.
+        predicted: The network's clean features, standardised.
+        clean: The recorded ones.
+        predicted_joints: Decoded from the prediction, metres.
+        joints: The recorded ones, same frame.
+        padding: True where there is no frame; whatever stands there leaves no trace.
+    """
+    valid = ~padding
+    error = predicted_joints - joints
+    parts = {
+        "features": _average(objective, _squared(predicted - clean, valid), valid),
+        "joints": _average(objective, _squared(error, valid), valid),
+        "velocities": _average(objective, _squared(error.diff(dim=1), valid[:, 1:]), valid),
+        "bones": _average(objective, _squared(error[:, :, _CHILDREN] - error[:, :, _PARENTS], valid), valid),
+    }
+    total = (
+        parts["features"]
+        + objective.joint_loss_weight * parts["joints"]
+        + objective.velocity_loss_weight * parts["velocities"]
+        + objective.bone_loss_weight * parts["bones"]
+    )
+    return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
+
+
+def _squared(
+    error: Float[torch.Tensor, "batch frames *value"], valid: Bool[torch.Tensor, "batch frames"]
+) -> Float[torch.Tensor, " batch"]:
+    """Sum of the squares of each sequence over its valid frames."""
+    per_frame = error.square().flatten(2).sum(dim=2)
+    return torch.where(valid, per_frame, 0.0).sum(dim=1)
+
+
+def _average(
+    objective: Objective, summed: Float[torch.Tensor, " batch"], valid: Bool[torch.Tensor, "batch frames"]
+) -> Float[torch.Tensor, ""]:
+    frames = valid.sum(dim=1)
+    if objective.loss_average == "sequences":
+        return (summed / (N_FEATURES * frames)).mean()
+    return summed.sum() / (N_FEATURES * frames.sum())
 
 
 @dataclass(frozen=True)
 class Draw:
-    """What is random in one training step."""
+    """Random numbers of one training step."""
 
     step: Int[torch.Tensor, " batch"]
     """Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise."""
     without_text: Bool[torch.Tensor, " batch"]
-    """Whose text is hidden, so that guidance has an unconditional model; the condition vector never is."""
+    """True where the text is hidden, so that guidance has an unconditional model; the condition vector never is."""
     noise: Float[torch.Tensor, "batch frames 263"]
 
 
@@ -83,7 +162,7 @@ class DiffusionTraining(TrainingModule):
         """The loss of one batch with noise of a random strength, and its parts.
 
         Returns:
-            ``loss`` and its parts (:func:`prbench_adapters.diffusion.losses.losses`).
+            ``loss`` and its parts (:func:`prbench_adapters.diffusion.training.losses`).
         """
         draw = self.draw(batch, step)
         padding = batch.padding
@@ -97,7 +176,7 @@ class DiffusionTraining(TrainingModule):
             return losses(self.objective, predicted, clean, joints, batch.joints, padding)
 
     def draw(self, batch: MotionBatch, step: int) -> Draw:
-        """What step ``step`` draws for a batch of this shape: a function of seed, step and rank."""
+        """Draw the random numbers of a step for a batch of this shape: a function of seed, step and rank."""
         generator, device = self.generator(step), batch.features.device
         n = len(batch.features)
         t = torch.randint(len(self.signal), (n,), generator=generator)
@@ -109,7 +188,7 @@ class DiffusionTraining(TrainingModule):
         return Draw(*(values.to(device, non_blocking=True) for values in (t, without_text, noise)))
 
     def condition(self, batch: MotionBatch, without_text: Bool[torch.Tensor, " batch"]) -> EncodedCondition:
-        """What the network is told about a batch: the text unless hidden, the scaled condition vector always."""
+        """Encode what the network is told about a batch: the text unless hidden, the scaled condition vector always."""
         device = batch.features.device
         text, padding = (values.to(device, non_blocking=True) for values in self.texts(batch.text))
         text = text.masked_fill(without_text[:, None, None], 0.0)
@@ -128,11 +207,7 @@ class DiffusionTraining(TrainingModule):
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std}
         if self.scaling is not None:
             tensors |= {"condition.mean": self.scaling.mean, "condition.std": self.scaling.std}
-        metadata = {
-            "kind": KIND,
-            "configuration": msgspec.json.encode(configuration).decode(),
-            "representation": representation_entry(configuration.representation),
-        }
+        metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
         return tensors, metadata
 
     def adapter(self, device: str) -> Adapter:
@@ -141,7 +216,3 @@ class DiffusionTraining(TrainingModule):
         return self.validating(
             MotionModel(network, mean=self.mean, std=self.std, scaling=self.scaling, texts=self.texts)
         )
-
-    def learned_from(self) -> tuple[str, ...]:
-        """The initial weights and the text encoder."""
-        return self.origin

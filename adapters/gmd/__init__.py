@@ -19,7 +19,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
 
 
 def training_task() -> TrainingTask:
-    """What ``prbench train --method gmd`` trains."""
-    from prbench_adapters.gmd.tasks import GMDTask
+    """Make the task that ``prbench train --method gmd`` trains."""
+    from prbench_adapters.gmd.training import GMDTask
 
     return GMDTask()

@@ -7,38 +7,38 @@ alone, by gradients through the networks and by imputation; the networks know te
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
-from prbench.contract import Condition, ConditionBatch, Motions
-from prbench_adapters.diffusion.goals import require_goals_within_reach
+import numpy as np
+import torch
+from jaxtyping import Float, Int
 
-if TYPE_CHECKING:
-    from prbench_adapters.gmd.goals import Keyframes
-    from prbench_adapters.gmd.model import GMDModel
-    from prbench_adapters.gmd.sampling import GoalLoss
-    from prbench_adapters.gmd.stages import GMDSettings, Imputation
+from prbench.contract import Condition, ConditionBatch, Cost, Motions
+from prbench.skeleton import N_JOINTS
+from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, on_own_bones, parts_of_similar_length
+from prbench_adapters.diffusion.bundled import own_weights
+from prbench_adapters.diffusion.generation import require_lengths
+from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
+from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
+from prbench_adapters.gmd.features import decode_absolute
+from prbench_adapters.gmd.model import GMDModel
+from prbench_adapters.gmd.sampling import Ends, GoalLoss, Keyframes
+from prbench_adapters.gmd.stages import GMDSettings, GuidedNetwork, Imputation, sample_motion, sample_trajectory
 
-NAME = "gmd"
-DEFAULT_WEIGHTS = "gmd-small"
 _OPTIONS = ("guidance", "goal-scale", "goal-loss", "imputation", "keyframes", "steps", "clamp", "bones", "text-path")
+_LARGEST_PART = {"cpu": 16}  # sequences in one pass; their activations are kept for the gradient
+_LARGEST_PART_ELSEWHERE = 64
 
 
-class GMD:
+class GMD(SingleModelMethod):
     """Brings the pelvis to where the goal pose has it, or with ``keyframes="pose"`` the whole body."""
 
-    name = NAME
+    name = "gmd"
     conditions = frozenset({Condition.GOAL_POSE})
 
-    def __init__(self, model: GMDModel, weights: Path, settings: GMDSettings) -> None:
-        self.model, self.weights, self.settings = model, weights, settings
-        self.max_frames = model.configuration.max_frames
-        self.native_fps = model.configuration.fps
-
-    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model
-        """The weights file in use."""
-        return self.weights
+    model: GMDModel
+    settings: GMDSettings
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Sample one motion for each row.
@@ -46,8 +46,6 @@ class GMD:
         Raises:
             AdapterError: for a goal that no body can reach, or a sequence that is longer than the model knows.
         """
-        from prbench_adapters.gmd.generation import generate
-
         require_goals_within_reach(batch, adapter=self.name)
         return generate(self.model, batch, self.settings)
 
@@ -71,28 +69,13 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
         InputFileError: if the file is not one of GMD.
         ValueError: for options that are unknown or have impossible values.
     """
-    from prbench_adapters.diffusion.bundled import require_default, resolve
-    from prbench_adapters.diffusion.options import require_known
-    from prbench_adapters.gmd.model import GMDModel
-
     require_known(options, _OPTIONS)
-    folder = weights_folder()
-    if weights is None:
-        require_default(NAME, DEFAULT_WEIGHTS, folder)
-    path = resolve(weights, DEFAULT_WEIGHTS, folder=folder)
+    path = own_weights(GMD.name, weights)
     model = GMDModel.load(path, device, text_path=options.get("text-path"))
     return GMD(model, path, _settings(options, diffusion_steps=model.configuration.diffusion_steps))
 
 
-def weights_folder() -> Path:
-    """Where this method's bundled weights are."""
-    return Path(str(files("prbench_adapters.gmd.weights")))
-
-
 def _settings(options: Mapping[str, str], *, diffusion_steps: int) -> GMDSettings:
-    from prbench_adapters.diffusion.options import choice, number, whole_number
-    from prbench_adapters.gmd.stages import GMDSettings
-
     return GMDSettings(
         guidance=number(options, "guidance", GMDSettings.guidance),
         goal_scale=number(options, "goal-scale", GMDSettings.goal_scale),
@@ -103,3 +86,60 @@ def _settings(options: Mapping[str, str], *, diffusion_steps: int) -> GMDSetting
         clamp=number(options, "clamp", GMDSettings.clamp, least=1.0),
         bones="initial" if choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
     )
+
+
+def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> Motions:
+    """Sample one motion for each row, each from its own noise seed.
+
+    Rows of one padded length share passes; which ones changes a motion by rounding only.
+
+    Raises:
+        AdapterError: if a sequence is longer than the model knows.
+    """
+    require_lengths(batch, model.configuration.max_frames)
+    bodies = ModelBodies.of(batch, model.configuration)
+    joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
+    passes = 0
+    for rows in _parts(batch.n_frames, model):
+        own, spent = _sample(model, bodies.batch, rows, settings)
+        joints[rows, : own.shape[1]] = own
+        passes += spent
+    motions = Motions(bodies.own(joints), batch.n_frames, Cost(passes))
+    return on_own_bones(motions, batch) if settings.bones == "initial" else motions
+
+
+def _parts(n_frames: Int[np.ndarray, " batch"], model: GMDModel) -> list[Int[np.ndarray, " _"]]:
+    """Row numbers in parts of one padded length, which group normalisation sees, and of similar true length."""
+    largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
+    windows = np.array([model.configuration.window(int(n)) for n in n_frames])
+    parts = []
+    for window in np.unique(windows):
+        rows = np.flatnonzero(windows == window)
+        parts += [rows[part] for part in parts_of_similar_length(n_frames[rows], largest)]
+    return parts
+
+
+def _sample(
+    model: GMDModel, batch: ConditionBatch, rows: Int[np.ndarray, " _"], settings: GMDSettings
+) -> tuple[Float[np.ndarray, "rows frames 22 3"], int]:
+    """Joints of some rows, and the network passes that they took."""
+    assert batch.initial_joints is not None
+    assert batch.goal_joints is not None
+    assert batch.text is not None
+    n_frames = torch.as_tensor(batch.n_frames[rows], device=model.device)
+    ends = Ends(_tensor(batch.initial_joints[rows], model), _tensor(batch.goal_joints[rows], model), n_frames)
+    noise = SequenceNoise([batch.noise_seed[row] for row in rows], batch.n_frames[rows], model.device)
+    text = model.encode(tuple(batch.text[row] for row in rows))
+    window = model.configuration.window(int(n_frames.max()))
+    trajectory_network, motion_network = (
+        GuidedNetwork(network, text, n_frames, window=window, scale=settings.guidance)
+        for network in (model.networks.trajectory, model.networks.motion)
+    )
+    keyframes = ends.root_keyframes()
+    trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
+    features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
+    return decode_absolute(features).cpu().numpy(), trajectory_network.passes + motion_network.passes
+
+
+def _tensor(values: np.ndarray, model: GMDModel) -> torch.Tensor:
+    return torch.as_tensor(values, dtype=torch.float32, device=model.device)

@@ -1,4 +1,4 @@
-"""What both networks of GMD are made of: one frozen record, stored as JSON beside their weights."""
+"""Architecture of both networks of GMD: one frozen record, stored as JSON beside their weights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 import msgspec
 
 GROUPS = 8
-"""Of every group normalisation; widths are multiples of it."""
+"""Groups of every group normalisation; widths are multiples of it."""
 
 
 class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -39,7 +39,7 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     padding_step: int = 8
     """Motions that are longer than ``padded_frames`` are padded to the next multiple of this."""
     uniform_skeleton: bool = False
-    """Whether the features are those of bodies rescaled to HumanML3D's skeleton.
+    """True if the features are those of bodies rescaled to HumanML3D's skeleton.
 
     Source: docs/specification/pr-model.md#data-and-features.
     """
@@ -65,7 +65,7 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     @property
     def stride(self) -> int:
-        """What the number of frames must be a multiple of, so that it can be halved between all levels."""
+        """Divisor of the number of frames that lets it be halved between all levels."""
         return 2 ** (max(len(self.motion_widths), len(self.trajectory_widths)) - 1)
 
     def window(self, n_frames: int) -> int:

@@ -27,7 +27,7 @@ N_POSE = JOINT_POSITIONS.stop
 """Columns that decide the joints of a frame: root and joint positions."""
 _EMPHASISED = 3
 _DRAW = 13
-"""Which draw of A: of the first forty the one that is best to invert, condition number 1108."""
+"""Number of the draw of A: of the first forty the one that is best to invert, condition number 1108."""
 
 
 def with_absolute_root(
@@ -36,7 +36,8 @@ def with_absolute_root(
     """Replace the steps of the root, columns 0 to 2, by where they lead from the origin."""
     steps = pad(features[..., :-1, : ROOT_XZ.stop].movedim(-1, 0), (1, 0))  # each frame's step from the one before
     half_turn = steps[0].cumsum(-1)
-    cos, sin = (2 * half_turn).cos(), (2 * half_turn).sin()
+    cos = (2 * half_turn).cos()
+    sin = (2 * half_turn).sin()
     x = (cos * steps[1] - sin * steps[2]).cumsum(-1)
     z = (sin * steps[1] + cos * steps[2]).cumsum(-1)
     return torch.cat((torch.stack((half_turn, x, z), -1), features[..., ROOT_HEIGHT.start :]), -1)
@@ -46,7 +47,8 @@ def decode_absolute(features: Float[Tensor, "*batch frames columns"]) -> Float[T
     """Joints of every row, from its first 67 columns alone; canonical frame, metres."""
     half_turn, root_x, root_z = features[..., : ROOT_XZ.stop].unbind(-1)
     pelvis = torch.stack((root_x, features[..., ROOT_HEIGHT.start], root_z), -1)
-    cos, sin = (2 * half_turn).cos()[..., None], (2 * half_turn).sin()[..., None]
+    cos = (2 * half_turn).cos()[..., None]
+    sin = (2 * half_turn).sin()[..., None]
     x, y, z = features[..., JOINT_POSITIONS].unflatten(-1, (21, 3)).unbind(-1)
     joints = torch.stack((cos * x - sin * z + root_x[..., None], y, sin * x + cos * z + root_z[..., None]), -1)
     return torch.cat((pelvis[..., None, :], joints), -2)
@@ -61,7 +63,8 @@ def pose_columns(joints: Float[Tensor, "batch 22 3"], half_turn: Float[Tensor, "
     """
     pelvis = joints[:, Joint.PELVIS]
     local = joints[:, 1:] - pelvis[:, None] * pelvis.new_tensor((1.0, 0.0, 1.0))
-    cos, sin = (2 * half_turn).cos()[:, None], (2 * half_turn).sin()[:, None]
+    cos = (2 * half_turn).cos()[:, None]
+    sin = (2 * half_turn).sin()[:, None]
     x, y, z = local.unbind(-1)
     turned = torch.stack((cos * x + sin * z, y, cos * z - sin * x), -1)
     return torch.cat((half_turn[:, None], pelvis[:, ::2], pelvis[:, 1:2], turned.flatten(1)), dim=1)
@@ -80,7 +83,7 @@ def half_turn_of(joints: Float[Tensor, "batch 22 3"]) -> Float[Tensor, " batch"]
 
 @dataclass(frozen=True)
 class FeatureSpace:
-    """Between raw features and what the networks see: statistics, projection and its inverse, always together."""
+    """Leads from raw features to what the networks see and back: statistics, projection and its inverse."""
 
     mean: Float[Tensor, " 263"]
     std: Float[Tensor, " 263"]
@@ -92,16 +95,16 @@ class FeatureSpace:
     def of(
         cls, mean: Float[Tensor, " 263"], std: Float[Tensor, " 263"], projection: Float[Tensor, "263 263"]
     ) -> FeatureSpace:
-        """With the inverse computed in float64, because A is badly conditioned."""
+        """Compute the inverse in float64, because A is badly conditioned."""
         inverse = torch.linalg.inv(projection.double().cpu()).to(projection)
         return cls(mean.to(projection), std.to(projection), projection, inverse)
 
     def to(self, device: torch.device | str) -> FeatureSpace:
-        """The same on a device."""
+        """Move the space to a device."""
         return FeatureSpace(*(part.to(device) for part in (self.mean, self.std, self.projection, self.inverse)))
 
     def standardised(self, raw: Float[Tensor, "*batch columns"]) -> Float[Tensor, "*batch columns"]:
-        """Of the first columns, as many as there are."""
+        """Standardise the first columns, as many as there are."""
         columns = raw.shape[-1]
         return (raw - self.mean[:columns]) / self.std[:columns]
 
@@ -111,7 +114,7 @@ class FeatureSpace:
         return standardised * self.std[:columns] + self.mean[:columns]
 
     def projected(self, standardised: Float[Tensor, "*batch 263"]) -> Float[Tensor, "*batch 263"]:
-        """What the motion network sees."""
+        """Project features, as the motion network sees them."""
         return standardised @ self.projection
 
     def unprojected(self, projected: Float[Tensor, "*batch 263"]) -> Float[Tensor, "*batch 263"]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from prbench.errors import PrbenchError
 
 if TYPE_CHECKING:
-    from prbench_adapters.gmd.public.weights import Imported
+    from prbench_adapters.gmd.public_weights import Imported
 
 _EXAMPLE = """\
 example, in a clone of the original's repository with both checkpoints unpacked in save/:
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parser().parse_args(arguments)
     try:
-        from prbench_adapters.gmd.public.weights import PublicFiles, import_public  # late: torch
+        from prbench_adapters.gmd.public_weights import PublicFiles, import_public  # late: torch
 
         mean, std = given.statistics
         files = PublicFiles(given.motion, given.trajectory, mean, std, given.projection)

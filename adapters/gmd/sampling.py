@@ -12,23 +12,25 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from prbench_adapters.diffusion.sampling import Denoise
-from prbench_adapters.diffusion.schedule import Chain
-from prbench_adapters.gmd.features import FeatureSpace
+from prbench.skeleton import Joint
+from prbench_adapters.diffusion.sampling import Chain, Denoise
+from prbench_adapters.gmd.features import N_POSE, ROOT_XZ, FeatureSpace, half_turn_of, pose_columns
 
 GoalLoss = Literal["absolute", "squared"]
 RowLoss = Callable[[Tensor], Tensor]
-"""From the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
+"""Maps the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
 MOST_DEVIATIONS = 6.0
-"""At which the original cuts the clean estimate of the trajectory, in standard deviations."""
+"""Limit at which the original cuts the clean estimate of the trajectory, in standard deviations."""
+Keyframes = Literal["root", "pose"]
+"""Part of the first and last frame that is imputed: the pelvis on the ground, or in stage 2 the whole pose."""
 
 
 @dataclass(frozen=True)
 class RootGoal:
-    """Where the pelvis is wanted: canonical frame, metres."""
+    """Places wanted of the pelvis: canonical frame, metres."""
 
     xz: Float[Tensor, "batch frames 2"]
     wanted: Bool[Tensor, "batch frames"]
@@ -110,7 +112,8 @@ def guided_mean(
         scale: Of the gradient.
     """
     index = int(chain.indices[i])
-    of_clean, of_noisy = float(chain.posterior_mean_clean[i]), float(chain.posterior_mean_noisy[i])
+    of_clean = float(chain.posterior_mean_clean[i])
+    of_noisy = float(chain.posterior_mean_noisy[i])
     if loss is None:
         with torch.no_grad():
             return of_clean * clean_estimate(state, index) + of_noisy * state
@@ -148,6 +151,55 @@ def imputed_in_mean(
     State and mean are projected; which columns are taken from which mean is decided in plain features. The posterior
     mean is linear, so only the columns in question are computed.
     """
-    plain, noisy = space.unprojected(mean), space.unprojected(state)
-    of_clean, of_noisy = float(chain.posterior_mean_clean[i]), float(chain.posterior_mean_noisy[i])
+    plain = space.unprojected(mean)
+    noisy = space.unprojected(state)
+    of_clean = float(chain.posterior_mean_clean[i])
+    of_noisy = float(chain.posterior_mean_noisy[i])
     return space.projected(torch.where(imputed.where, of_clean * imputed.values + of_noisy * noisy, plain))
+
+
+@dataclass(frozen=True)
+class Ends:
+    """First and last frame of B motions, canonical frame, metres."""
+
+    first: Float[Tensor, "batch 22 3"]
+    last: Float[Tensor, "batch 22 3"]
+    n_frames: Int[Tensor, " batch"]
+
+    def valid(self) -> Bool[Tensor, "batch frames"]:
+        """True for the frames that there are."""
+        return torch.arange(int(self.n_frames.max()), device=self.first.device) < self.n_frames[:, None]
+
+    def root_keyframes(self) -> RootGoal:
+        """The pelvis on the ground in the first and in the last frame."""
+        frame = torch.arange(int(self.n_frames.max()), device=self.first.device)
+        is_last = frame == self.n_frames[:, None] - 1
+        xz = torch.where(is_last[..., None], _ground(self.last), _ground(self.first))
+        return RootGoal(xz, is_last | (frame == 0))
+
+    def impute_poses(self, imputed: Imputed, space: FeatureSpace) -> Imputed:
+        """Add root and joint positions of both frames; the goal's heading is that of its own joints."""
+        unturned = torch.zeros(len(self.first), device=self.first.device)
+        values = imputed.values.clone()
+        where = imputed.where.clone()
+        row = torch.arange(len(self.first), device=self.first.device)
+        for pose, half_turn, frame in (
+            (self.last, half_turn_of(self.last), self.n_frames - 1),
+            (self.first, unturned, torch.zeros_like(self.n_frames)),
+        ):
+            values[row, frame, :N_POSE] = space.standardised(pose_columns(pose, half_turn))
+            where[row, frame, :N_POSE] = True
+        return Imputed(values, where)
+
+
+def imputed_root(goal: RootGoal, space: FeatureSpace, columns: int) -> Imputed:
+    """The root of the wanted frames as standardised columns."""
+    values = goal.xz.new_zeros(*goal.wanted.shape, columns)
+    where = torch.zeros_like(values, dtype=torch.bool)
+    values[..., ROOT_XZ] = (goal.xz - space.mean[ROOT_XZ]) / space.std[ROOT_XZ]
+    where[..., ROOT_XZ] = goal.wanted[..., None]
+    return Imputed(values, where)
+
+
+def _ground(pose: Float[Tensor, "batch 22 3"]) -> Float[Tensor, "batch 1 2"]:
+    return pose[:, None, Joint.PELVIS, ::2]

@@ -13,37 +13,40 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from prbench_adapters.diffusion.noise import SequenceNoise
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.generation import Guidance
+from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import N_ROOT, ROOT_XZ, FeatureSpace
-from prbench_adapters.gmd.goals import Ends, Keyframes, imputed_root
 from prbench_adapters.gmd.sampling import (
     MOST_DEVIATIONS,
+    Ends,
     GoalLoss,
+    Keyframes,
     RootGoal,
     RowLoss,
     clean_of_noise,
     guided_mean,
     imputed_by_noising,
     imputed_in_mean,
+    imputed_root,
     noised,
 )
 from prbench_adapters.gmd.unet import TemporalUNet
 
 Imputation = Literal["end", "demo", "evaluation"]
-"""How long is imputed: ``end`` in all steps of both stages, so that the root meets its keyframes exactly. The original
+"""Steps that impute: ``end`` are all steps of both stages, so that the root meets its keyframes exactly. The original
 imputes the trajectory while t ≥ 20 of 1000, the motion while t ≥ 1 (``demo``) or t ≥ 20 (``evaluation``)."""
 
 _THOUSAND = 1000
 _GUIDED_FROM = 20
 _LINE_FROM = 100
 _IMPUTED_FROM: dict[Imputation, tuple[int, int]] = {"end": (0, 0), "demo": (20, 1), "evaluation": (20, 20)}
-"""In stage 1 and in stage 2."""
+"""First steps of the imputation in stage 1 and in stage 2."""
 
 
 @dataclass(frozen=True)
 class GMDSettings:
-    """How motions are sampled; the defaults are those of the evaluation, but for the end of the imputation."""
+    """Settings of sampling; the defaults are those of the evaluation, but for the end of the imputation."""
 
     guidance: float = 2.5
     """Weight s of the text; 1 takes one network pass a step, anything else two."""
@@ -54,15 +57,15 @@ class GMDSettings:
     imputation: Imputation = "end"
     keyframes: Keyframes = "root"
     steps: int | None = None
-    """Of the training schedule, in each stage; None for all of them."""
+    """Steps of the training schedule that each stage takes; None for all of them."""
     clamp: float = MOST_DEVIATIONS
-    """Where the clean estimate of the trajectory is cut, in standard deviations of the data: farther goals are met by
+    """Limit of the clean estimate of the trajectory, in standard deviations of the data: farther goals are met by
     the imputed frame alone."""
     bones: Literal["predicted", "initial"] = "predicted"
-    """Whether bones have the lengths that the network gives them, or those of the initial pose."""
+    """Lengths of the bones: those that the network gives them, or those of the initial pose."""
 
 
-class GuidedNetwork:
+class GuidedNetwork(Guidance):
     """A network with its text: what a sampler calls, step by step.
 
     Args:
@@ -82,25 +85,21 @@ class GuidedNetwork:
         window: int,
         scale: float,
     ) -> None:
-        self.network, self.window, self.scale = network, window, scale
-        self.doubled = scale != 1.0
-        self.text = torch.cat([text, torch.zeros_like(text)]) if self.doubled else text
-        self.n_frames = torch.cat([n_frames, n_frames]) if self.doubled else n_frames
-        self.passes = 0
-        """Network passes so far, summed over sequences; backward passes are not counted."""
+        super().__init__(scale)
+        self.network, self.window = network, window
+        self.text = self.both(text, torch.zeros_like(text))
+        self.n_frames = self.both(n_frames, n_frames)
 
     def __call__(
         self, noisy: Float[Tensor, "batch frames columns"], step: int
     ) -> Float[Tensor, "batch frames columns"]:
         """The guided prediction at ``step`` of the training schedule."""
-        noisy = torch.cat([noisy, noisy]) if self.doubled else noisy
-        self.passes += len(noisy)
-        steps = torch.full((len(noisy),), step, device=noisy.device)
-        predicted = self.network(noisy, steps, self.text, self.n_frames, window=self.window)
-        if not self.doubled:
-            return predicted
-        conditional, unconditional = predicted.chunk(2)
-        return torch.lerp(unconditional, conditional, self.scale)
+
+        def predict(rows: Tensor) -> Tensor:
+            steps = torch.full((len(rows),), step, device=rows.device)
+            return self.network(rows, steps, self.text, self.n_frames, window=self.window)
+
+        return self.estimate(predict, noisy)
 
 
 def sample_trajectory(
@@ -114,7 +113,8 @@ def sample_trajectory(
     """Stage 1: the root's heading, x, z and height (raw) of motions that pass their keyframes, however many."""
     chain = schedule.chain(settings.steps or len(schedule))
     at_keyframes, on_line = (imputed_root(goal, space, N_ROOT) for goal in (keyframes, keyframes.line()))
-    guided_from, line_from = _step(schedule, _GUIDED_FROM), _step(schedule, _LINE_FROM)
+    guided_from = _step(schedule, _GUIDED_FROM)
+    line_from = _step(schedule, _LINE_FROM)
     imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][0])
     state = noise.draw(N_ROOT)
     for i in range(len(chain) - 1, -1, -1):
@@ -149,7 +149,8 @@ def sample_motion(
     imputed = imputed_root(goal, space, len(space.mean))
     if settings.keyframes == "pose":
         imputed = ends.impute_poses(imputed, space)
-    guided_from, imputed_from = _step(schedule, _GUIDED_FROM), _step(schedule, _IMPUTED_FROM[settings.imputation][1])
+    guided_from = _step(schedule, _GUIDED_FROM)
+    imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][1])
     loss = _root_loss(goal, settings, lambda clean: space.restored(space.unprojected(clean)))
     state = noise.draw()
     for i in range(len(chain) - 1, -1, -1):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import torch
@@ -13,20 +14,25 @@ from jaxtyping import Bool, Float, Int
 from torch import nn
 
 from prbench.contract import Adapter
+from prbench.representation.statistics import StatisticsAccumulator
 from prbench.training import MotionBatch
-from prbench.training.task import TrainingModule
-from prbench.training.weights import representation_entry
-from prbench_adapters.diffusion.schedule import CosineSchedule
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench.training.task import TrainingData, TrainingModule, split_model_table
+from prbench.training.weights import origin_of, read_weights, representation_entry, weights_header
+from prbench_adapters.diffusion.model import TextVectors
+from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.adapter import GMD
-from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, with_absolute_root
-from prbench_adapters.gmd.model import KIND, GMDModel, GMDNetworks, caption_vectors
+from prbench_adapters.gmd.configuration import GMDConfiguration
+from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, emphasis_projection, with_absolute_root
+from prbench_adapters.gmd.model import KIND, GMDModel, GMDNetworks, caption_vectors, stored_space
 from prbench_adapters.gmd.stages import GMDSettings
 from prbench_adapters.gmd.unet import TemporalUNet
 
+FREE_TO_CHANGE = frozenset({"max_frames", "uniform_skeleton"})
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
+
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is trained beside the configuration of the networks."""
+    """Settings of the training beside the configuration of the networks."""
 
     text_drop: float = 0.1
     """Share of sequences whose text is hidden, so that guidance has an unconditional model."""
@@ -34,7 +40,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 @dataclass(frozen=True)
 class Draw:
-    """What is random in one training step of one network."""
+    """Random numbers of one training step of one network."""
 
     step: Int[torch.Tensor, " batch"]
     without_text: Bool[torch.Tensor, " batch"]
@@ -84,7 +90,8 @@ class GMDTraining(TrainingModule):
             projected = space.projected(standardised)
         text = caption_vectors(self.texts, batch.text).to(batch.features.device, non_blocking=True)
         generator = self.generator(step)
-        motion, trajectory = self.draw(projected, generator), self.draw(standardised[..., :N_ROOT], generator)
+        motion = self.draw(projected, generator)
+        trajectory = self.draw(standardised[..., :N_ROOT], generator)
         clean = self._predicted(self.networks.motion, projected, motion, text, batch)
         noise = self._predicted(self.networks.trajectory, standardised[..., :N_ROOT], trajectory, text, batch)
         losses = {
@@ -124,21 +131,13 @@ class GMDTraining(TrainingModule):
         tensors = {f"networks.{name}": tensor for name, tensor in self.networks.state_dict().items()}
         space = self._space
         tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
-        metadata = {
-            "kind": KIND,
-            "configuration": msgspec.json.encode(self.configuration).decode(),
-            "representation": representation_entry(self.configuration.representation),
-        }
+        metadata = weights_header(KIND, self.configuration, representation_entry(self.configuration.representation))
         return tensors, metadata
 
     def adapter(self, device: str) -> Adapter:
         """``gmd`` with a copy of the weights as they are now."""
         model = GMDModel(copy.deepcopy(self.networks).to(device), space=self._space, texts=self.texts)
         return GMD(model, Path("the networks in training"), GMDSettings())
-
-    def learned_from(self) -> tuple[str, ...]:
-        """The initial weights and the text encoder."""
-        return self.origin
 
 
 def _mean_squared(
@@ -147,3 +146,68 @@ def _mean_squared(
     """Over columns and valid frames."""
     summed = torch.where(padding[..., None], 0.0, error.square()).sum()
     return summed / ((~padding).sum() * error.shape[-1])
+
+
+class GMDTask:
+    """A training task (:class:`prbench.training.task.TrainingTask`); both stages of training learn from text alone."""
+
+    name = "gmd"
+    configurations = "prbench_adapters.gmd"
+
+    def build(
+        self,
+        model: Mapping[str, Any],
+        *,
+        data: TrainingData,
+        initial: Path | None,
+        stage: str,  # noqa: ARG002
+    ) -> GMDTraining:
+        """Make both networks in their state before the first step.
+
+        Statistics and projection come from the initial weights where there are some.
+
+        Args:
+            model: Keys of :class:`GMDConfiguration` and of :class:`Objective`.
+            data: The training split.
+            initial: Weights to start from.
+            stage: ``pretrain`` or ``finetune``; the same networks learn in both.
+
+        Raises:
+            UsageError: if the table does not describe such networks, or the data do not fit them.
+            InputFileError: if the initial weights do not fit them.
+        """
+        configuration, objective = read_model_table(model)
+        data.require_fit(
+            "the model",
+            representation=configuration.representation,
+            fps=configuration.fps,
+            max_frames=configuration.max_frames,
+        )
+        texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
+        start = read_weights(initial, kind=KIND) if initial is not None else None
+        networks = GMDNetworks(configuration)
+        if start is not None:
+            start.require_same(configuration, apart_from=FREE_TO_CHANGE)
+            start.load_into(networks, "networks")
+        space = stored_space(start) if start is not None else _space_of(data, configuration)
+        origin = (texts.origin, *origin_of(start))
+        return GMDTraining(networks, space=space, texts=texts, objective=objective, origin=origin)
+
+
+def read_model_table(model: Mapping[str, Any]) -> tuple[GMDConfiguration, Objective]:
+    """Split the table ``[model]`` into the networks and what they are trained for.
+
+    Raises:
+        UsageError: for an unknown key or a value of a wrong kind.
+    """
+    return split_model_table(model, GMDConfiguration, Objective)
+
+
+def _space_of(data: TrainingData, configuration: GMDConfiguration) -> FeatureSpace:
+    """Statistics of the training split with absolute roots; x and z of the root share one deviation."""
+    accumulator = StatisticsAccumulator()
+    for index in range(len(data.train)):
+        accumulator.add(with_absolute_root(torch.tensor(data.train[index].features)).numpy())
+    found = accumulator.result()
+    projection = emphasis_projection(configuration.emphasis)
+    return FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)

@@ -10,8 +10,90 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from prbench_adapters.diffusion.layers import sinusoid_table
-from prbench_adapters.gmd.configuration import GMDConfiguration
-from prbench_adapters.gmd.layers import ConvBlock, Level, ResidualBlock, doubled, halved
+from prbench_adapters.gmd.configuration import GROUPS, GMDConfiguration
+
+_KERNEL = 5
+
+
+class _ConvBlock(nn.Module):
+    """Convolution, group normalisation, Mish; with a scale and shift before the last if they are given."""
+
+    def __init__(self, channels: int, width: int, *, starts_at_zero: bool = False) -> None:
+        super().__init__()
+        self.convolution = nn.Conv1d(channels, width, _KERNEL, padding=_KERNEL // 2)
+        self.norm = nn.GroupNorm(GROUPS, width)
+        if starts_at_zero:
+            nn.init.zeros_(self.convolution.weight)
+            nn.init.zeros_(_bias(self.convolution))
+
+    def forward(
+        self,
+        stream: Float[Tensor, "batch channels frames"],
+        scale_shift: tuple[Tensor, Tensor] | None = None,
+    ) -> Float[Tensor, "batch width frames"]:
+        """Apply the block; ``scale_shift`` are (batch, width) each."""
+        stream = self.norm(self.convolution(stream))
+        if scale_shift is not None:
+            scale, shift = scale_shift
+            stream = stream * (1 + scale[..., None]) + shift[..., None]
+        return nn.functional.mish(stream)
+
+
+class _ResidualBlock(nn.Module):
+    """Two convolution blocks beside a skip; the condition scales and shifts the first.
+
+    The condition's layer and the second convolution start at zero.
+    """
+
+    def __init__(self, channels: int, width: int, condition_width: int) -> None:
+        super().__init__()
+        self.first = _ConvBlock(channels, width)
+        self.condition = nn.Linear(condition_width, 2 * width)
+        nn.init.zeros_(self.condition.weight)
+        nn.init.zeros_(self.condition.bias)
+        self.second = _ConvBlock(width, width, starts_at_zero=True)
+        self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
+
+    def forward(
+        self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
+    ) -> Float[Tensor, "batch width frames"]:
+        """Apply the block; ``condition`` is the vector of step and text."""
+        scale, shift = self.condition(nn.functional.mish(condition)).chunk(2, dim=1)
+        return self.second(self.first(stream, (scale, shift))) + self.skip(stream)
+
+
+class _Level(nn.Module):
+    """Two residual blocks, and a change of resolution after them."""
+
+    def __init__(self, channels: int, width: int, condition_width: int, resample: nn.Module) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(
+            (_ResidualBlock(channels, width, condition_width), _ResidualBlock(width, width, condition_width))
+        )
+        self.resample = resample
+
+    def forward(
+        self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
+    ) -> tuple[Float[Tensor, "batch width frames"], Float[Tensor, "batch width others"]]:
+        """The stream before and after the change of resolution."""
+        for block in self.blocks:
+            stream = block(stream, condition)
+        return stream, self.resample(stream)
+
+
+def halved(width: int) -> nn.Module:
+    """Half as many frames."""
+    return nn.Conv1d(width, width, 3, stride=2, padding=1)
+
+
+def doubled(width: int) -> nn.Module:
+    """Twice as many frames."""
+    return nn.ConvTranspose1d(width, width, 4, stride=2, padding=1)
+
+
+def _bias(convolution: nn.Conv1d) -> torch.Tensor:
+    assert convolution.bias is not None
+    return convolution.bias
 
 
 class TemporalUNet(nn.Module):
@@ -31,14 +113,14 @@ class TemporalUNet(nn.Module):
         self.condition = nn.Sequential(nn.Linear(size, 4 * size), nn.Mish(), nn.Linear(4 * size, size))
         levels = list(pairwise((channels, *widths)))
         self.down = nn.ModuleList(
-            Level(before, width, size, halved(width) if place < len(levels) - 1 else nn.Identity())
+            _Level(before, width, size, halved(width) if place < len(levels) - 1 else nn.Identity())
             for place, (before, width) in enumerate(levels)
         )
-        self.middle = nn.ModuleList(ResidualBlock(widths[-1], widths[-1], size) for _ in range(2))
+        self.middle = nn.ModuleList(_ResidualBlock(widths[-1], widths[-1], size) for _ in range(2))
         self.up = nn.ModuleList(
-            Level(2 * width, before, size, doubled(before)) for before, width in reversed(levels[1:])
+            _Level(2 * width, before, size, doubled(before)) for before, width in reversed(levels[1:])
         )
-        self.head = nn.Sequential(ConvBlock(widths[0], widths[0]), nn.Conv1d(widths[0], channels, 1))
+        self.head = nn.Sequential(_ConvBlock(widths[0], widths[0]), nn.Conv1d(widths[0], channels, 1))
         self.register_buffer("sinusoid", sinusoid_table(configuration.diffusion_steps, size), persistent=False)
         self.sinusoid: Tensor
 

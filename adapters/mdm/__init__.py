@@ -1,4 +1,8 @@
-"""MDM (Motion Diffusion Model): everything of this method is in this folder. torch is imported on first use."""
+"""MDM: text to motion by diffusion, blind to where the body stands and to any goal (docs/specification/mdm.md).
+
+The study's baseline of text alone (*Prime and Reach*, table 2), and the prior of the other diffusion methods. torch is
+imported on first use.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +10,58 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from prbench_adapters.diffusion.method import IN_TRAINING, TEXT_GUIDANCE, TextSampler
+
 if TYPE_CHECKING:
+    from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.tasks import DiffusionTask
-    from prbench_adapters.mdm.adapter import MDM
+
+DEFAULT_WEIGHTS = "mdm-small"
+
+
+class MDM(TextSampler):
+    """Samples motions from text; every motion starts at the canonical origin and faces +Z."""
+
+    name = "mdm"
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MDM:
-    """Entry point ``mdm``: :func:`prbench_adapters.mdm.adapter.load`."""
-    from prbench_adapters.mdm import adapter
+    """Entry point ``mdm``.
 
-    return adapter.load(weights, options=options, device=device)
+    Options: ``guidance`` (2.5), ``sampler`` (ddpm or ddim), ``steps`` (all of the training's), ``precision`` (float32
+    or bfloat16), ``text-path`` (files of the text encoder, if the weights need one that has some).
+
+    Args:
+        weights: File, folder or name of bundled weights; None for ``mdm-small``.
+        options: See above.
+        device: ``cpu``, ``cuda`` …
+
+    Raises:
+        AdapterError: if there is no such device, no such weights, or they need a goal.
+        InputFileError: if the file is not one of a denoiser.
+        ValueError: for options that are unknown or have impossible values.
+    """
+    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.model import MotionModel, require_goal
+    from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known, sampling_settings
+
+    require_known(options, (*SAMPLING_OPTIONS, "text-path"))
+    path = resolve(weights, DEFAULT_WEIGHTS)
+    model = MotionModel.load(path, device, text_path=options.get("text-path"))
+    require_goal(model, path, "none")
+    steps = model.configuration.diffusion_steps
+    return MDM(model, path, sampling_settings(options, guidance=TEXT_GUIDANCE, diffusion_steps=steps))
 
 
 def training_task() -> DiffusionTask:
-    """What ``prbench train --method mdm`` trains: text to motion, in pre-training and fine-tuning alike."""
+    """Make the task of ``prbench train --method mdm``: text to motion, in pre-training and fine-tuning alike."""
     from prbench_adapters.diffusion.tasks import DiffusionTask
-    from prbench_adapters.mdm.adapter import in_training
 
-    return DiffusionTask("mdm", goals=(), configurations="prbench_adapters.mdm", validating=in_training)
+    return DiffusionTask("mdm", goals=(), configurations="prbench_adapters.mdm", validating=_in_training)
+
+
+def _in_training(model: MotionModel) -> MDM:
+    """The method that a training is validated with."""
+    from prbench_adapters.diffusion.generation import SamplingSettings
+
+    return MDM(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))

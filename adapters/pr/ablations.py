@@ -17,7 +17,7 @@ from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
-Pretraining = Literal["none", "nymeria", "humanml3d"]
+_Pretraining = Literal["none", "nymeria", "humanml3d"]
 
 _ONLY_IN_FINE_TUNING = frozenset({"goal", "dropped", "injection", "joint_loss_weight"})
 _RATES = ("prime_success", "reach_success", "location_error")
@@ -33,12 +33,12 @@ class Ablation:
     model: Mapping[str, Any]
     """Keys of ``[model]`` for fine-tuning."""
     options: Mapping[str, str]
-    """Of ``prbench run --method pr``."""
-    pretraining: Pretraining
+    """Options of ``prbench run --method pr``."""
+    pretraining: _Pretraining
 
     @property
     def name(self) -> str:
-        """For folders: letters, digits and hyphens."""
+        """Name for folders: letters, digits and hyphens."""
         return _slug(f"table {self.table} {self.condition} {self.variant}")
 
     @property
@@ -111,7 +111,7 @@ def _train(
     return _line([*words, *settings, *start, "--out", out])
 
 
-def _folder_name(method: str, pretraining: Pretraining, model: Mapping[str, Any]) -> str:
+def _folder_name(method: str, pretraining: _Pretraining, model: Mapping[str, Any]) -> str:
     return _slug(" ".join([method, pretraining, *(f"{key} {_toml(value)}" for key, value in sorted(model.items()))]))
 
 
@@ -120,7 +120,7 @@ def _slug(words: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """As ``--set`` takes it; plain words need no quotes."""
+    """Write a value as ``--set`` takes it; plain words need no quotes."""
     return value if isinstance(value, str) else json.dumps(value)
 
 

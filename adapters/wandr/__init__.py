@@ -23,7 +23,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
 
 
 def training_task() -> WandrTask:
-    """What ``prbench train --method wandr`` trains."""
+    """Make the task that ``prbench train --method wandr`` trains."""
     from prbench_adapters.wandr.task import WandrTask
 
     return WandrTask()

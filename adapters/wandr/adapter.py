@@ -1,49 +1,49 @@
-"""The method ``wandr``: initial state and object location in, motion out."""
+"""The method ``wandr``: initial state and object location in, motion out.
+
+Motions are rolled out frame after frame: intentions, a draw, a change (docs/specification/wandr.md#inference).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
 from prbench.randomness import sequence_generator
 from prbench.representation import check_joints, mirror
 from prbench.skeleton import Joint
-from prbench_adapters.diffusion.goals import require_goals_within_reach
+from prbench_adapters.diffusion.bundled import own_weights
+from prbench_adapters.diffusion.method import require_goals_within_reach
 from prbench_adapters.diffusion.options import choice, number, require_known
-from prbench_adapters.kinematics.skeleton import rest_offsets
-from prbench_adapters.kinematics.worlds import WANDR as WORLD
-from prbench_adapters.wandr.network import WandrNetwork
-from prbench_adapters.wandr.rollout import Start, roll_out
-from prbench_adapters.wandr.state import BodyState
-from prbench_adapters.wandr.weights_file import load_network, resolve
+from prbench_adapters.kinematics import WANDR as WORLD
+from prbench_adapters.kinematics import rest_offsets
+from prbench_adapters.wandr.network import WandrNetwork, load_network
+from prbench_adapters.wandr.state import BodyState, clean_delta, intentions
 
 Hand = Literal["right", "nearest", "left"]
-FirstChange = Literal["recorded", "random"]
+_FirstChange = Literal["recorded", "random"]
 
-_HANDS: tuple[Hand, ...] = get_args(Hand)
-_FIRST_CHANGES: tuple[FirstChange, ...] = get_args(FirstChange)
 _MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Generation:
-    """How motions are made."""
+    """Settings by which motions are made."""
 
     hand: Hand = "right"
-    """That reaches. The network knows right hands only: for left ones body and goal are mirrored, and the motion back.
-    ``nearest`` takes the one that is nearer to the goal in the first frame."""
-    first_change: FirstChange = "recorded"
-    """What led to the first frame: the recorded change, or noise as in the original."""
+    """Hand that reaches. The network knows right ones only: for left ones body and goal are mirrored, and the motion
+    back. ``nearest`` takes the one that is nearer to the goal in the first frame."""
+    first_change: _FirstChange = "recorded"
+    """Change that led to the first frame: the recorded one, or noise as in the original."""
     deviation: float = 1.0
-    """Of the latent of every step."""
+    """Standard deviation of the latent of every step."""
 
 
 class WANDR:
@@ -98,7 +98,7 @@ class WANDR:
         return distance[:, 0] < distance[:, 1]
 
     def _start(self, batch: ConditionBatch) -> tuple[Start, Float[torch.Tensor, "batch steps latent"]]:
-        """Where the rows begin, and the noise of all their steps."""
+        """Return the start of each row, and the noise of all its steps."""
         initial, previous, goal = (
             WORLD.from_y_up(self._tensor(points))
             for points in (batch.initial_joints, batch.previous_joints, batch.goal_location)
@@ -112,7 +112,7 @@ class WANDR:
         return Start(state, delta, rest_offsets(initial), goal, n_frames), noise.latents
 
     def _noise(self, batch: ConditionBatch) -> _Noise:
-        """What each row draws from its own seed; its length and its batch mates leave no trace in it."""
+        """Draw the noise of each row from its own seed; its length and the other rows leave no trace in it."""
         size, steps = self.network.configuration.latent, int(batch.n_frames.max()) - 1
         first = np.zeros((len(batch), len(self.network.delta.mean)))
         latents = np.zeros((len(batch), steps, size))
@@ -127,23 +127,8 @@ class WANDR:
         return torch.as_tensor(values, dtype=mean.dtype, device=mean.device)
 
 
-@dataclass(frozen=True)
-class _Noise:
-    first: Float[torch.Tensor, "batch 135"]
-    latents: Float[torch.Tensor, "batch steps latent"]
-
-
-def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
-    """The batch with the rows of left hands as a mirror shows them."""
-    assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
-    assert batch.goal_location is not None
-    initial, previous, goal = batch.initial_joints.copy(), batch.previous_joints.copy(), batch.goal_location.copy()
-    initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
-    return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
-
-
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WANDR:
-    """Make the adapter.
+    """Entry point ``wandr``.
 
     Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
     (1) of the latents.
@@ -160,9 +145,98 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     """
     require_known(options, ("hand", "first-change", "deviation"))
     generation = Generation(
-        hand=_HANDS[_HANDS.index(choice(options, "hand", _HANDS))],
-        first_change=_FIRST_CHANGES[_FIRST_CHANGES.index(choice(options, "first-change", _FIRST_CHANGES))],
+        hand=cast(Hand, choice(options, "hand", get_args(Hand))),
+        first_change=cast(_FirstChange, choice(options, "first-change", get_args(_FirstChange))),
         deviation=number(options, "deviation", 1.0),
     )
-    path = resolve(weights)
+    path = own_weights(WANDR.name, weights)
     return WANDR(load_network(path, device), path, generation)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    first: Float[torch.Tensor, "batch 135"]
+    latents: Float[torch.Tensor, "batch steps latent"]
+
+
+def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
+    """The batch with the rows of left hands as a mirror shows them."""
+    assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
+    assert batch.goal_location is not None
+    initial = batch.initial_joints.copy()
+    previous = batch.previous_joints.copy()
+    goal = batch.goal_location.copy()
+    initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
+    return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Start of B sequences, before the first step. World with Z up, metres; one precision throughout."""
+
+    state: BodyState
+    """The first frame."""
+    delta: Float[torch.Tensor, "batch 135"]
+    """The change that led to it."""
+    offsets: Float[torch.Tensor, "batch 22 3"]
+    """The skeletons at rest."""
+    goal: Float[torch.Tensor, "batch 3"]
+    """Place of the right wrist in the last frame."""
+    n_frames: Int[torch.Tensor, " batch"]
+    """Frames of each sequence, the first among them."""
+
+
+@torch.no_grad()
+def roll_out(
+    network: WandrNetwork, start: Start, noise: Float[torch.Tensor, "batch steps latent"]
+) -> Float[torch.Tensor, "batch frames 22 3"]:
+    """Joints of all frames; those behind a sequence's own number of frames are padding.
+
+    Args:
+        network: In evaluation mode, of the precision of ``start``.
+        start: Where the sequences begin, and where they are to go.
+        noise: Standard normal: the latent of each step.
+    """
+    state, delta = start.state, start.delta
+    joints = [state.joints(start.offsets)]
+    for step in range(noise.shape[1]):
+        left = (start.n_frames - 1 - step).clamp_min(1)  # padding goes on as in its last frame
+        delta = _next_delta(
+            network, state, delta, joints[-1], goal=start.goal, frames_left=left[:, None], latent=noise[:, step]
+        )
+        state = state.changed(delta)
+        joints.append(state.joints(start.offsets))
+    return torch.stack(joints, 1)
+
+
+def _next_delta(
+    network: WandrNetwork,
+    state: BodyState,
+    delta: Float[torch.Tensor, "batch 135"],
+    joints: Float[torch.Tensor, "batch 22 3"],
+    *,
+    goal: Float[torch.Tensor, "batch 3"],
+    frames_left: Int[torch.Tensor, "batch 1"],
+    latent: Float[torch.Tensor, "batch latent"],
+) -> Float[torch.Tensor, "batch 135"]:
+    """The change that follows a state.
+
+    Args:
+        network: The decoder's.
+        state: Before the change.
+        delta: The change that led to it.
+        joints: Of the state.
+        goal: Of the right wrist.
+        frames_left: Until the goal.
+        latent: What is drawn.
+    """
+    intention = intentions(
+        state.yaw,
+        wrist=joints[:, Joint.RIGHT_WRIST],
+        pelvis=joints[:, Joint.PELVIS],
+        goal=goal,
+        frames_left=frames_left.to(goal),
+        fps=network.configuration.fps,
+    )
+    decoded = network.decode(latent, network.condition(state.seen(), delta, intention))
+    return clean_delta(network.delta.undone(decoded))

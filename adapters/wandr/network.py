@@ -4,18 +4,49 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from pathlib import Path
 
+import msgspec
 import torch
 from jaxtyping import Float
 from torch import nn
 
-from prbench_adapters.wandr.configuration import WandrConfiguration
-from prbench_adapters.wandr.intentions import INTENTION_SIZE
-from prbench_adapters.wandr.state import DELTA_SIZE, SEEN_SIZE
+from prbench.training.weights import Weights, read_weights, weights_header
+from prbench_adapters.diffusion.model import torch_device
+from prbench_adapters.wandr.state import DELTA_SIZE, INTENTION_SIZE, SEEN_SIZE
 
 CONDITION_SIZE = SEEN_SIZE + DELTA_SIZE + INTENTION_SIZE
-
 _SMALLEST = 1e-5  # added to every standard deviation
+KIND = "wandr"
+REPRESENTATION = "wandr-135"
+
+
+class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Sizes of encoder and decoder; the defaults are those of the original (docs/specification/wandr.md#network).
+
+    Raises:
+        ValueError: for sizes that are not possible.
+    """
+
+    layers: int = 14
+    """Linear layers of the encoder, and of the decoder."""
+    widest: int = 512
+    """No hidden layer is wider; without effect on the original's sizes."""
+    latent: int = 64
+    dropout: float = 0.03
+    fps: float = 30.0
+    original_deviation: bool = False
+    """Draw the latent with exp(v) as its deviation, as the public program does, though its KL divergence takes v for a
+    log-variance; otherwise with exp(v / 2). Only training draws from the encoder."""
+
+    def __post_init__(self) -> None:
+        for name in ("layers", "widest", "latent"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
+        if not self.fps > 0:
+            raise ValueError(f"'fps' must be positive, found {self.fps}")
 
 
 class Standardisation(nn.Module):
@@ -92,3 +123,35 @@ def _stack(inputs: int, outputs: int, configuration: WandrConfiguration) -> nn.S
     for before, after in pairwise(widths):
         modules += [nn.Dropout(configuration.dropout), nn.LayerNorm(before), nn.Linear(before, after), nn.ReLU()]
     return nn.Sequential(*modules[:-1])
+
+
+def contents(network: WandrNetwork) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """Tensors and header entries of a network."""
+    metadata = weights_header(KIND, network.configuration, REPRESENTATION)
+    return {f"network.{name}": tensor for name, tensor in network.state_dict().items()}, metadata
+
+
+def network_of(weights: Weights) -> WandrNetwork:
+    """The network that a file holds.
+
+    Raises:
+        InputFileError: if the tensors do not fit the configuration in the header.
+    """
+    network = WandrNetwork(weights.configuration(WandrConfiguration))
+    weights.load_into(network, "network")
+    return network
+
+
+def load_network(path: Path, device: str) -> WandrNetwork:
+    """A frozen network in double precision, where the device has that.
+
+    A motion is hundreds of steps, each on the last one's result; in double precision what rounding adds stays below a
+    micrometre, whatever the batch.
+
+    Raises:
+        AdapterError: if there is no such device.
+        InputFileError: if the file holds no weights of WANDR, or misshaped ones.
+    """
+    where = torch_device(device)
+    network = network_of(read_weights(path, kind=KIND)).eval().requires_grad_(False)
+    return network.to(where, torch.float32 if where.type == "mps" else torch.float64)

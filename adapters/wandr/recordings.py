@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.skeleton import Joint
 from prbench.training import MotionBatch
-from prbench_adapters.kinematics.skeleton import rest_offsets, root_orientation
-from prbench_adapters.kinematics.worlds import WANDR as WORLD
+from prbench_adapters.kinematics import WANDR as WORLD
+from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.wandr.state import BodyState, heading_of, yaw_rotation
 
 _FAR = 1.5  # metres that the pelvis has to walk to a pseudo goal
@@ -27,7 +27,7 @@ class Recordings:
     """World with Z up, metres."""
     n_frames: Int[torch.Tensor, " batch"]
     has_goal: Bool[torch.Tensor, " batch"]
-    """Whether the last frame is one that reaches a goal; if not, goals are made up (:func:`pseudo_goals`)."""
+    """True where the last frame reaches a goal; otherwise goals are made up (:func:`goal_frames`)."""
 
     @classmethod
     def of(cls, batch: MotionBatch, fps: float) -> Recordings:
@@ -50,7 +50,7 @@ class Recordings:
 
     @cached_property
     def headings(self) -> Float[torch.Tensor, "batch frames 3"]:
-        """Where the bodies face."""
+        """Directions that the bodies face."""
         return heading_of(yaw_rotation(root_orientation(self.joints)))
 
     def deltas(self, places: Places) -> Float[torch.Tensor, "*places 135"]:
@@ -72,11 +72,11 @@ class Places:
 
     @property
     def index(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """To take values of (batch, frames, …) by."""
+        """Index into values of (batch, frames, …)."""
         return self.row, self.frame
 
     def later(self, frames: int) -> Places:
-        """The same number of frames later."""
+        """Move all places by the same number of frames."""
         return Places(self.row, self.frame + frames)
 
     def following(self, frames: int) -> Places:
@@ -85,7 +85,7 @@ class Places:
         return Places(self.row[:, None].expand(-1, frames), self.frame[:, None] + after)
 
     def some(self, most: int, generator: torch.Generator) -> Places:
-        """At most so many of them, drawn without repetition; all if that is 0."""
+        """Draw at most so many of them without repetition; keep all if that is 0."""
         if not most or len(self.row) <= most:
             return self
         drawn = torch.randperm(len(self.row), generator=generator)[:most].to(self.row.device)
@@ -100,7 +100,7 @@ def starts(recordings: Recordings, length: int) -> Places:
 
 
 def goal_frames(recordings: Recordings, places: Places, generator: torch.Generator) -> Int[torch.Tensor, " places"]:
-    """In which frame the wrist is to be where it then is: the last one, or that of a pseudo goal.
+    """Choose the frame whose wrist position is the goal: the last one, or that of a pseudo goal.
 
     A pseudo goal is any later frame, all alike, in which the pelvis is 1.5 m or more away. Where there is none it is
     the frame itself, which means that nothing is intended.

@@ -15,22 +15,34 @@ import torch
 from jaxtyping import Float
 
 from prbench.skeleton import N_JOINTS, Joint
-from prbench_adapters.kinematics.rotations import matrices_of, orthonormalised, rows_of, unit
-from prbench_adapters.kinematics.skeleton import fitted_rotations, forward_kinematics
+from prbench_adapters.kinematics import (
+    fitted_rotations,
+    forward_kinematics,
+    matrices_of,
+    orthonormalised,
+    rows_of,
+    unit,
+)
 
 DELTA_SIZE = 3 + 6 * N_JOINTS
 """Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints."""
 SEEN_SIZE = 1 + 6 * N_JOINTS
 """Numbers of a state without its yaw and its place on the floor."""
-TRANSLATION, ROOT, JOINTS = slice(0, 3), slice(3, 9), slice(9, DELTA_SIZE)
+TRANSLATION = slice(0, 3)
+ROOT = slice(3, 9)
+JOINTS = slice(9, DELTA_SIZE)
 """Parts of a change."""
 
 _LYING = 0.1  # length of the horizontal part of the left axis below which the body lies on its side (6 degrees)
+INTENTION_SIZE = 9
+_PELVIS_MOST = 2.0  # length of the pelvis intention towards goals far away
+_SECONDS = 1e-5  # added to the remaining time
+_ABOVE = 1e-6  # metres on the floor between pelvis and goal below which the goal has no direction
 
 
 @dataclass(frozen=True)
 class BodyState:
-    """Where a body is and how it is bent."""
+    """Place and pose of a body."""
 
     pelvis: Float[torch.Tensor, "*batch 3"]
     rotations: Float[torch.Tensor, "*batch 22 3 3"]
@@ -51,7 +63,7 @@ class BodyState:
 
     @cached_property
     def yaw(self) -> Float[torch.Tensor, "*batch 3 3"]:
-        """That of the root (:func:`yaw_rotation`)."""
+        """Yaw of the root (:func:`yaw_rotation`)."""
         return yaw_rotation(self.rotations[..., 0, :, :])
 
     def seen(self) -> Float[torch.Tensor, "*batch 133"]:
@@ -85,7 +97,8 @@ def yaw_rotation(root: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor,
     that lies on its side that angle means nothing; there the facing axis decides. The original computes the yaw outside
     of the graph, which keeps the training on its own output stable.
     """
-    left, front = root[..., :2, 0].detach(), root[..., :2, 2].detach()
+    left = root[..., :2, 0].detach()
+    front = root[..., :2, 2].detach()
     lying = left.norm(dim=-1, keepdim=True) < _LYING
     across = torch.where(lying, torch.stack((-front[..., 1], front[..., 0]), -1), left)
     zero = torch.zeros_like(across[..., :1])
@@ -96,3 +109,41 @@ def yaw_rotation(root: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor,
 def heading_of(yaw: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 3"]:
     """The horizontal direction that a body of this yaw faces."""
     return -yaw[..., :, 1]
+
+
+def intentions(
+    yaw: Float[torch.Tensor, "*batch 3 3"],
+    *,
+    wrist: Float[torch.Tensor, "*batch 3"],
+    pelvis: Float[torch.Tensor, "*batch 3"],
+    goal: Float[torch.Tensor, "*batch 3"],
+    frames_left: Float[torch.Tensor, "*batch 1"],
+    fps: float,
+    goal_heading: Float[torch.Tensor, "*batch 3"] | None = None,
+) -> Float[torch.Tensor, "*batch 9"]:
+    """Intentions of wrist, pelvis and heading, all seen from the body's yaw; they are never standardised.
+
+    Args:
+        yaw: Of the body (:func:`prbench_adapters.wandr.state.yaw_rotation`).
+        wrist: Its right wrist, metres, Z up.
+        pelvis: Likewise.
+        goal: Where the wrist is to be.
+        frames_left: Frames until then.
+        fps: Frames per second.
+        goal_heading: Unit vector that the body should face then; towards the goal by default.
+    """
+    heading = heading_of(yaw)
+    if goal_heading is None:
+        to_goal = (goal - pelvis) * goal.new_tensor((1.0, 1.0, 0.0))
+        above = to_goal.norm(dim=-1, keepdim=True) < _ABOVE
+        goal_heading = torch.where(above, heading, unit(to_goal))
+    velocity = _turned(yaw, goal - wrist) / (frames_left / fps + _SECONDS)
+    approach = _turned(yaw, goal - pelvis)
+    distance = approach.norm(dim=-1, keepdim=True)
+    approach = _PELVIS_MOST * (1 - torch.exp(-distance)) * unit(approach) * goal.new_tensor((1.0, 1.0, 0.0))
+    return torch.cat((velocity, approach, _turned(yaw, goal_heading - heading)), -1)
+
+
+def _turned(yaw: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+    """World vectors as the yaw frame sees them."""
+    return (yaw.mT @ vectors[..., None])[..., 0]

@@ -12,21 +12,17 @@ from jaxtyping import Float
 
 from prbench.errors import UsageError
 from prbench.training import MotionBatch, collate
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
-from prbench_adapters.wandr.configuration import WandrConfiguration
-from prbench_adapters.wandr.losses import Objective
-from prbench_adapters.wandr.network import Standardisation, WandrNetwork
+from prbench_adapters.wandr.network import KIND, Standardisation, WandrConfiguration, WandrNetwork, network_of
 from prbench_adapters.wandr.recordings import Recordings, starts
-from prbench_adapters.wandr.training import WandrTraining
-from prbench_adapters.wandr.weights_file import KIND, network_of
+from prbench_adapters.wandr.training import Objective, WandrTraining
 
 FREE_TO_CHANGE = frozenset({"dropout", "original_deviation"})
-"""What fine-tuning may set otherwise than the weights that it starts from."""
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 _MOST_MOTIONS = 4096
-"""That statistics are made from, spread evenly over the training split."""
+"""Number of motions that statistics are made from, spread evenly over the training split."""
 _TOGETHER = 64
 _LEAST_SEEN, _LEAST_DELTA = 0.02, 1e-3
 """Smallest deviations of a state's numbers and of a change's (metres, numbers of a matrix). Some hardly vary, such as a
@@ -65,7 +61,7 @@ class WandrTask:
             start = read_weights(initial, kind=KIND)
             return WandrTraining(_continued(configuration, start), objective, origin_of(start))
         network = WandrNetwork(configuration)
-        take_statistics(network, data)
+        _take_statistics(network, data)
         return WandrTraining(network, objective)
 
 
@@ -78,7 +74,7 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Obje
     return split_model_table(model, WandrConfiguration, Objective)
 
 
-def take_statistics(network: WandrNetwork, data: TrainingData) -> None:
+def _take_statistics(network: WandrNetwork, data: TrainingData) -> None:
     """Standardise by the training split.
 
     Raises:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import Literal
 
+import msgspec
 import torch
 from jaxtyping import Float, Int
 
@@ -13,12 +15,62 @@ from prbench.skeleton import Joint
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 from prbench_adapters.wandr.adapter import WANDR
-from prbench_adapters.wandr.intentions import intentions
-from prbench_adapters.wandr.losses import Objective, delta_loss, divergence, joint_loss
-from prbench_adapters.wandr.network import WandrNetwork
+from prbench_adapters.wandr.network import WandrNetwork, contents
 from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
-from prbench_adapters.wandr.state import BodyState, clean_delta
-from prbench_adapters.wandr.weights_file import contents
+from prbench_adapters.wandr.state import JOINTS, ROOT, TRANSLATION, BodyState, clean_delta, intentions
+
+_CENTIMETRES = 100.0
+
+
+class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The losses, and the training on the network's own output; the defaults are those of the original."""
+
+    kl_weight: float = 1e-2
+    free_bits: float = 0.05
+    """Below this, the divergence of a dimension is not pushed down any further."""
+    joint_loss_weight: float = 1.0
+    """Weight of the squared error of the joints, square centimetres."""
+    longest_chunk: int = 10
+    """Frames that the network runs on its own output at most."""
+    steps_per_chunk_frame: int = 1000
+    """Training steps after which chunks may be one frame longer (the original: five epochs)."""
+    own_latents: Literal["encoded", "drawn"] = "encoded"
+    """Source of the latents of chunks: the encoder, which sees the change that is wanted, as in the original, or
+    the standard normal distribution, as in generation. What corrects a body that has strayed may come from the encoder
+    in the first case; generation has none. In the second it must come from state and goal."""
+    frames_per_step: int = 0
+    """Number of frames of a batch that are drawn for a step, and as many for the network's own output; 0 takes all."""
+
+    def __post_init__(self) -> None:
+        for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"'{name}' must be at least 0, found {getattr(self, name)}")
+        for name in ("longest_chunk", "steps_per_chunk_frame"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+
+
+def delta_loss(
+    decoded: Float[torch.Tensor, "places 135"], wanted: Float[torch.Tensor, "places 135"]
+) -> Float[torch.Tensor, ""]:
+    """Mean squared errors of standardised changes: translation, root and joints each for themselves, summed."""
+    error = (decoded - wanted).square()
+    return sum((error[:, part].mean() for part in (TRANSLATION, ROOT, JOINTS)), error.new_zeros(()))
+
+
+def joint_loss(
+    predicted: Float[torch.Tensor, "places 22 3"], recorded: Float[torch.Tensor, "places 22 3"]
+) -> Float[torch.Tensor, ""]:
+    """Mean squared error of coordinates, square centimetres."""
+    return ((predicted - recorded) * _CENTIMETRES).square().mean()
+
+
+def divergence(
+    mean: Float[torch.Tensor, "places latent"], log_variance: Float[torch.Tensor, "places latent"], free_bits: float
+) -> Float[torch.Tensor, ""]:
+    """Mean over dimensions of the divergence from a standard normal distribution, each at least ``free_bits``."""
+    each = 0.5 * (mean.square() + log_variance.exp() - log_variance - 1)
+    return each.clamp_min(free_bits).mean()
 
 
 class WandrTraining(TrainingModule):
@@ -113,7 +165,7 @@ class WandrTraining(TrainingModule):
         delta: Float[torch.Tensor, "places 135"],
         joints: Float[torch.Tensor, "places 22 3"],
     ) -> Float[torch.Tensor, "places 277"]:
-        """What the network is told: where the goal is, it is where the right wrist will be in the goal's frame.
+        """Encode what the network is told; the goal is where the right wrist will be in the goal's frame.
 
         Args:
             recordings: The recordings.
@@ -141,7 +193,7 @@ class WandrTraining(TrainingModule):
         condition: Float[torch.Tensor, "places 277"],
         generator: torch.Generator,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What the decoder makes of a draw from the encoder; mean and log-variance of that."""
+        """Decode a draw from the encoder; return also the mean and log-variance of that."""
         mean, log_variance = self.network.encode(wanted, condition)
         noise = torch.randn(mean.shape, generator=generator).to(mean)
         return self.network.decode(self.network.draw(mean, log_variance, noise), condition), mean, log_variance
@@ -161,7 +213,3 @@ class WandrTraining(TrainingModule):
         """``wandr`` with a copy of the weights as they are now."""
         network = copy.deepcopy(self.network).to(device).eval().requires_grad_(False)
         return WANDR(network if device.startswith("mps") else network.double(), Path("the network in training"))
-
-    def learned_from(self) -> tuple[str, ...]:
-        """The initial weights."""
-        return self.origin

@@ -20,8 +20,8 @@ from prbench.curation.priming import gaze_rays
 from prbench.manifests import load_manifest, load_protocol
 from prbench.rays import near_miss, slab_test
 from prbench.recording import ObjectTrack, Recording
+from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
-from prbench.synthetic.recordings import synthetic_recording
 
 NAIVE_RAYS, NAIVE_FRAMES = 20, 20
 

@@ -11,14 +11,14 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import EncodedText
+from prbench_adapters.diffusion.batches import start_noise
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.generation import SamplingSettings, generate
-from prbench_adapters.diffusion.model import MotionModel
-from prbench_adapters.diffusion.noise import start_noise
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import MotionModel, TextVectors
+from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets, keyframes
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
 Precision = Literal["float32", "bfloat16"]
 

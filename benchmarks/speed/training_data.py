@@ -12,7 +12,7 @@ import torch
 
 from benchmarks.speed.timing import Row, print_rows
 from prbench.training import LengthBatches, MotionBatch, SequenceDataset
-from prbench.training.loading import WaitingClock, load_batches
+from prbench.training.batches import WaitingClock, load_batches
 from prbench.workflows.synthetic_table import build_synthetic_table
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration

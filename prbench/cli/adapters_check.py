@@ -101,7 +101,7 @@ def _print_table(report: Report) -> None:
 
 
 def _shown(report: Report) -> list[Finding]:
-    """What has a line of its own: all but the checks that wait for another one."""
+    """Select the findings that have a line of their own: all but the checks that wait for another one."""
     return [finding for finding in report.findings if not _waits(finding)]
 
 
@@ -110,7 +110,7 @@ def _waits(finding: Finding) -> bool:
 
 
 def _waiting(report: Report) -> list[str]:
-    """One line for all checks that wait for the same one."""
+    """Write one line for all checks that wait for the same one."""
     by_reason: dict[str, list[str]] = {}
     for finding in filter(_waits, report.findings):
         by_reason.setdefault(finding.said, []).append(finding.check)
@@ -118,7 +118,7 @@ def _waiting(report: Report) -> list[str]:
 
 
 def _sentences(finding: Finding) -> str:
-    """What was found and what to change; behind a log the latter has a line of its own."""
+    """Join what was found and what to change; behind a log the latter has a line of its own."""
     between = "\n    " if "\n" in finding.said else " "
     return f"{finding.said}{between}{finding.remedy}".strip()
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
-"""What a method can be given; spelt out here, so that ``--help`` imports no arrays."""
+"""Conditions that a method can be given; spelt out here, so that ``--help`` imports no arrays."""
 FIRST_RUN_SEQUENCES = 48
-"""What a run on the embedded dataset is limited to (``prbench.workflows.first_run``); spelt out for the same reason."""
+"""Limit of a run on the embedded dataset (``prbench.workflows.first_run``); spelt out for the same reason."""
 
 
 def command(
@@ -34,26 +34,26 @@ def command(
 
 
 def add_data(parser: argparse.ArgumentParser, *, required: bool, help: str = "built dataset folder(s)") -> None:
-    """``--data DIR…``, repeatable."""
+    """Add ``--data DIR…``, repeatable."""
     parser.add_argument(
         "--data", type=Path, nargs="+", action="extend", metavar="DIR", default=None, required=required, help=help
     )
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
-    """``--workers N``; results do not depend on it."""
+    """Add ``--workers N``; results do not depend on it."""
     parser.add_argument(
         "--workers", type=positive, default=1, metavar="N", help="processes to use (default 1); changes no result"
     )
 
 
 def add_split(parser: argparse.ArgumentParser) -> None:
-    """``--split``; the test split unless another is named."""
+    """Add ``--split``; the test split unless another is named."""
     parser.add_argument("--split", choices=["train", "validation", "test"], default="test", help="default: test")
 
 
 def add_limit(parser: argparse.ArgumentParser, *, default: str = "all") -> None:
-    """``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command.
+    """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command.
 
     Commands that count recordings or motions have options of their own (:func:`prbench.cli.builds.add_recordings`).
     """
@@ -67,7 +67,7 @@ def add_limit(parser: argparse.ArgumentParser, *, default: str = "all") -> None:
 
 
 def add_method_settings(parser: argparse.ArgumentParser) -> None:
-    """What a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
+    """Add what a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
     parser.add_argument(
         "--weights",
         type=Path,
@@ -82,7 +82,7 @@ def add_method_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def add_permission(parser: argparse.ArgumentParser) -> None:
-    """``--permission DATASET``, repeatable: the user's word for data whose licence keeps recorded motion."""
+    """Add ``--permission DATASET``, repeatable: the user's word for data whose licence keeps recorded motion."""
     parser.add_argument(
         "--permission",
         action="append",
@@ -94,7 +94,7 @@ def add_permission(parser: argparse.ArgumentParser) -> None:
 
 
 def positive(text: str) -> int:
-    """A whole number of at least 1."""
+    """Parse a whole number of at least 1."""
     try:
         value = int(text)
     except ValueError:
@@ -105,7 +105,7 @@ def positive(text: str) -> int:
 
 
 def key_value(text: str) -> tuple[str, str]:
-    """``key=value``."""
+    """Parse ``key=value``."""
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise argparse.ArgumentTypeError(f"expected key=value, found '{text}'")

@@ -17,7 +17,7 @@ from prbench.cli.builds import (
     print_unread,
 )
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport

@@ -19,14 +19,14 @@ from prbench.cli.builds import (
     print_unread,
 )
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.curation import BuildReport
     from prbench.curation.options import BuildOptions
 
 EVERYTHING = "all"
-"""In place of a dataset's name: whatever is found."""
+"""Stands in place of a dataset's name for whatever is found."""
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -165,7 +165,7 @@ def _options(arguments: argparse.Namespace) -> BuildOptions:
 
 
 def _meshes(arguments: argparse.Namespace) -> dict[str, str]:
-    """Readers load meshes only where somebody asks."""
+    """Ask the reader for meshes where an option needs them; readers load none otherwise."""
     from prbench.errors import UsageError
     from prbench.readers import reader_for
 
@@ -183,7 +183,7 @@ def _poses(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _print_report(report: BuildReport) -> int:
-    from prbench.curation.funnel import funnel_rows
+    from prbench.curation.provenance import funnel_rows
 
     rows = [(row.stage, str(row.kept), str(row.dropped or ""), row.reason) for row in funnel_rows(report.info)]
     print_table(

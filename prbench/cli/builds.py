@@ -1,4 +1,4 @@
-"""What the commands that read recordings share: their options, their plan, and what they say of recordings left out."""
+"""Options of the commands that read recordings, their plan, and what they say of recordings left out."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOT_EVERYTHING = 3
 
 
 def add_on_error(parser: argparse.ArgumentParser, *, what: str = "a recording", them: str = "it") -> None:
-    """``--on-error skip|fail``."""
+    """Add ``--on-error skip|fail``."""
     parser.add_argument(
         "--on-error",
         choices=["skip", "fail"],
@@ -30,7 +30,7 @@ def add_on_error(parser: argparse.ArgumentParser, *, what: str = "a recording", 
 
 
 def add_replace(parser: argparse.ArgumentParser, *, what: str = "table") -> None:
-    """``--replace``: lose what an earlier result holds."""
+    """Add ``--replace``, which loses what an earlier result holds."""
     parser.add_argument(
         "--replace",
         action="store_true",
@@ -39,14 +39,14 @@ def add_replace(parser: argparse.ArgumentParser, *, what: str = "table") -> None
 
 
 def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """``--limit N`` recordings; where sequences are counted, see :func:`prbench.cli.arguments.add_limit`."""
+    """Add ``--limit N`` recordings; where sequences are counted, see :func:`prbench.cli.arguments.add_limit`."""
     parser.add_argument("--limit", type=positive, metavar="N", help="at most N recordings: the first by name")
 
 
 def add_reader_options(
     parser: argparse.ArgumentParser, *, whose: str = "dataset's", remark: str = "a wrong name lists them"
 ) -> None:
-    """``--option NAME=VALUE``, repeatable."""
+    """Add ``--option NAME=VALUE``, repeatable."""
     parser.add_argument(
         "--option",
         type=key_value,
@@ -95,8 +95,8 @@ def print_fruitless(records: Iterable[RecordingRecord]) -> None:
 
 
 def _why_fruitless(record: RecordingRecord) -> str:
-    """What became of its events, the most frequent outcome first, and what the recording lacks."""
+    """Name the outcomes of its events, the most frequent first, and what the recording lacks."""
     outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
     became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
-    told = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
-    return "; ".join((told, *record.lacks))
+    events = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
+    return "; ".join((events, *record.lacks))

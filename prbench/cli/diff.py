@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import command
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.curation.differences import Difference
 
 SHOWN = 40
-DIFFERENT = 1
+_DIFFERENT = 1
 """Exit code when the builds hold different events or sequences, as that of ``diff``."""
 
 
@@ -48,7 +48,7 @@ def _diff(arguments: argparse.Namespace) -> int:
     if arguments.csv is not None:
         _write_csv(difference, arguments.csv)
         print(f"changes: {arguments.csv}")
-    return 0 if difference.equal else DIFFERENT
+    return 0 if difference.equal else _DIFFERENT
 
 
 def _print_changes(difference: Difference, *, everything: bool) -> None:

@@ -12,7 +12,7 @@ from prbench.cli.arguments import add_data, command, positive
 if TYPE_CHECKING:
     from prbench.checking.doctor.examine_file import DoctorReport
 
-SOMETHING_IS_WRONG = 1
+_SOMETHING_IS_WRONG = 1
 """Exit code when a fault is certain; suspicions alone leave 0."""
 
 
@@ -62,7 +62,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
         with sole_writer(arguments.json):
             write_json(arguments.json, asdict(report) | {"path": str(report.path), "certain": report.certain})
     _print(report)
-    return SOMETHING_IS_WRONG if report.certain else 0
+    return _SOMETHING_IS_WRONG if report.certain else 0
 
 
 def _print(report: DoctorReport) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_split, command, key_value, positive
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.workflows.text_to_motion.evaluate import TextEvaluationRequest

@@ -86,7 +86,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _tell_first_run(arguments: argparse.Namespace) -> None:
-    """Runs without ``--data`` take a part of the embedded dataset, this command all of it unless it is told."""
+    """Tell that runs without ``--data`` take a part of the embedded dataset, and this command all of it by default."""
     from prbench.workflows.first_run import default_table_folder
 
     embedded = os.path.realpath(default_table_folder())

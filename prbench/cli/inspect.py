@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import command
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.workflows.inspection import InspectedRecording
 
 SHOWN = 30
-NOT_COMPLETE = 3
+_NOT_COMPLETE = 3
 """Exit code when something is missing, damaged, cut short or unreadable."""
 
 
@@ -51,7 +51,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
             print(f"… and {len(listed) - len(shown)} more: --all")
     for broken in inspection.broken:
         print(f"{broken.root}: looks like {broken.dataset}, but: {broken.message}")
-    return 0 if inspection.all_complete else NOT_COMPLETE
+    return 0 if inspection.all_complete else _NOT_COMPLETE
 
 
 def _counted(recordings: Sequence[InspectedRecording]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_workers, command
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.submitted.verification import RunChecker
@@ -96,7 +96,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _described(path: Path, datasets: list[str]) -> list[str]:
-    """Whose method a run is of, and where it handed in recorded motions."""
+    """Name the method of a run and its origin, and the datasets for which it handed in recorded motions."""
     from prbench.runs import DatasetSummary, RunFolder
 
     run = RunFolder.open(path)
@@ -109,7 +109,7 @@ def _described(path: Path, datasets: list[str]) -> list[str]:
 
 
 def _checker(arguments: argparse.Namespace) -> RunChecker:
-    """Scores again on the named tables and the embedded ones."""
+    """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
     from prbench.submitted.verification import RunChecker
     from prbench.workflows.tables_of_runs import table_finder

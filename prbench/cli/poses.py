@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from prbench.cli.arguments import command
 from prbench.cli.builds import add_recordings
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.workflows.poses import PoseState
 
-STILL_LACKING = 3
+_STILL_LACKING = 3
 """Exit code when some recording was to get a body and did not."""
 
 
@@ -87,7 +87,7 @@ def _make(states: tuple[PoseState, ...], arguments: argparse.Namespace) -> int:
             print(f"failed: {outcome.recording_id}: {outcome.message}", file=sys.stderr)
     counts = Counter(outcome.state for outcome in outcomes)
     print("EgoAllo: " + ", ".join(f"{count} {name}" for name, count in sorted(counts.items())))
-    return STILL_LACKING if any(outcome.failed for outcome in outcomes) else 0
+    return _STILL_LACKING if any(outcome.failed for outcome in outcomes) else 0
 
 
 def _prepare(lacking: list[PoseState], arguments: argparse.Namespace) -> int:
@@ -97,4 +97,4 @@ def _prepare(lacking: list[PoseState], arguments: argparse.Namespace) -> int:
     for name, text, well in prepare_by_hand(lacking, arguments.root, arguments.poses_root):
         print(f"{name}: {text}", file=sys.stdout if well else sys.stderr)
         failed += not well
-    return STILL_LACKING if failed else 0
+    return _STILL_LACKING if failed else 0

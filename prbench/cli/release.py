@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_permission, command, key_value
 from prbench.cli.builds import NOT_EVERYTHING, add_on_error, add_replace
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.release import ImportReport

@@ -20,8 +20,7 @@ from prbench.cli.arguments import (
     positive,
 )
 from prbench.cli.progress import progress
-from prbench.cli.sequence_scores import print_sequence_scores
-from prbench.cli.summaries import print_side_by_side, print_summary
+from prbench.cli.summaries import print_sequence_scores, print_side_by_side, print_summary
 from prbench.cli.table_two import run_and_print, wants_table
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _require_no_minutes(arguments)
     _tell_claims(arguments.method)
     if arguments.view is not None:
-        from prbench.viewing.replay.file_kind import file_kind
+        from prbench.viewing.replay.write import file_kind
 
         file_kind(arguments.view)  # what would fail after the run fails before it
     first_run = not arguments.data
@@ -169,7 +168,7 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
 
 
 def _tell_crashes(report: RunReport) -> None:
-    """What a program did that the motions do not show."""
+    """Tell how often a program crashed, which its motions do not show."""
     from prbench.runs.cost import RunCost
 
     for table in report.folder.record.tables:
@@ -249,7 +248,7 @@ def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunReques
 
 
 def _embedded_table(engine: Engine) -> Path:
-    """The folder of the embedded synthetic dataset, which is built on the first call."""
+    """Return the folder of the embedded synthetic dataset, which is built on the first call."""
     from prbench.workflows.first_run import RECORDINGS, default_table, default_table_folder
 
     folder = default_table_folder()
@@ -265,7 +264,7 @@ def _embedded_table(engine: Engine) -> Path:
 
 
 def _tell_limit(request: RunRequest) -> None:
-    """Which of the embedded sequences were run, and how a method that runs elsewhere gets the same ones."""
+    """Tell which of the embedded sequences were run, and how a method that runs elsewhere gets the same ones."""
     print(
         f"these are {request.limit} of its sequences (--limit N takes another number); for the same ones elsewhere:"
         f" prbench export-conditions --data {request.data[0]} --limit {request.limit} …",

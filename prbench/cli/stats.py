@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import command
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.published import PublishedRow
@@ -34,7 +34,7 @@ def _stats(arguments: argparse.Namespace) -> int:
     from prbench.sequences.table_one import table_statistics
 
     if arguments.draw is not None:
-        from prbench.viewing.table_one import require_drawable
+        from prbench.viewing.distributions import require_drawable
 
         require_drawable(arguments.draw)
     tables = [SequenceTable.open(folder) for folder in arguments.data]
@@ -73,7 +73,7 @@ def _stats(arguments: argparse.Namespace) -> int:
     if any(each.dataset.startswith("synthetic-") for each in statistics):
         print("Synthetic sequences imitate the published means; their counts and scores are not comparable with them.")
     if arguments.draw is not None:
-        from prbench.viewing.table_one import draw_table_one
+        from prbench.viewing.distributions import draw_table_one
 
         draw_table_one(_with_sequences(statistics), arguments.draw)
         print(f"drawing: {arguments.draw}")
@@ -81,7 +81,7 @@ def _stats(arguments: argparse.Namespace) -> int:
 
 
 def _with_sequences(statistics: list[TableStatistics]) -> list[TableStatistics]:
-    """Those of which there is something to draw."""
+    """Select the tables of which there is something to draw."""
     from prbench.errors import TableError
 
     drawable = [each for each in statistics if each.sequences]
@@ -91,7 +91,7 @@ def _with_sequences(statistics: list[TableStatistics]) -> list[TableStatistics]:
 
 
 def _print_remarks(info: DatasetInfo) -> None:
-    """Why a table holds no sequences, and that recordings of it are cut short."""
+    """Say why a table holds no sequences, and that recordings of it are cut short."""
     from prbench.sequences.table import why_no_sequences
 
     counts = info.counts

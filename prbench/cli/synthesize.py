@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 from prbench.cli.arguments import add_workers, command, positive
 from prbench.cli.builds import add_replace
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.workflows.matching import Verification
 
-FEWEST_VERIFIED = 4
+_FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
-SCENES_OF_ONE_PRESET = 12
-RECORDINGS_OF_A_HISTOGRAM = 10
+_SCENES_OF_ONE_PRESET = 12
+_RECORDINGS_OF_A_HISTOGRAM = 10
 
 
 def add_parser(commands: argparse._SubParsersAction) -> None:
@@ -93,7 +93,7 @@ def _synthesize(arguments: argparse.Namespace) -> int:
 def _write_tree(arguments: argparse.Namespace) -> None:
     from prbench.engine import engine_for
     from prbench.errors import UsageError
-    from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
+    from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
     if arguments.out is None:
@@ -101,7 +101,8 @@ def _write_tree(arguments: argparse.Namespace) -> None:
     if arguments.layout in CORPUS_LAYOUTS:
         _write_corpus_tree(arguments)
         return
-    done, planned = itertools.count(1), planned_recordings(arguments.size, arguments.recordings)
+    done = itertools.count(1)
+    planned = planned_recordings(arguments.size, arguments.recordings)
     with progress(f"writing {arguments.layout}") as show:
         tree = synthesize_tree(
             arguments.layout,
@@ -128,7 +129,7 @@ def _write_tree(arguments: argparse.Namespace) -> None:
 
 
 def _write_table(arguments: argparse.Namespace) -> None:
-    """Recordings that are acted out, sensed and curated in memory: training data without native files."""
+    """Act out, sense and curate recordings in memory: training data without native files."""
     from prbench.curation import BuildOptions
     from prbench.engine import engine_for
     from prbench.errors import UsageError
@@ -158,8 +159,8 @@ def _write_table(arguments: argparse.Namespace) -> None:
 
 
 def _write_corpus_tree(arguments: argparse.Namespace) -> None:
-    """Invented people in the layout of a text-motion dataset."""
-    from prbench.synthetic.corpus_tree import DEFAULT_RECORDINGS, synthesize_corpus_tree
+    """Write synthetic people in the layout of a text-motion dataset."""
+    from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
 
     done, planned = itertools.count(1), arguments.recordings or DEFAULT_RECORDINGS
     with progress(f"writing {arguments.layout}") as show:
@@ -182,7 +183,7 @@ def _write_corpus_tree(arguments: argparse.Namespace) -> None:
 
 
 def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> None:
-    """What curation finds in the files just written, and at each noise level in recordings of the same seed."""
+    """Compare curation with the truth, for the files just written and at each noise level for the same seed."""
     from prbench.workflows.verify_synthetic import LEVELS, verify_level, verify_tree
 
     rows = []
@@ -194,7 +195,7 @@ def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> N
             result = verify_level(
                 level,
                 preset=arguments.layout,
-                recordings=max(recordings, FEWEST_VERIFIED),
+                recordings=max(recordings, _FEWEST_VERIFIED),
                 seed=arguments.seed,
                 engine=engine,
             )
@@ -235,29 +236,29 @@ def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
 
 
 def _draw_gallery(arguments: argparse.Namespace) -> None:
-    """Twelve sequences of all presets, or of the one that was named."""
-    from prbench.synthetic.corpus_tree import CORPUS_LAYOUTS
+    """Draw twelve sequences of all presets, or of the one that was named."""
+    from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.people import perform
-    from prbench.viewing.clip_strips import invented_strips, render_strips
+    from prbench.viewing.clip_strips import render_strips, strips_of_activities
     from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
 
     if arguments.layout in CORPUS_LAYOUTS:
-        render_strips(invented_strips(arguments.seed), arguments.gallery)
+        render_strips(strips_of_activities(arguments.seed), arguments.gallery)
     elif arguments.layout is None:
         render_contact_sheet(arguments.gallery, seed=arguments.seed)
     else:
         performances = [perform(arguments.layout, seed=arguments.seed, index=index, n_events=6) for index in range(4)]
-        render_gallery(sequences_of(performances)[:SCENES_OF_ONE_PRESET], arguments.gallery)
+        render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], arguments.gallery)
     print(f"gallery: {arguments.gallery}")
 
 
 def _draw_histograms(arguments: argparse.Namespace) -> None:
-    """Statistics of some recordings of the preset that was named, or of all presets."""
+    """Draw statistics of some recordings of the preset that was named, or of all presets."""
     from prbench.synthetic.people import PRESETS, perform
-    from prbench.viewing.histograms import render_histograms
+    from prbench.viewing.distributions import render_histograms
 
     presets = tuple(PRESETS) if arguments.layout is None else (arguments.layout,)
-    count = arguments.recordings or RECORDINGS_OF_A_HISTOGRAM
+    count = arguments.recordings or _RECORDINGS_OF_A_HISTOGRAM
     acted = {
         preset: [perform(preset, seed=arguments.seed, index=index, provocations={}) for index in range(count)]
         for preset in presets

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.progress import progress
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +30,7 @@ _RANKS = {1: "¹", 2: "²"}
 
 
 def wants_table(arguments: argparse.Namespace) -> bool:
-    """Whether all methods or all conditions are asked for."""
+    """Return True where all methods or all conditions are asked for."""
     return ALL in (arguments.method, arguments.condition)
 
 
@@ -45,16 +45,16 @@ def run_and_print(arguments: argparse.Namespace, data: tuple[Path, ...], engine:
         generating=lambda: progress("generating, row"),
         row=_row_progress,
     )
-    report = run_table(table_request(arguments, data), engine=engine, say=say)
-    print_layout(report.layout)
+    report = run_table(_table_request(arguments, data), engine=engine, say=say)
+    _print_layout(report.layout)
     print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
     for outcome in report.failed:
         print(f"failed: {outcome.planned.name}; the same command tries it again", file=sys.stderr)
     return 1 if report.failed else 0
 
 
-def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> TableRequest:
-    """What the arguments ask for.
+def _table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> TableRequest:
+    """Turn the arguments into a request.
 
     Raises:
         UsageError: if one of them belongs to a single run.
@@ -86,7 +86,7 @@ def table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> Tabl
     )
 
 
-def print_layout(layout: TableLayout) -> None:
+def _print_layout(layout: TableLayout) -> None:
     """Print each dataset's part, and what a reader has to know of them."""
     from prbench.workflows.table_two.as_markdown import heading, notes, orders
 
@@ -100,7 +100,7 @@ def print_layout(layout: TableLayout) -> None:
 
 
 def _width() -> float:
-    """Of the terminal; files and pipes have none."""
+    """Return the columns of the terminal; files and pipes have no width."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
 
 
@@ -119,7 +119,7 @@ def _print_dataset(dataset: DatasetLayout, title: str) -> None:
 
 
 def _print_narrow(dataset: DatasetLayout, title: str) -> None:
-    """The same for terminals of 80 columns: blocks one below the other, costs below their numbers."""
+    """Print a dataset's part on a terminal of 80 columns: blocks one below the other, costs below their numbers."""
     from prbench.leaderboard.tables import MAIN_METRICS
     from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
     from prbench.workflows.table_two.layout import metric_title
@@ -137,12 +137,12 @@ def _print_narrow(dataset: DatasetLayout, title: str) -> None:
 
 
 def _folded(label: str) -> str:
-    """In lines no longer than a method's name and its mark."""
+    """Fold a label into lines no longer than a method's name and its mark."""
     return textwrap.fill(label, len("DartControl †"))
 
 
 def _cell(cell: Cell | None, between: str = ", ") -> str:
-    """Mean with its place, the interval below."""
+    """Write a mean with its place, and the interval below."""
     if cell is None:
         return "–"
     mean = f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}"

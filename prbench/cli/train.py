@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_data, command, key_value, positive
-from prbench.cli.training_progress import show_training
+from prbench.cli.progress import show_training
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:

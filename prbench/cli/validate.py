@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from prbench.cli.arguments import add_workers, command, positive
 from prbench.cli.builds import NOT_EVERYTHING, add_reader_options
-from prbench.cli.tables import print_table
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.workflows.validate_hd_epic import Agreement, Validation

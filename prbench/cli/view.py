@@ -62,13 +62,13 @@ def _view(arguments: argparse.Namespace) -> int:
     )
     with progress(f"drawing {request.out.name}") as show:
         report = view(request, show)
-    print_view(report)
+    _print_view(report)
     return 0
 
 
-def print_view(report: ViewReport) -> None:
+def _print_view(report: ViewReport) -> None:
     """Say what was shown: each sequence with what every motion scored."""
-    from prbench.viewing.replay.captions import score_sentence
+    from prbench.viewing.replay.measures import score_sentence
 
     for scene in report.scenes:
         print(f"{scene.sequence_id}: {scene.title}")

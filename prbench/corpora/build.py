@@ -1,7 +1,7 @@
 """Build a corpus: read recordings group by group, keep each group as a part, and merge the parts into one table.
 
 A build that is killed goes on where it stopped; what comes out has the same bytes for any number of workers, whether it
-was interrupted or not.
+was interrupted or not. A dry run says what a build would read, and about how long and how much that takes.
 """
 
 from __future__ import annotations
@@ -10,18 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.corpora.job import CorpusJob
-from prbench.corpora.options import CorpusOptions
-from prbench.corpora.provenance import describe
-from prbench.corpora.sources import corpus_for, find_groups
+from prbench.corpora.job import CorpusJob, describe
+from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench.engine import Engine, InProcess
 from prbench.locks import sole_writer
 from prbench.manifests import digest_of, load_protocol
 from prbench.sequences import parts
-from prbench.sequences.corpus import CorpusRecord
-from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
-from prbench.sequences.corpus_schema import CORPUS_TABLES
+from prbench.sequences.corpus import CORPUS_TABLES, CorpusRecord
 from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.storage import require_replaceable, text_digest
 
 _IN_PROCESS = InProcess()
@@ -33,7 +30,7 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class CorpusReport:
-    """What a build made."""
+    """The result of a build."""
 
     folder: Path
     info: CorpusInfo
@@ -88,7 +85,7 @@ def build_corpus(
             done += len(part.receipt.records)
             if progress is not None:
                 progress(done, total, part.receipt.name)
-        dataset = groups[0].recordings[0].belonging.dataset
+        dataset = groups[0].recordings[0].identity.dataset
         info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
         folders = [part.folder for part in finished]
         tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
@@ -100,3 +97,37 @@ def build_corpus(
 def _settings(described: dict[str, str], manifest_digest: str) -> str:
     chosen = [text for item in sorted(described.items()) for text in item]
     return text_digest(manifest_digest, load_protocol().digest, *chosen)
+
+
+@dataclass(frozen=True)
+class CorpusPlan:
+    """The input of a build, found out without reading any recording."""
+
+    recordings: tuple[str, ...]
+    skipped: tuple[str, ...]
+    """Known-bad ones among them."""
+    input_bytes: int
+    estimated_seconds: float
+    """Seconds with one worker, on a machine like the one it was measured on."""
+    estimated_disk_bytes: int
+
+
+def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DEFAULTS) -> CorpusPlan:
+    """The dry run: what :func:`build_corpus` would read. Writes nothing.
+
+    Raises:
+        UsageError: for an unknown corpus or option.
+        InputFileError: if there is nothing to read.
+    """
+    root = None if root is None else Path(root)
+    corpus = corpus_for(name)
+    corpus.described(options)
+    recordings = [each for group in find_groups(corpus, root, options) for each in group.recordings]
+    costs = [each.cost for each in recordings if each.skip_reason is None]
+    return CorpusPlan(
+        recordings=tuple(each.identity.recording_id for each in recordings),
+        skipped=tuple(each.identity.recording_id for each in recordings if each.skip_reason is not None),
+        input_bytes=sum(cost.input_bytes for cost in costs),
+        estimated_seconds=sum(cost.seconds for cost in costs),
+        estimated_disk_bytes=round(sum(cost.disk_bytes for cost in costs)),
+    )

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from prbench.corpora.sources import CorpusRecording, ReadRecording, RecordingGroup
+import prbench
+from prbench.corpora.sources import CorpusOptions, CorpusRecording, ReadRecording, RecordingGroup
+from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
+from prbench.manifests import Manifest, digest_of, load_protocol
+from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import parts
-from prbench.sequences.corpus import CorpusRecord, annotation_batch, clip_batch, corpus_recording_batch
+from prbench.sequences.corpus import (
+    ANNOTATION_OUTCOMES,
+    CORPUS_SCHEMA_VERSION,
+    CorpusRecord,
+    annotation_batch,
+    clip_batch,
+    corpus_recording_batch,
+)
+from prbench.sequences.dataset_info import CorpusCounts, CorpusInfo, QuarantinedRecording
 from prbench.shown import quoted
 from prbench.storage import text_digest
-from prbench.workers import is_out_of_memory
 
 
 class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
-    """What a finished part tells without opening its tables."""
+    """Description of a finished part, readable without opening its tables."""
 
     name: str
     input_digest: str
@@ -37,7 +49,7 @@ class FinishedGroup:
     folder: Path
     receipt: GroupReceipt
     reused: bool
-    """Whether an earlier, interrupted build had made it."""
+    """True if an earlier, interrupted build had made it."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +79,7 @@ class CorpusJob:
         return FinishedGroup(folder, self._write(folder, group, digest, done), reused=False)
 
     def _folder(self, group: RecordingGroup) -> tuple[Path, str]:
-        """Where the part lies, and the digest of its input."""
+        """Return the folder of the part, and the digest of its input."""
         try:
             digest = group.input_digest()
         except (OSError, InputFileError) as error:
@@ -79,7 +91,7 @@ class CorpusJob:
         known = [
             text
             for recording in group.recordings
-            for text in (*map(str, vars(recording.belonging).values()), recording.skip_reason or "")
+            for text in (*map(str, vars(recording.identity).values()), recording.skip_reason or "")
         ]
         return text_digest(self.settings, *known)
 
@@ -119,7 +131,7 @@ class CorpusJob:
 
     def _failed(self, recording: CorpusRecording, error: Exception) -> tuple[ReadRecording, CorpusRecord]:
         known = isinstance(error, PrbenchError)
-        name = recording.belonging.recording_id
+        name = recording.identity.recording_id
         if self.stop_on_error:
             if known:
                 raise error
@@ -138,12 +150,12 @@ def _left_out(
 def _record(
     recording: CorpusRecording, read: ReadRecording, outcomes: Counter[str], status: str, message: str
 ) -> CorpusRecord:
-    belonging = recording.belonging
+    identity = recording.identity
     return CorpusRecord(
-        recording_id=belonging.recording_id,
-        participant_id=belonging.participant_id,
-        split=belonging.split,
-        split_group=belonging.split_group,
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
+        split_group=identity.split_group,
         duration=read.duration,
         outcomes=dict(outcomes),
         clock_method=read.clock_method,
@@ -151,4 +163,72 @@ def _record(
         status=status,
         message=message,
         measured=dict(read.measured),
+    )
+
+
+def describe(
+    dataset: str,
+    manifest: Manifest | None,
+    described: Mapping[str, str],
+    options: CorpusOptions,
+    receipts: Sequence[GroupReceipt],
+) -> CorpusInfo:
+    """Provenance of a build; its two digests are filled in when the tables are written."""
+    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    protocol = load_protocol()
+    outcomes = Counter[str]()
+    for receipt in receipts:
+        for record in receipt.records:
+            outcomes.update(record.outcomes)
+    real = None if synthetic else manifest
+    return CorpusInfo(
+        schema_version=CORPUS_SCHEMA_VERSION,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        dataset=dataset,
+        title=_title(manifest, synthetic=synthetic),
+        synthetic=synthetic,
+        prbench_version=prbench.__version__,
+        manifest_digest="" if manifest is None else digest_of(manifest),
+        input_digest=text_digest(*(text for receipt in receipts for text in (receipt.name, receipt.input_digest))),
+        options={
+            "recordings": options.recordings,
+            "limit": "all" if options.limit is None else str(options.limit),
+            **described,
+        },
+        counts=_counts(receipts, outcomes),
+        outcomes={outcome: outcomes[outcome] for outcome in ANNOTATION_OUTCOMES},
+        quarantine=tuple(
+            QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
+            for receipt in receipts
+            for record in receipt.records
+            if record.status != "read"
+        ),
+        identity_digest="",
+        content_digest="",
+        licence="MIT (invented by prbench, no recorded person)" if real is None else real.licence,
+        redistribution="yes" if real is None else real.redistribution,
+        homepage="" if real is None else real.homepage,
+        citation="" if real is None else real.citation.strip(),
+    )
+
+
+def _title(manifest: Manifest | None, *, synthetic: bool) -> str:
+    if manifest is None:
+        return "Invented people and what they do"
+    return f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title
+
+
+def _counts(receipts: Sequence[GroupReceipt], outcomes: Counter[str]) -> CorpusCounts:
+    statuses = Counter(record.status for receipt in receipts for record in receipt.records)
+    return CorpusCounts(
+        recordings_found=sum(statuses.values()),
+        recordings_read=statuses["read"],
+        recordings_failed=statuses["failed"],
+        recordings_skipped=statuses["skipped"],
+        annotations=sum(outcomes.values()),
+        clips=sum(receipt.clips for receipt in receipts),
+        captions=sum(receipt.captions for receipt in receipts),
+        approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
+        frames=sum(receipt.frames for receipt in receipts),
     )

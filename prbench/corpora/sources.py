@@ -1,4 +1,7 @@
-"""Where a corpus takes its recordings from. A new corpus is a new module with a ``CORPUS`` and one line here."""
+"""The options of a corpus build, and the sources of its recordings.
+
+A new corpus is a new module with a ``CORPUS`` and one line here. All options are recorded in ``corpus.json``.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,10 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
-from prbench.corpora.options import CorpusOptions
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import Manifest
+from prbench.manifests import Manifest, load_protocol
 from prbench.sequences.corpus import Annotation, Clip
 from prbench.storage import text_digest
 
@@ -23,11 +25,58 @@ CORPUS_MODULES = {
 
 
 @dataclass(frozen=True)
-class Belonging:
-    """What is known of a recording before it is read."""
+class CorpusOptions:
+    """Choices about a whole build."""
+
+    fps: float | None = None
+    """Frames a second of the clips; None = the protocol's 20."""
+    max_frames: int | None = None
+    """Frames at which longer clips are cut; None = the manifest's longest clip."""
+    recordings: str = "*"
+    """Glob over recording ids."""
+    limit: int | None = None
+    """Only the first so many recordings, by name."""
+    source: tuple[tuple[str, str], ...] = ()
+    """Options of the corpus' own reader as name and value, sorted by name."""
+    on_error: Literal["skip", "fail"] = "skip"
+    """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
+    replace: bool = False
+    """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
+
+    def __post_init__(self) -> None:
+        if self.max_frames is not None and self.max_frames < 2:
+            raise UsageError(f"--max-frames must be at least 2, found {self.max_frames}.")
+        if self.fps is not None and self.fps <= 0:
+            raise UsageError(f"--fps must be greater than 0, found {self.fps}.")
+
+    @property
+    def rate(self) -> float:
+        """Frames a second."""
+        return load_protocol().fps if self.fps is None else self.fps
+
+
+@dataclass(frozen=True)
+class ClipLimits:
+    """Lengths of clips, in frames of the corpus."""
+
+    fps: float
+    shortest: int
+    longest: int
+
+    @classmethod
+    def of(cls, options: CorpusOptions, thresholds: dict[str, float]) -> ClipLimits:
+        """Take the limits from the options, else from the manifest: a longest clip of 12 s at 20 fps has 241 frames."""
+        fps = options.rate
+        longest = options.max_frames or int(thresholds["longest_clip"] * fps + 1e-6) + 1
+        return cls(fps, int(thresholds["shortest_clip"] * fps + 1e-6), longest)
+
+
+@dataclass(frozen=True)
+class RecordingIdentity:
+    """The identity of a recording, known before it is read."""
 
     dataset: str
-    """Name that the clips will carry; ``synthetic-`` before it for invented people."""
+    """Name that the clips will carry; ``synthetic-`` before it for synthetic people."""
     recording_id: str
     participant_id: str
     split: str
@@ -36,24 +85,24 @@ class Belonging:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one recording costs, for the dry run; rates were measured on synthetic files, one core."""
+    """The cost of one recording, for the dry run; rates were measured on synthetic files, one core."""
 
     input_bytes: int
     seconds: float
     disk_bytes: float
-    """Of its rows in the table and in the parts that the table is made from."""
+    """Bytes of its rows in the table and in the parts that the table is made from."""
 
 
 @dataclass(frozen=True)
 class ReadRecording:
-    """What reading one recording gave."""
+    """The result of reading one recording."""
 
     clips: tuple[Clip, ...]
     annotations: tuple[Annotation, ...]
     duration: float
     """Seconds of usable motion."""
     clock_method: str = "same"
-    """How text and motion were brought onto one clock; ``same`` where they share one."""
+    """Method that brought text and motion onto one clock; ``same`` where they share one."""
     clock_quality: float | None = None
     message: str = ""
     measured: tuple[tuple[str, str], ...] = ()
@@ -64,13 +113,13 @@ class CorpusRecording(Protocol):
     """One recording that can be read, here or in another process; instances are picklable."""
 
     @property
-    def belonging(self) -> Belonging:
+    def identity(self) -> RecordingIdentity:
         """Name, participant and split."""
         ...
 
     @property
     def skip_reason(self) -> str | None:
-        """Why the recording must not be read; None for all that are fine."""
+        """The reason why the recording must not be read; None for all that are fine."""
         ...
 
     @property
@@ -99,7 +148,7 @@ class RecordingGroup:
     recordings: tuple[CorpusRecording, ...]
 
     def input_digest(self) -> str:
-        """Of all members."""
+        """Digest of all members that are read."""
         return text_digest(*(recording.input_digest() for recording in self.recordings if not recording.skip_reason))
 
 
@@ -121,7 +170,7 @@ class Corpus(Protocol):
         ...
 
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[CorpusRecording, ...]:
-        """All recordings below a folder.
+        """Find all recordings below a folder.
 
         Raises:
             UsageError: for an option that the corpus does not know.
@@ -151,7 +200,7 @@ def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tu
     Raises:
         InputFileError: if there is no recording, or none that matches the glob.
     """
-    found = {each.belonging.recording_id: each for each in corpus.find(root, options)}
+    found = {each.identity.recording_id: each for each in corpus.find(root, options)}
     groups: dict[str, list[CorpusRecording]] = {}
     for name in _chosen(list(found), options, where=root or "invented people"):
         groups.setdefault(corpus.group_of(name), []).append(found[name])

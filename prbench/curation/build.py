@@ -1,7 +1,7 @@
 """Build a dataset: curate recordings one by one, keep each as a part, and merge the parts into one table.
 
 A build that is killed goes on where it stopped; what comes out has the same bytes for any number of workers, whether it
-was interrupted or not.
+was interrupted or not. A dry run says what a build would read, and about how long and how much that takes.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.curation.job import CurationJob
+from prbench.curation.job import CurationJob, read_batches
 from prbench.curation.options import NO_OPTIONS, BuildOptions
-from prbench.curation.parts import read_batches
 from prbench.curation.provenance import describe
 from prbench.curation.sources import NativeSource, RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, StorageError, TableError
 from prbench.locks import sole_writer
-from prbench.manifests import load_manifest, load_protocol
+from prbench.manifests import BuildEstimate, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import work_folder, working_in_parts
 from prbench.sequences.sequence import RecordingRecord
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
 
 _IN_PROCESS = InProcess()
+_UNMEASURED = BuildEstimate(megabytes_per_second=30.0, table_share=0.02)
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class Progress:
     total: int
     record: RecordingRecord
     reused: bool
-    """Whether an interrupted build had already made it."""
+    """True if an interrupted build had already made it."""
 
 
 @dataclass(frozen=True)
 class BuildReport:
-    """What a build made."""
+    """The result of a build."""
 
     folder: Path
     info: DatasetInfo
@@ -158,3 +158,35 @@ def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
                 expected="recordings of one dataset with different names",
                 found=f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}",
             )
+
+
+@dataclass(frozen=True)
+class BuildPlan:
+    """The input of a build, found out without reading any recording."""
+
+    recordings: tuple[str, ...]
+    skipped: tuple[str, ...]
+    """Known-bad ones among them."""
+    input_bytes: int
+    estimated_seconds: float
+    """Seconds with one worker, on a machine like the one it was measured on."""
+    estimated_disk_bytes: int
+
+
+def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTIONS) -> BuildPlan:
+    """The dry run: what :func:`build_dataset` would read. Writes nothing.
+
+    Raises:
+        UsageError: for a dataset without a reader.
+        InputFileError: if there is nothing to read.
+    """
+    sources = native_sources(dataset, root, options)
+    estimate = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)).estimate or _UNMEASURED
+    size = sum(source.size for source in sources if source.skip_reason is None)
+    return BuildPlan(
+        recordings=tuple(source.recording_id for source in sources),
+        skipped=tuple(source.recording_id for source in sources if source.skip_reason is not None),
+        input_bytes=size,
+        estimated_seconds=size / (estimate.megabytes_per_second * 1e6),
+        estimated_disk_bytes=round(size * 2 * estimate.table_share),
+    )

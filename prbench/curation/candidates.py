@@ -29,7 +29,7 @@ _ON_WRIST, _FAR_FROM_WRIST = 0.10, 0.45  # metres between ray and wrist
 _NEAR_HINT = 0.5  # seconds
 _WEIGHTS = {"arm": 0.35, "gaze": 0.35, "stop": 0.20, "moved": 0.10}
 _HINT_SHARE = 0.5
-"""How much of the remaining doubt a hint takes away."""
+"""Share of the remaining doubt that a hint takes away."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Candidate:
     """Seconds on the recording's clock."""
     hand: Side
     confidence: float
-    """From 0 to 1; ranks proposals, and is no probability."""
+    """A number from 0 to 1 that ranks proposals; it is no probability."""
     reason: str
-    """What speaks for it, for the person who decides."""
+    """Hints that speak for it, for the person who decides."""
 
 
 def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidate | None:
@@ -113,7 +113,7 @@ def _judged(
     row: int,
     moved_more: bool,
 ) -> Candidate:
-    """How much one stop looks like reaching."""
+    """Judge how much one stop looks like reaching."""
     shoulder, elbow, wrist = _ARMS[side]
     speed = _relative_speed(times, joints, wrist)
     start = int(np.searchsorted(times, times[row] - _BEFORE))
@@ -146,7 +146,7 @@ def _lifted(joints: Float[np.ndarray, "22 3"], wrist: int) -> float:
 
 
 def _nearest_look(recording: Recording, point: Float[np.ndarray, "3"], start: float, end: float) -> float:
-    """How near gaze comes to a point between two times, metres; infinite without gaze."""
+    """Return the distance of the nearest gaze to a point between two times, metres; infinite without gaze."""
     gaze = recording.gaze
     rows = np.flatnonzero(gaze.valid & (gaze.times >= start) & (gaze.times <= end))
     if len(rows) == 0:

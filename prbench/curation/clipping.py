@@ -1,4 +1,4 @@
-"""From a primed event to a clip: frames on the grid that ends at the event, in the world frame.
+"""Cut a clip from a primed event: frames on the grid that ends at the event, in the world frame.
 
 Source: docs/specification/curation.md#clip.
 """
@@ -59,7 +59,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     step, max_gap = 1 / grid.fps, constants.largest_interpolated_gap
     times = grid.times
     joints = _joints_at(recording.body, times)
-    if not has_heading(joints[0]):
+    if not _has_heading(joints[0]):
         return Decision("no_body", "body")
     around = np.array([grid.start_time - step, event_time + step])
     recorded = covered(recording.body.times, recording.body.valid, around, max_gap=max_gap)
@@ -80,8 +80,8 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     )
 
 
-def has_heading(joints: Float[np.ndarray, "22 3"]) -> bool:
-    """Whether a pose faces anywhere, so that a canonical frame exists (see :func:`prbench.skeleton.facing_yaw`)."""
+def _has_heading(joints: Float[np.ndarray, "22 3"]) -> bool:
+    """Return True if a pose has a heading, without which there is no canonical frame."""
     try:
         facing_yaw(joints)
     except ValueError:

@@ -1,12 +1,11 @@
-"""How far a hand is from an object: to its oriented box, its origin or its surface (the manifest's in-hand rule)."""
+"""Distances from a hand to an object's box, origin or surface (the manifest's in-hand rule), as masks over time."""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.masks import runs
 from prbench.curation.rest import Departure
 from prbench.errors import UsageError
 from prbench.manifests import InHandRule
@@ -15,14 +14,61 @@ from prbench.recording import HandStream, ObjectTrack, Recording
 from prbench.recording.streams import Side
 from prbench.timelines import covered, interpolate
 
-LONGEST_HAND_GAP = 1.0
+_SLACK = 1e-6  # seconds; times are computed, so equality needs room
+_LONGEST_HAND_GAP = 1.0
 """Seconds; hand samples further apart are not interpolated. Long enough that a holding survives the stretches of
 implausible poses that a noisy suit gives: who holds something before and after holds it in between."""
-LONGEST_UNSEEN = 2.0
+_LONGEST_UNSEEN = 2.0
 """Seconds; a hand that is close to an object on both sides of a stretch without measurements never left it (hands leave
 the view of the glasses while they carry something)."""
 _VERTICES_AT_ONCE = 200_000
 """Bounds the memory that meshes of hands need."""
+
+
+def runs(mask: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "k 2"]:
+    """First index and end (exclusive) of every run of True, in order."""
+    edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
+    return np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)])
+
+
+def held_segments(
+    held: Bool[np.ndarray, " n"],
+    staying: Bool[np.ndarray, " n"],
+    times: Float[np.ndarray, " n"],
+    *,
+    minimum_duration: float,
+    join_gap: float,
+) -> Int[np.ndarray, "k 2"]:
+    """Holdings from raw per-sample evidence (docs/specification/curation.md#in-hand-segmentation).
+
+    Neighbouring runs of ``held`` that are at most ``join_gap`` apart are one piece; pieces shorter than
+    ``minimum_duration`` are dropped (debounce); two that are left are joined where every sample between them is
+    ``staying`` (hysteresis: it takes more to begin a holding than to go on with one).
+
+    Args:
+        held: Samples at which the object is surely held: a hand is close and the object moves.
+        staying: Samples that do not end a holding: the hand stays close.
+        times: Strictly increasing, seconds.
+        minimum_duration: Shortest piece that counts, seconds.
+        join_gap: Longest interruption that is bridged whatever happens in it, seconds.
+
+    Returns:
+        First index and end (exclusive) of each holding, in order, without overlap.
+    """
+    pieces = runs(held)
+    pieces = _joined(pieces, times[pieces[1:, 0]] - times[pieces[:-1, 1] - 1] <= join_gap + _SLACK)
+    pieces = pieces[times[pieces[:, 1] - 1] - times[pieces[:, 0]] >= minimum_duration - _SLACK]
+    left_before = np.concatenate(([0], np.cumsum(~staying)))
+    return _joined(pieces, left_before[pieces[1:, 0]] == left_before[pieces[:-1, 1]])
+
+
+def _joined(pieces: Int[np.ndarray, "k 2"], together: Bool[np.ndarray, " gaps"]) -> Int[np.ndarray, "m 2"]:
+    """Pieces with the gaps between them closed where ``together`` says so; one entry a gap."""
+    if len(pieces) == 0:
+        return pieces
+    return np.column_stack(
+        [pieces[np.concatenate(([True], ~together)), 0], pieces[np.concatenate((~together, [True])), 1]]
+    )
 
 
 def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream, ...]:
@@ -68,7 +114,7 @@ def contact_distance(
     Raises:
         MissingExtraError: if the rule asks for a surface, and Open3D is not installed.
     """
-    measured = covered(hand.times, hand.valid, times, max_gap=LONGEST_HAND_GAP)
+    measured = covered(hand.times, hand.valid, times, max_gap=_LONGEST_HAND_GAP)
     if not measured.any():
         return np.full(len(times), np.inf)
     surface = None
@@ -96,7 +142,7 @@ def close_to(
     close = distance < rule.distance
     for start, stop in runs(~np.isfinite(distance)):
         inside = start > 0 and stop < len(times)
-        if inside and close[start - 1] and close[stop] and times[stop] - times[start - 1] <= LONGEST_UNSEEN:
+        if inside and close[start - 1] and close[stop] and times[stop] - times[start - 1] <= _LONGEST_UNSEEN:
             close[start:stop] = True
     return close
 

@@ -10,23 +10,22 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
-from prbench.curation.filters import minimum_movement
 from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
-from prbench.curation.options import DEFAULTS, CurationOptions
+from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.curation.split import split_of
 from prbench.errors import RecordingUnusable
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
-from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
+from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 
 
 @dataclass(frozen=True)
 class CuratedRecording:
-    """What curation made of one recording."""
+    """The result of curating one recording."""
 
     sequences: tuple[Sequence, ...]
     """Sorted by ``sequence_id``."""
@@ -37,7 +36,7 @@ class CuratedRecording:
 
 @dataclass(frozen=True)
 class _Story:
-    """How far one event came."""
+    """The stages that one event passed."""
 
     event: PickPutEvent
     decision: Decision
@@ -189,7 +188,7 @@ def _sequence(
 
 
 def _extra(event: PickPutEvent, prime: Prime) -> dict[str, str]:
-    """What told the hand, and what is worth telling about few sequences only."""
+    """Return what told the hand, and remarks that apply to few sequences only."""
     extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
@@ -247,7 +246,7 @@ def _require_published_priming(recording: Recording) -> None:
 
 
 def _missing_parts(recording: Recording, rule: InHandRule | None, *, found: bool) -> tuple[str, ...]:
-    """What a recording lacks to have events (``found`` says whether it has some) or sequences."""
+    """Name what a recording lacks to have events (``found`` says if it has some) or sequences."""
     remarks = []
     if recording.body is None:
         remarks.append("no_body: no body poses, so no event can become a sequence")

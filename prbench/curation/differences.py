@@ -1,26 +1,32 @@
-"""What changed between two builds: which events and sequences appeared, vanished or moved, and what decided.
+"""Compare two builds: which events and sequences appeared, vanished or moved, what decided, and which columns differ.
 
-Events of the two builds are paired by recording, object and action, nearest in time first
-(docs/specification/curation.md#audit-trail). What is the same event is compared column by column, with its sequence,
-and so are the recordings.
+Numbers are compared to 10 µm (or as little of another unit).
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
 
-from prbench.curation.differing_columns import Row, differing_columns, sequence_rows
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.sequences.schema import OUTCOMES
+from prbench.sequences.rows import is_bulky
+from prbench.sequences.schema import KEY_VALUES, OUTCOMES, SEQUENCES
 
-LARGEST_SHIFT = 1.0
+Row = Mapping[str, Any]
+"""Values by column; in place of per-frame values and poses their digest."""
+
+_WITHIN = 1e-5
+_DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
+_LARGEST_SHIFT = 1.0
 """Seconds between two events that may be the same one."""
 Kind = Literal["gained", "lost", "appeared", "vanished", "moved", "outcome", "values"]
 KINDS: dict[str, str] = {
@@ -34,6 +40,51 @@ KINDS: dict[str, str] = {
 }
 """Kinds of changes in the order of a report."""
 _SAME_TIME, _SAME_PLACE = 1e-6, 1e-5  # s, m
+Event = dict[str, Any]
+"""One row of ``events``."""
+
+
+def _sequence_rows(table: SequenceTable) -> dict[str, Row]:
+    """Every column of every sequence, by ``sequence_id``."""
+    found: dict[str, Row] = {}
+    short = [name for name in SEQUENCES.names if name not in _DIGESTED]
+    for chunk in table.chunks():
+        rows = chunk.batch.select(short).to_pylist()
+        for index, row in enumerate(rows):
+            digests = {name: _digest(chunk.batch.column(name).slice(index, 1)) for name in _DIGESTED}
+            found[row["sequence_id"]] = row | digests
+    return found
+
+
+def _differing_columns(one: Row, other: Row, *, besides: Collection[str] = ()) -> list[str]:
+    """Names of the columns whose values differ, in the order of the first row.
+
+    Args:
+        one: A row.
+        other: One of the same columns.
+        besides: Columns that are not compared.
+    """
+    return [name for name in one if name not in besides and not _same(one[name], other[name])]
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return abs(one - other) <= _WITHIN or one == other or (math.isnan(one) and math.isnan(other))
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(_same(*pair) for pair in zip(one, other, strict=True))
+    return one == other
+
+
+def _digest(column: pa.Array) -> bytes:
+    """Digest of one row's numbers, rounded to 10 µm."""
+    if column.null_count:
+        return b""
+    while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+        column = column.flatten()
+    values = column.to_numpy(zero_copy_only=False)
+    if values.dtype != bool:
+        values = np.rint(values.astype(np.float64) / _WITHIN).astype(np.int64)
+    return hashlib.sha256(values.tobytes()).digest()
 
 
 @dataclass(frozen=True)
@@ -45,7 +96,7 @@ class Change:
     event: str
     """``object name/action/time`` as a person would say it; empty for a change of the recording itself."""
     before: str
-    """What the first build made of it; empty where it has no such event."""
+    """Outcome in the first build; empty where it has no such event."""
     after: str
     decided_by: str
     """Stage that made the difference, with its number and threshold where it has them."""
@@ -64,7 +115,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the two builds hold the same events, sequences and recordings."""
+        """Return True if the two builds hold the same events, sequences and recordings."""
         return not self.changes
 
 
@@ -81,7 +132,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         raise UsageError(f"{first} holds {names[0]} and {second} holds {names[1]}; compare builds of one dataset.")
     before, after = (_events(table) for table in tables)
     recordings = [_recordings(table) for table in tables]
-    sequences = [sequence_rows(table) for table in tables]
+    sequences = [_sequence_rows(table) for table in tables]
     changes: list[tuple[float, Change]] = []
     same_events = same_sequences = 0
     for one, other in _pairs(before, after):
@@ -92,8 +143,8 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         same_events += 1
         same_sequences += one is not None and one["outcome"] == "sequence"
     changes += [(0.0, change) for change in _sequences_without_event(before, after, sequences)]
-    told = {change.recording_id for _, change in changes}
-    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], told)]
+    reported = {change.recording_id for _, change in changes}
+    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], reported)]
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
     return Difference(
@@ -102,10 +153,6 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         unchanged_events=same_events,
         unchanged_sequences=same_sequences,
     )
-
-
-Event = dict[str, Any]
-"""One row of ``events``."""
 
 
 def _events(table: SequenceTable) -> list[Event]:
@@ -128,7 +175,7 @@ def _pairs(before: list[Event], after: list[Event]) -> Iterator[tuple[Event | No
 
 def _pair_group(ours: list[Event], theirs: list[Event]) -> Iterator[tuple[Event | None, Event | None]]:
     gaps = np.abs(np.subtract.outer([e["event_time"] for e in ours], [e["event_time"] for e in theirs]))
-    rows, columns = np.nonzero(gaps.reshape(len(ours), len(theirs)) <= LARGEST_SHIFT)
+    rows, columns = np.nonzero(gaps.reshape(len(ours), len(theirs)) <= _LARGEST_SHIFT)
     partner: dict[int, int] = {}
     taken: set[int] = set()
     for index in np.argsort(gaps[rows, columns], kind="stable") if len(rows) else ():
@@ -146,7 +193,7 @@ def _change(
     recordings: list[dict[str, Row]],
     sequences: list[dict[str, Row]],
 ) -> Change | None:
-    """What is different about one event; None if nothing is."""
+    """Compare one event of both builds; None if nothing differs."""
     if one is None or other is None:
         event, absent = (other, recordings[0]) if one is None else (one, recordings[1])
         assert event is not None
@@ -160,7 +207,7 @@ def _change(
     shift = _shift(one, other)
     if shift and was:
         return _described("moved", one, other, shift)
-    columns = differing_columns(one, other)
+    columns = _differing_columns(one, other)
     if was:
         columns += _differing_of_sequence(sequences[0].get(one["sequence_id"]), sequences[1].get(other["sequence_id"]))
     return _described("values", one, other, ", ".join(dict.fromkeys(columns))) if columns else None
@@ -169,7 +216,7 @@ def _change(
 def _differing_of_sequence(one: Row | None, other: Row | None) -> list[str]:
     if one is None or other is None:
         return [] if one is other else ["no row in sequences in one of them"]
-    return differing_columns(one, other)
+    return _differing_columns(one, other)
 
 
 def _sequences_without_event(
@@ -186,18 +233,18 @@ def _sequences_without_event(
         yield Change(kind, row["recording_id"], event, *before_and_after, "a sequence that no event names")
 
 
-def _changed_recordings(one: dict[str, Row], other: dict[str, Row], told: Collection[str]) -> Iterator[Change]:
-    """Recordings with other values; what follows from changes of their events, which are told, is left out."""
+def _changed_recordings(one: dict[str, Row], other: dict[str, Row], reported: Collection[str]) -> Iterator[Change]:
+    """Recordings with other values; what follows from changes of their events, which are reported, is left out."""
     for name in sorted(one.keys() | other.keys()):
         if name not in one or name not in other:
-            if name not in told:
+            if name not in reported:
                 kind: Kind = "appeared" if name not in one else "vanished"
                 there = one.get(name) or other[name]
                 before_and_after = ("", there["status"]) if name not in one else (there["status"], "")
                 yield Change(kind, name, "", *before_and_after, "recording in one of the builds only")
             continue
-        columns = differing_columns(
-            one[name], other[name], besides=(*OUTCOMES, "status", "message") if name in told else ()
+        columns = _differing_columns(
+            one[name], other[name], besides=(*OUTCOMES, "status", "message") if name in reported else ()
         )
         if columns:
             yield Change("values", name, "", one[name]["status"], other[name]["status"], ", ".join(columns))
@@ -231,7 +278,7 @@ def _decision(event: Event) -> str:
 
 
 def _shift(one: Event, other: Event) -> str:
-    """How far times and place of an event moved; empty if they did not."""
+    """Say how far times and place of an event moved; empty if they did not."""
     parts = []
     for name in ("event_time", "prime_time"):
         if one[name] is not None and other[name] is not None and abs(other[name] - one[name]) > _SAME_TIME:

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.curation.contact import contact_streams, nearest_hand
-from prbench.curation.gaps import LONGEST_SURE_GAP
 from prbench.curation.in_hand import Holding, find_holdings
-from prbench.curation.rest import Departure
+from prbench.curation.rest import LONGEST_SURE_GAP, Departure
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
 from prbench.recording.reaching_hand import ReachingHand, reaching_hand, wrists_at
@@ -22,7 +21,7 @@ from prbench.recording.streams import Action, HandSource, Side
 
 @dataclass(frozen=True)
 class Decision:
-    """What became of an event, at which stage, and the number that decided."""
+    """The outcome of an event, its stage, and the number that decided."""
 
     outcome: str
     stage: str
@@ -32,7 +31,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Place:
-    """Where an event happens: for a put, the future resting place. World frame, metres."""
+    """The place of an event: for a put, the future resting place. World frame, metres."""
 
     location: Float[np.ndarray, "3"]
     """Centre of the box, or the point that the dataset annotates."""
@@ -53,15 +52,15 @@ class PickPutEvent:
     place: Place | None
     hand: Side | None
     hand_source: HandSource | None
-    """What told the hand; None where it is unknown."""
+    """Source of the hand; None where it is unknown."""
     displacement: float | None
-    """How far the object moved away from its rest, metres; None where nobody measured it."""
+    """Distance by which the object moved away from its rest, metres; None where nobody measured it."""
     tracking_gap: float | None = None
     """Length of the gap in the object's track that the event falls into, seconds; None outside such gaps."""
     published_priming: PublishedPriming | None = None
-    """What the dataset itself says about its priming."""
+    """The dataset's own statement about its priming."""
     rejected: Decision | None = None
-    """Why the event is none of this recording's, where that is known already."""
+    """The reason why the event is not of this recording, where that is known already."""
 
 
 def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[PickPutEvent], tuple[str, ...]]:

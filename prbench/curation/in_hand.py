@@ -1,4 +1,4 @@
-"""In-hand segmentation: when somebody's hand holds an object, by the manifest's rule.
+"""Find when somebody's hand holds an object, by the manifest's rule.
 
 Source: docs/specification/curation.md#in-hand-segmentation.
 """
@@ -11,10 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.contact import close_to, contact_distance, contact_streams, require_surfaces
-from prbench.curation.gaps import placed_in_gap
-from prbench.curation.masks import held_segments
-from prbench.curation.rest import Departure, Track, find_departure, windowed_speed
+from prbench.curation.contact import close_to, contact_distance, contact_streams, held_segments, require_surfaces
+from prbench.curation.rest import Departure, Track, find_departure, placed_in_gap, windowed_speed
 from prbench.manifests import InHandRule
 from prbench.recording import HandStream, ObjectTrack, Recording
 
@@ -25,11 +23,11 @@ class Holding:
 
     track: ObjectTrack
     pick: Departure | None
-    """None where the object was in hand, or moving, when the recording began."""
+    """The pick; None where the object was in hand, or moving, when the recording began."""
     put: Departure | None
-    """None where it still is when the recording ends, or where it never comes to rest."""
+    """The put; None where it is in hand when the recording ends, or where it never comes to rest."""
     vanished: float | None
-    """When it was last surely held, seconds, where it leaves the hand and never comes to rest; else None."""
+    """Last time at which it was surely held, seconds, where it never comes to rest afterwards; else None."""
     displacement: float
     """Largest distance from its rest, metres."""
 
@@ -55,7 +53,7 @@ def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
 
 
 def _moves(track: ObjectTrack, rule: InHandRule) -> bool:
-    """Whether the centre of the box can have moved far enough at all: an upper bound that costs next to nothing."""
+    """Return True if the centre of the box can have moved far enough at all: a cheap upper bound."""
     if np.count_nonzero(track.valid) < 2:
         return False
     lever = float(np.linalg.norm((track.box_min + track.box_max) / 2))

@@ -1,4 +1,4 @@
-"""Whether something stands between the eye and a place (option ``--occlusion``; the paper does not ask)."""
+"""Find out if something stands between the eye and a place (option ``--occlusion``; the paper does not ask)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prbench.meshes import TriangleMesh
 from prbench.recording import ObjectTrack, Occluder, Recording
 
 OcclusionMode = Literal["off", "mark", "require"]
-"""``mark``: primes stay what they are, those through a mesh are told; ``require``: only unobstructed looks prime."""
+"""``mark``: primes stay, those through a mesh are reported; ``require``: only unobstructed looks prime."""
 
 MARGIN = 0.02
 """Metres before the place within which a mesh is no obstacle: what the place lies on or in (choice)."""
@@ -83,9 +83,9 @@ class View:
     object_id: str
     """The object of the event."""
     required: bool
-    """Whether only unobstructed looks prime."""
+    """True if only unobstructed looks prime."""
     rays: tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
-    """All gaze samples: times, origins and directions."""
+    """The gaze samples: times, origins and directions."""
 
     def obstacles(self, samples: Int[np.ndarray, " k"], reach: Float[np.ndarray, " k"]) -> tuple[str, ...]:
         """See :meth:`Surroundings.obstacles`, for some of the gaze samples."""
@@ -94,7 +94,7 @@ class View:
 
 
 def occlusion_remarks(recording: Recording, mode: OcclusionMode, through: Sequence[str]) -> tuple[str, ...]:
-    """What the report of a recording says about occlusion.
+    """Return the report's remarks about occlusion in a recording.
 
     Args:
         recording: The recording.

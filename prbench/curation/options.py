@@ -1,18 +1,57 @@
-"""What a user may choose about curation; everything here is recorded in ``dataset.json``."""
+"""The options of curation and of a build, all recorded in ``dataset.json``.
+
+Among them is the minimum-movement filter (*Prime and Reach*, section B.1) with its alternatives.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from prbench.curation.filters import MEASURES
+import numpy as np
+
+from prbench.curation.clipping import Clip
+from prbench.curation.events import Decision, PickPutEvent, Place
 from prbench.curation.occlusion import OcclusionMode
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
 from prbench.meshes import import_open3d
+from prbench.sequences.table_one import body_movement
+from prbench.skeleton import WRISTS
 
 PrimingSource = Literal["rule", "published"]
+
+
+def wrist_to_goal(clip: Clip, _event: PickPutEvent, place: Place) -> float | None:
+    """Distance of the nearer wrist of the first frame to the goal: the protocol's reading of the paper."""
+    return float(np.linalg.norm(clip.joints[0, WRISTS] - place.location, axis=1).min())
+
+
+def pelvis_displacement(clip: Clip, _event: PickPutEvent, _place: Place) -> float | None:
+    """Largest distance of the pelvis from where it was in the first frame."""
+    return body_movement(clip.joints)
+
+
+def object_displacement(_clip: Clip, event: PickPutEvent, _place: Place) -> float | None:
+    """Largest distance of the object from its rest; None for annotated events, which the filter then lets pass."""
+    return event.displacement
+
+
+MEASURES: dict[str, Callable[[Clip, PickPutEvent, Place], float | None]] = {
+    "wrist_to_goal": wrist_to_goal,
+    "pelvis_displacement": pelvis_displacement,
+    "object_displacement": object_displacement,
+}
+"""Maps the option's name to the distance that must reach the protocol's minimum movement."""
+
+
+def minimum_movement(clip: Clip, event: PickPutEvent, place: Place, *, measure: str, threshold: float) -> Decision:
+    """Keep (``sequence``) or drop (``minimum_movement``) a clip; value and threshold in metres."""
+    value = MEASURES[measure](clip, event, place)
+    outcome = "minimum_movement" if value is not None and value < threshold else "sequence"
+    return Decision(outcome, "filters", value, threshold)
 
 
 @dataclass(frozen=True)
@@ -24,11 +63,11 @@ class CurationOptions:
     ray_origin: str | None = None
     """``eye`` or ``camera``; None = the protocol's."""
     minimum_movement: str = "wrist_to_goal"
-    """Which distance must reach the protocol's minimum; see :data:`prbench.curation.filters.MEASURES`."""
+    """Distance that must reach the protocol's minimum; see :data:`prbench.curation.options.MEASURES`."""
     priming: PrimingSource = "rule"
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
-    """What to do with looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
+    """Treatment of looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
 
     def __post_init__(self) -> None:
         if self.occlusion not in get_args(OcclusionMode):
@@ -103,7 +142,7 @@ class BuildOptions:
     reader: tuple[tuple[str, str], ...] = ()
     """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers.options`)."""
     on_error: Literal["skip", "fail"] = "skip"
-    """Whether a recording that cannot be read is reported while the others go on, or ends the build."""
+    """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     replace: bool = False
     """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 

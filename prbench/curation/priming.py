@@ -28,7 +28,7 @@ class Prime:
     time: float
     kind: PrimeKind
     distance: float
-    """How far the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
+    """Distance by which the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
     uncertainty: float
     """Time since the valid gaze sample before it (else until the one after it), seconds: the look began in between."""
     through: str = ""
@@ -111,7 +111,7 @@ def find_prime(
 
 
 def published_prime(published: PublishedPriming | None) -> Prime | Decision:
-    """What the dataset itself says about an event (``--priming published``).
+    """Return the dataset's own prime of an event (``--priming published``).
 
     Returns:
         The prime; or a decision at the stage ``published priming``: ``not_primed``, ``excluded_by_dataset`` (it was

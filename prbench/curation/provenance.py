@@ -1,27 +1,39 @@
-"""What ``dataset.json`` says about a build: origin, options, the funnel, and what was left out."""
+"""Describe a build in ``dataset.json`` (origin, options, counts, what was left out), and show its funnel as a table."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
 
 import msgspec
 
 import prbench
+from prbench.curation.job import PartReceipt
 from prbench.curation.options import BuildOptions
-from prbench.curation.parts import PartReceipt
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.readers import SYNTHETIC_PREFIX, described_options, reader_for
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts
-from prbench.sequences.info_file import QuarantinedRecording
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import text_digest
 
-NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
-UNLOCATED = (*NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
-UNPRIMED = ("not_primed", "excluded_by_dataset", "not_published")
-TOO_SHORT = ("too_short", "no_body")
+_NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
+_UNLOCATED = (*_NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
+_UNPRIMED = ("not_primed", "excluded_by_dataset", "not_published")
+_TOO_SHORT = ("too_short", "no_body")
+_REASONS = {
+    "other_wearer": "somebody else's hand was nearer",
+    "excluded_category": "doors, drawers and the like",
+    "no_location": "never came to rest, or no place annotated",
+    "tracking_lost": "object not tracked around the event",
+    "not_primed": "gaze never met the place in the window before",
+    "excluded_by_dataset": "never tested by the dataset itself",
+    "not_published": "the dataset publishes nothing about it",
+    "too_short": "recording or body does not cover the sequence",
+    "no_body": "no body poses",
+    "minimum_movement": "started beside the goal",
+}
 
 
 def describe(
@@ -75,15 +87,15 @@ def _citation(manifest: Manifest, options: BuildOptions) -> str:
 
 
 def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
-    """How many candidates each stage left, from recordings by status and events by outcome."""
+    """Count the candidates that each stage left, from recordings by status and events by outcome."""
 
     def without(left: int, names: tuple[str, ...]) -> int:
         return left - sum(outcomes.get(name, 0) for name in names)
 
     events = sum(outcomes.values())
-    located = without(events, UNLOCATED)
-    primed = without(located, UNPRIMED)
-    long_enough = without(primed, TOO_SHORT)
+    located = without(events, _UNLOCATED)
+    primed = without(located, _UNPRIMED)
+    long_enough = without(primed, _TOO_SHORT)
     moved_enough = without(long_enough, ("minimum_movement",))
     return FunnelCounts(
         recordings_found=sum(statuses.values()),
@@ -108,3 +120,41 @@ def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOpti
         reader = reader_for(manifest.name, dict(options.reader))
         chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
     return chosen | options.curation.described(manifest, protocol)
+
+
+@dataclass(frozen=True)
+class FunnelRow:
+    """One stage."""
+
+    stage: str
+    kept: int
+    dropped: int
+    reason: str
+    """Counts by reason for what was dropped; empty if nothing was."""
+
+
+def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
+    """Return one row a stage, from files found to sequences."""
+    counts, outcomes = info.counts, info.outcomes
+    left_out = counts.recordings_failed + counts.recordings_skipped
+    read_reason = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
+    if counts.recordings_cut_short:
+        cut = f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing"
+        read_reason = f"{read_reason}; {cut}" if read_reason else cut
+    rows = [
+        FunnelRow("recordings found", counts.recordings_found, 0, ""),
+        FunnelRow("recordings read", counts.recordings_read, left_out, read_reason),
+        FunnelRow("candidate events", counts.events, 0, ""),
+    ]
+    stages = (
+        ("located", counts.located, ("other_wearer", "excluded_category", "no_location", "tracking_lost")),
+        ("primed", counts.primed, ("not_primed", "excluded_by_dataset", "not_published")),
+        ("long enough", counts.long_enough, ("too_short", "no_body")),
+        ("moved enough", counts.moved_enough, ("minimum_movement",)),
+    )
+    before = counts.events
+    for stage, kept, names in stages:
+        reasons = "; ".join(f"{outcomes[name]} {name}: {_REASONS[name]}" for name in names if outcomes.get(name))
+        rows.append(FunnelRow(stage, kept, before - kept, reasons))
+        before = kept
+    return [*rows, FunnelRow("sequences", counts.sequences, before - counts.sequences, "")]

@@ -1,4 +1,4 @@
-"""Where a build takes its recordings from: native files of a dataset, or anything else that yields recordings."""
+"""The sources of a build's recordings: native files of a dataset, or anything else that yields recordings."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class RecordingSource(Protocol):
 
     @property
     def skip_reason(self) -> str | None:
-        """Why the recording must not be read; None for all that are fine."""
+        """The reason why the recording must not be read; None for all that are fine."""
         ...
 
     def input_digest(self) -> str:

@@ -1,4 +1,4 @@
-"""Which split a recording belongs to: its own name decides, so a partial copy never moves one.
+"""Decide the split of a recording: its own name decides, so a partial copy never moves one.
 
 Source: docs/specification/curation.md#splits.
 """

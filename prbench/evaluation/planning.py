@@ -13,8 +13,7 @@ from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.lookup import find_sequence_id
-from prbench.sequences.table import SPLITS, SequenceTable, smallest_by_hash
+from prbench.sequences.table import SPLITS, SequenceTable, find_sequence_id, smallest_by_hash
 from prbench.storage import text_digest
 
 WINDOW = 1024

@@ -11,7 +11,7 @@ from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.methods.programs.words import short_name
-from prbench.paths import turn_into_paths
+from prbench.storage import turn_into_paths
 
 DEFAULT_BATCH_SIZE = 64
 

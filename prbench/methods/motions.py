@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
+from prbench.engine import is_out_of_memory
 from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
 from prbench.methods.declared import Declared
 from prbench.methods.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
-from prbench.workers import is_out_of_memory
 
 
 def generate_checked(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions, Trainable, TrainingRun
+from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import load_adapter, used_weights, weights_digest
 from prbench.methods.declared import Declared
@@ -29,7 +30,6 @@ from prbench.methods.remote.messages import (
 )
 from prbench.methods.training_split import FIT_SEED, TrainingCopy
 from prbench.methods.users_environment import computing_threads
-from prbench.workers import is_out_of_memory
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,7 +1,9 @@
-"""The ``prbench`` block of an entry and the arrays of ``further/``: what the authors' layout has no place for.
+"""Arrays of a release, read without trust, and the ``prbench`` block: what the authors' layout has no place for.
 
-Other tools pass over both. Together with the layout's own fields they hold every column of the sequence table, so that
-a table comes back unchanged.
+Motions and gazes are ``.npy`` files that nobody vouches for: the header is checked against the file's size, objects are
+refused, nothing is unpickled. The block of an entry and the arrays of ``further/`` are ours; other tools pass over
+both. Together with the layout's own fields they hold every column of the sequence table, so that a table comes back
+unchanged.
 """
 
 from __future__ import annotations
@@ -16,18 +18,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from prbench.bounded import open_regular
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive
+from prbench.numpy_files import Archive, ArrayHeader, read_header
 
-_ARRAYS = (
-    "previous_joints",
-    "next_joints",
-    "gaze_origin",
-    "gaze_direction",
-    "gaze_valid",
-    "head_position",
-    "head_rotation",
-)
+_REQUIRED = ("previous_joints", "next_joints", "gaze_origin", "gaze_direction", "gaze_valid")
+_HEAD = ("head_position", "head_rotation")  # both or none
+_ACCEPTED = (np.dtype(np.float32), np.dtype(np.float64))
+_REMEDY = "Copy or download the file again."
+_HEADER_BYTES = 12_000  # numpy's own limit is 10,000
 
 
 class Block(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,7 +60,7 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
     next_source: str
     world_from_canonical: tuple[float, ...]
     motion_frame: str
-    """``canonical`` or ``world``: what motions, goal and gazes of this file are in."""
+    """Frame of motions, goal and gazes of this file: ``canonical`` or ``world``."""
     goal_frame: str = "known"
     """``unknown`` where the table itself came from a release whose goals could not be placed."""
     extra: dict[str, str]
@@ -73,10 +72,10 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def parse_block(value: Any) -> Block | None:
-    """The block of an entry.
+    """Read the block of an entry; None if there is none.
 
     Raises:
-        ValueError: if there is one of another form.
+        ValueError: if the block has another form.
     """
     if value is None:
         return None
@@ -84,7 +83,7 @@ def parse_block(value: Any) -> Block | None:
 
 
 def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """An uncompressed ``.npz``, equal bytes for equal values."""
+    """Pack arrays as an uncompressed ``.npz``, with equal bytes for equal values."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, values in arrays.items():
@@ -95,7 +94,7 @@ def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """The known arrays of a ``.npz`` that nobody vouches for.
+    """Read the known arrays of a ``.npz`` without trusting it.
 
     Raises:
         InputFileError: if it is damaged, compressed, or holds objects.
@@ -103,11 +102,11 @@ def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
     archive = Archive(path, content)
     if not all(map(archive.stored_as_is, archive.members)):
         raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
-    return archive.load(_ARRAYS)
+    return archive.load((*_REQUIRED, *_HEAD))
 
 
 def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
-    """Whether the arrays belong to a motion of this length."""
+    """Return True if the arrays are complete and belong to a motion of this length."""
     shapes = {
         "previous_joints": (22, 3),
         "next_joints": (22, 3),
@@ -117,11 +116,69 @@ def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
         "head_position": (n_frames, 3),
         "head_rotation": (n_frames, 4),
     }
-    needed = {"previous_joints", "next_joints", "gaze_origin", "gaze_direction", "gaze_valid"}
-    heads = {"head_position", "head_rotation"} & set(arrays)
     return (
-        needed <= set(arrays)
-        and len(heads) != 1
+        set(_REQUIRED) <= set(arrays)
+        and len(set(_HEAD) & set(arrays)) != 1
         and all(values.shape == shapes[name] and values.dtype.kind in "fb" for name, values in arrays.items())
         and all(np.isfinite(values).all() for values in arrays.values())
     )
+
+
+def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
+    """Read the header and check that the file is as long as it claims.
+
+    Args:
+        path: File, for messages.
+        content: The beginning of the file.
+        size: Size of the whole file, bytes.
+
+    Raises:
+        InputFileError: if this is no ``.npy`` file, holds objects, or is truncated.
+    """
+    header = read_header(io.BytesIO(content), path, "", remedy=_REMEDY)
+    expected = header.offset + header.nbytes
+    if size != expected:
+        raise _no_array(path, f"{expected} bytes for shape {header.shape}", f"{size}")
+    return header
+
+
+def scan_header(path: Path) -> ArrayHeader:
+    """Read the header of a file without its values.
+
+    Raises:
+        InputFileError: see :func:`_parse_header`, or if the file cannot be opened.
+    """
+    try:
+        with open_regular(path) as file:
+            return _parse_header(path, file.read(_HEADER_BYTES), path.stat().st_size)
+    except OSError as error:
+        raise _no_array(path, "a readable file", str(error.strerror or error)) from error
+
+
+def parse_array(path: Path, content: bytes) -> np.ndarray:
+    """Return the array of a ``.npy`` file whose bytes were read.
+
+    Raises:
+        InputFileError: see :func:`_parse_header`.
+    """
+    header = _parse_header(path, content, len(content))
+    return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset))
+
+
+def require_frames(path: Path, header: ArrayHeader, per_frame: tuple[int, ...]) -> int:
+    """Return the number of frames of an array of shape (N, *per_frame) in single or double precision.
+
+    Raises:
+        InputFileError: for another shape or kind of number.
+    """
+    native = header.dtype.newbyteorder("=")
+    if native not in _ACCEPTED:
+        raise _no_array(path, "float32 or float64", str(header.dtype))
+    if len(header.shape) != 1 + len(per_frame) or header.shape[1:] != per_frame:
+        wanted = ", ".join(("N", *map(str, per_frame)))
+        raise _no_array(path, f"shape ({wanted})", str(header.shape))
+    return header.shape[0]
+
+
+def _no_array(path: Path, expected: str, found: str) -> InputFileError:
+    return InputFileError(path, "", expected=expected, found=found, remedy=_REMEDY)

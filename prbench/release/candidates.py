@@ -1,4 +1,4 @@
-"""Sequences of a release before their arrays are read: entry, files, and what the entry says, checked."""
+"""Sequences of a release before their arrays are read: each entry with its files, both checked."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import InputFileError
-from prbench.release.arrays import require_frames, scan_header
+from prbench.release.block import require_frames, scan_header
 from prbench.release.entries import Entries, Entry
-from prbench.release.inferences import Problem
 from prbench.release.layout import DatasetFiles
+from prbench.release.report import Problem
 from prbench.release.values import Goal, parse_goal, parse_number, parse_subset
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One sequence with its files; what it says is checked, its arrays are known by their headers only."""
+    """One sequence with its files; its entry is checked, its arrays are known by their headers only."""
 
     index: int
     entry: Entry
@@ -33,18 +33,18 @@ class Candidate:
 
 @dataclass
 class Found:
-    """All candidates of a dataset, and what is wrong with the rest; filled while the files are looked through."""
+    """All candidates of a dataset and all problems, collected while the files are searched."""
 
     candidates: list[Candidate] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
     def report(self, key: str, message: str, *, left_out: bool = True) -> None:
-        """Note what is wrong with a sequence."""
+        """Note a problem of a sequence."""
         self.problems.append(Problem(key, message, left_out))
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Every sequence that was left out, with all that is wrong with it."""
+        """Maps every sequence that was left out to all its problems."""
         reasons: dict[str, list[str]] = {}
         for problem in self.problems:
             if problem.left_out:
@@ -56,9 +56,9 @@ def find_candidates(entries: Entries, files: DatasetFiles, mapping: Mapping[str,
     """Match entries with files and check both; every problem of every sequence is collected.
 
     Args:
-        entries: Of ``target_information.json``.
+        entries: Entries of ``target_information.json``.
         files: Arrays by number.
-        mapping: Field of the release by canonical name.
+        mapping: Maps canonical names to fields of the release.
     """
     found = Found()
     numbers = _numbers(entries, files, found)
@@ -76,13 +76,13 @@ def find_candidates(entries: Entries, files: DatasetFiles, mapping: Mapping[str,
 
 
 def _numbers(entries: Entries, files: DatasetFiles, found: Found) -> dict[str, int]:
-    """The number of every entry; entries without one take the files in order, if there are as many."""
+    """Map keys to numbers; keys without a number get the remaining files in order, if there are as many."""
     numbers = {entry.key: entry.index for entry in entries.entries if entry.index is not None}
-    nameless = [entry.key for entry in entries.entries if entry.index is None]
+    unnumbered = [entry.key for entry in entries.entries if entry.index is None]
     free = sorted(set(files.motions) - set(numbers.values()))
-    if nameless and len(nameless) == len(free):
-        numbers |= dict(zip(nameless, free))
-        for key in nameless:
+    if len(unnumbered) == len(free):
+        numbers |= dict(zip(unnumbered, free))
+        for key in unnumbered:
             found.report(key, "a key without a number: matched with the files by order", left_out=False)
     return numbers
 
@@ -96,8 +96,8 @@ def _candidate(
     gaze = _gaze_file(entry.key, files.gazes.get(index), n_frames, found)
     if len(found.left_out) > before or goal is None or subset is None or primed is None or n_frames is None:
         return None
-    motion, further = files.motions[index], files.further.get(index)
-    return Candidate(index, entry, motion, gaze, further, n_frames, goal, subset, primed)
+    further = files.further.get(index)
+    return Candidate(index, entry, files.motions[index], gaze, further, n_frames, goal, subset, primed)
 
 
 def _length_of_motion(key: str, path: Path | None, found: Found) -> int | None:
@@ -107,7 +107,7 @@ def _length_of_motion(key: str, path: Path | None, found: Found) -> int | None:
     try:
         n_frames = require_frames(path, scan_header(path), (22, 3))
     except InputFileError as error:
-        found.report(key, _what(error, "motion"))
+        found.report(key, _expectation(error, "motion"))
         return None
     if n_frames < 2:
         found.report(key, f"motion: expected 2 frames or more, found {n_frames}")
@@ -115,14 +115,14 @@ def _length_of_motion(key: str, path: Path | None, found: Found) -> int | None:
 
 
 def _gaze_file(key: str, path: Path | None, n_frames: int | None, found: Found) -> Path | None:
-    """The gaze file, if it is usable with a motion of this length; a frame more or less is."""
+    """Return the gaze file if it is usable with a motion of this length; one frame more or less is tolerated."""
     if path is None:
         found.report(key, "no file in gazes: no gaze", left_out=False)
         return None
     try:
         rows = require_frames(path, scan_header(path), (3,))
     except InputFileError as error:
-        found.report(key, f"{_what(error, 'gaze')}: no gaze", left_out=False)
+        found.report(key, f"{_expectation(error, 'gaze')}: no gaze", left_out=False)
         return None
     if n_frames is None or rows == n_frames:
         return path
@@ -149,7 +149,7 @@ def _targets(entry: Entry, mapping: Mapping[str, str], found: Found) -> tuple[Go
     return goal, subset, primed
 
 
-def _what(error: InputFileError, name: str) -> str:
+def _expectation(error: InputFileError, name: str) -> str:
     return f"{name}: expected {error.expected}, found {error.found}"
 
 

@@ -1,4 +1,4 @@
-"""Entries of ``target_information.json``, whichever of five shapes the file has.
+"""Read the entries of ``target_information.json`` from any of five shapes of the file.
 
 Source: docs/specification/pr-release.md#tolerant-parser.
 """
@@ -28,7 +28,7 @@ _DEEPEST = 4  # wrappers within wrappers
 
 @dataclass(frozen=True)
 class Entry:
-    """One sequence as the file tells it."""
+    """One sequence as the file describes it."""
 
     key: str
     """As written."""
@@ -44,15 +44,15 @@ class Entries:
     path: Path
     entries: tuple[Entry, ...]
     shape: str
-    """Which shape was recognised, in words."""
+    """The recognised shape, in words."""
 
     @property
     def field_names(self) -> list[str]:
-        """Every field that some entry has, in the order of first appearance."""
+        """Fields of all entries, in the order of first appearance."""
         return list(dict.fromkeys(name for entry in self.entries for name in entry.fields))
 
     def values(self, field: str) -> list[Any]:
-        """The values of one field where it has one."""
+        """Return the values of one field, of the entries that have it."""
         return [entry.fields[field] for entry in self.entries if entry.fields.get(field) is not None]
 
 
@@ -93,7 +93,7 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _unfold(path: Path, content: Any, *, depth: int) -> tuple[list[tuple[str, dict[str, Any]]], list[str]]:
-    """Keys with their fields, and the shapes that were met from outside to inside."""
+    """Return keys with their fields, and the nested shapes from outside to inside."""
     if isinstance(content, list):
         return _from_list(path, content), ["list of entries"]
     if not isinstance(content, dict) or depth > _DEEPEST:
@@ -122,7 +122,8 @@ def _wrapper(content: dict[str, Any]) -> str | None:
 
 
 def _by_subset(path: Path, content: dict[str, Any], depth: int) -> tuple[list[tuple[str, dict[str, Any]]], list[str]]:
-    keyed, shape = list[tuple[str, dict[str, Any]]](), list[str]()
+    keyed = list[tuple[str, dict[str, Any]]]()
+    shape = list[str]()
     for subset, part in content.items():
         if not part:
             continue
@@ -150,7 +151,7 @@ def _from_list(path: Path, content: list[Any]) -> list[tuple[str, dict[str, Any]
 
 
 def _is_by_field(content: dict[str, Any]) -> bool:
-    """Keys are names of fields and values are lists or objects by sequence."""
+    """Return True if keys are names of fields and values are lists or objects by sequence."""
     if not content or not all(isinstance(part, dict | list) for part in content.values()):
         return False
     if any(isinstance(part, list) for part in content.values()):
@@ -161,7 +162,8 @@ def _is_by_field(content: dict[str, Any]) -> bool:
 
 
 def _transposed(path: Path, content: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    names = content.pop(_key_field(content), None) if _key_field(content) else None
+    key_field = _key_field(content)
+    names = None if key_field is None else content.pop(key_field)
     keys = [str(name) for name in names] if isinstance(names, list) else None
     rows: dict[str, dict[str, Any]] = {}
     for field, part in content.items():
@@ -176,8 +178,9 @@ def _transposed(path: Path, content: dict[str, Any]) -> list[tuple[str, dict[str
     return list(rows.items())
 
 
-def _key_field(content: dict[str, Any]) -> str:
-    return next((name for name, part in content.items() if isinstance(part, list) and letters(name) in _KEYS), "")
+def _key_field(content: dict[str, Any]) -> str | None:
+    """Return the name of the list that holds the keys, if there is one."""
+    return next((name for name, part in content.items() if isinstance(part, list) and letters(name) in _KEYS), None)
 
 
 def _require_distinct(path: Path, entries: Iterable[Entry]) -> None:

@@ -1,6 +1,6 @@
-"""Write sequence tables in the layout of the authors' release: others' tools read them, and ours reads them back.
+"""Write sequence tables in the layout of the authors' release, for others' tools and for our importer.
 
-Beyond the layout stand, for readers that know them, the ``prbench`` block of each entry and the arrays of ``further/``.
+Beyond the layout it writes the ``prbench`` block of each entry and the arrays of ``further/``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Frame = Literal["canonical", "world"]
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written for one table."""
+    """The folder that was written for one table."""
 
     dataset: str
     folder: Path
@@ -48,8 +48,8 @@ def export_release(
         tables: Dataset folders, of different datasets.
         out: The release; a dataset's folder that an earlier export wrote is replaced, anything else is not touched.
         permitted: Datasets whose licence keeps recorded motion, but for which the user has permission.
-        frame: What motions, goals and gazes are expressed in: the canonical frame of each sequence, or the world of
-            its recording (whose float32 positions are coarser, about 1 µm at 10 m).
+        frame: Frame of motions, goals and gazes: the canonical frame of each sequence, or the world of its recording
+            (whose float32 positions are coarser, about 1 µm at 10 m).
 
     Raises:
         RedistributionError: if a licence forbids it; nothing is written then.
@@ -125,8 +125,9 @@ class _Row:
         return self.world_from_canonical if self.frame == "world" else np.eye(4)
 
     def write_arrays(self, folder: Path, key: str) -> None:
-        """Motions, gazes (NaN where invalid), and what the layout has no place for (canonical)."""
-        joints, gaze = self.chunk.joints, self.chunk.frames("gaze_direction")
+        """Write motions, gazes (NaN where invalid), and the further arrays (always canonical)."""
+        joints = self.chunk.joints
+        gaze = self.chunk.frames("gaze_direction")
         valid = np.asarray(self.chunk.frames("gaze_valid"), dtype=bool)
         directions = np.where(valid[:, None], gaze, np.float32(np.nan))
         if self.frame == "world":
@@ -148,9 +149,10 @@ class _Row:
         (folder / FURTHER / f"{key}.npz").write_bytes(pack_arrays(further))
 
     def entry(self, event_id: str | None) -> dict[str, Any]:
-        """The layout's fields, then the block of what it lacks."""
+        """Return the layout's fields and the prbench block."""
         goal = transform_points(self.written_from_canonical, self.chunk.vectors("goal_location")[0])
-        hand, n_frames = self.text("hand") or None, int(self.chunk.n_frames[0])
+        hand = self.text("hand") or None
+        n_frames = int(self.chunk.n_frames[0])
         box = [self.chunk.vectors(name)[0].tolist() for name in ("goal_box_world_min", "goal_box_world_max")]
         fields = {
             "goal_location": goal.tolist(),
@@ -200,7 +202,7 @@ def _write_npy(path: Path, values: np.ndarray) -> None:
 
 
 def _record(table: SequenceTable, permitted: Collection[str], frame: Frame) -> dict[str, Any]:
-    """Which table it was, under which terms."""
+    """Return the record of the exported table and its terms."""
     info = table.info
     return {
         "written_by": f"prbench {prbench.__version__}",

@@ -1,4 +1,4 @@
-"""Which of a release's fields means what: exact alias, then part of a name, then the form of the values."""
+"""Find the meaning of a release's fields: by exact alias, then by part of a name, then by the form of the values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from prbench.errors import InputFileError, UsageError
-from prbench.release.inferences import Certainty
+from prbench.release.report import Certainty, FieldChoice
 from prbench.release.values import (
     parse_action,
     parse_goal,
@@ -24,13 +24,13 @@ _FITTING = 0.8  # share of them that must have the form: a few broken entries do
 
 
 @dataclass(frozen=True)
-class FieldRule:
-    """How one canonical field is recognised (docs/specification/pr-release.md#tolerant-parser)."""
+class _FieldRule:
+    """The signs of one canonical field (docs/specification/pr-release.md#tolerant-parser)."""
 
     canonical: str
     aliases: tuple[str, ...]
     fits: Callable[[Any, str], bool]
-    """Whether a value, under a field of the given name, has the right form."""
+    """Returns True if a value has the right form; called with the value and the field's name."""
     part: str | None = None
     """Pattern within a name (letters and digits only); None for fields on which no number depends."""
     by_value: bool = False
@@ -51,8 +51,8 @@ def _is_name(value: Any, _name: str) -> bool:
     return parse_name(value) is not None
 
 
-FIELDS: tuple[FieldRule, ...] = (
-    FieldRule(
+FIELDS: tuple[_FieldRule, ...] = (
+    _FieldRule(
         "goal",
         ("goal", "goallocation", "goalposition", "goalpos", "target", "targetlocation", "targetposition",
          "objectlocation", "objectposition", "objectpos", "location", "position", "o3d", "loc3d"),
@@ -61,14 +61,14 @@ FIELDS: tuple[FieldRule, ...] = (
         by_value=True,
         required=True,
     ),
-    FieldRule(
+    _FieldRule(
         "text",
         ("text", "prompt", "textprompt", "caption", "description", "narration", "instruction", "sentence"),
         lambda value, _: parse_text(value) is not None,
         part="text|prompt|caption",
         by_value=True,
     ),
-    FieldRule(
+    _FieldRule(
         "subset",
         ("subset", "split", "set", "partition", "phase", "mode", "traintest", "istrain", "train", "test"),
         lambda value, name: parse_subset(value, name) is not None,
@@ -76,11 +76,11 @@ FIELDS: tuple[FieldRule, ...] = (
         by_value=True,
         required=True,
     ),
-    FieldRule("fps", ("fps", "framerate"), _is_frame_rate, part="fps"),
-    FieldRule("num_frames", ("numframes", "nframes", "framecount", "length", "numberofframes"), _is_number),
-    FieldRule("duration", ("duration", "durations", "seconds"), _is_number),
-    FieldRule("event_frame", ("eventframe", "eventidx", "eventframenumber"), _is_number),
-    FieldRule(
+    _FieldRule("fps", ("fps", "framerate"), _is_frame_rate, part="fps"),
+    _FieldRule("num_frames", ("numframes", "nframes", "framecount", "length", "numberofframes"), _is_number),
+    _FieldRule("duration", ("duration", "durations", "seconds"), _is_number),
+    _FieldRule("event_frame", ("eventframe", "eventidx", "eventframenumber"), _is_number),
+    _FieldRule(
         "primed_frame",
         ("primedframe", "primedframenumber", "primeframe", "primingframe", "primedidx", "primeindex", "tp", "prime",
          "primetime"),
@@ -89,46 +89,36 @@ FIELDS: tuple[FieldRule, ...] = (
         by_value=True,
         required=True,
     ),
-    FieldRule(
+    _FieldRule(
         "action",
         ("action", "actiontype", "type", "event", "eventtype", "pickput", "verb"),
         lambda value, name: parse_action(value, name) is not None,
         part="action|pick|put",
         by_value=True,
     ),
-    FieldRule("hand", ("hand", "side", "wrist"), lambda value, _: parse_hand(value) is not None, part="hand"),
-    FieldRule(
+    _FieldRule("hand", ("hand", "side", "wrist"), lambda value, _: parse_hand(value) is not None, part="hand"),
+    _FieldRule(
         "source",
         ("source", "sourcevideo", "video", "videoid", "videoname", "recording", "recordingid", "clip", "sequencename"),
         _is_name,
     ),
-    FieldRule("object_name", ("objectname", "object", "objectlabel", "noun"), _is_name),
-    FieldRule("object_box", ("objectbox", "goalbox", "targetbox", "bbox", "box", "aabb"),
+    _FieldRule("object_name", ("objectname", "object", "objectlabel", "noun"), _is_name),
+    _FieldRule("object_box", ("objectbox", "goalbox", "targetbox", "bbox", "box", "aabb"),
               lambda value, _: _is_box(value)),
-    FieldRule("units", ("units", "unit"), lambda value, _: isinstance(value, str)),
-    FieldRule("up", ("up", "upaxis"), lambda value, _: isinstance(value, str)),
-    FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
+    _FieldRule("units", ("units", "unit"), lambda value, _: isinstance(value, str)),
+    _FieldRule("up", ("up", "upaxis"), lambda value, _: isinstance(value, str)),
+    _FieldRule("prbench", ("prbench",), lambda value, _: isinstance(value, dict)),
 )  # fmt: skip
-"""In the order in which names are given away; a field means one thing only."""
-
-
-@dataclass(frozen=True)
-class FieldChoice:
-    """Which field of the release stands for a canonical one."""
-
-    canonical: str
-    field: str
-    certainty: Certainty
-    evidence: str
+"""The canonical fields in the order in which they choose; a field of the release gets one meaning only."""
 
 
 def letters(name: str) -> str:
-    """A name in lower case, letters and digits only."""
+    """Return a name in lower case, letters and digits only."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 
 def names_a_field(name: str) -> bool:
-    """Whether a name is an exact alias of some field."""
+    """Return True if a name is an exact alias of some canonical field."""
     return any(letters(name) in rule.aliases for rule in FIELDS)
 
 
@@ -140,8 +130,8 @@ def choose_fields(
     Args:
         where: File, for messages.
         names: Fields of the release.
-        values: Values of a field.
-        given: Canonical names with the fields that the user chose for them.
+        values: Returns all values of a field.
+        given: Maps canonical names to the fields that the user chose for them.
 
     Raises:
         UsageError: if the user names a field that does not exist.
@@ -178,7 +168,7 @@ def _given(where: str, canonical: str, field: str, names: Sequence[str]) -> Fiel
 
 
 def _choose(
-    where: str, rule: FieldRule, free: Sequence[str], values: Mapping[str, Sequence[Any]]
+    where: str, rule: _FieldRule, free: Sequence[str], values: Mapping[str, Sequence[Any]]
 ) -> FieldChoice | None:
     part = re.compile(rule.part) if rule.part else None
     steps: tuple[tuple[list[str], Certainty, str], ...] = (
@@ -188,7 +178,7 @@ def _choose(
     )
     for names, certainty, evidence in steps:
         found = [name for name in names if _fits(rule, name, values[name])]
-        if len(found) > 1 and rule.part is None:  # nothing hangs on it: the better known name
+        if len(found) > 1 and rule.part is None:  # no number depends on it
             found = sorted(found, key=lambda name: rule.aliases.index(letters(name)))[:1]
         if len(found) > 1 and (rule.required or certainty == "certain"):
             raise InputFileError(
@@ -204,11 +194,11 @@ def _choose(
 
 
 def _some(values: Sequence[Any]) -> Sequence[Any]:
-    """Values from all over a field."""
+    """Return a sample of the values, spread evenly over the field."""
     return values[:: max(1, len(values) // _LOOKED_AT)]
 
 
-def _fits(rule: FieldRule, name: str, values: Sequence[Any]) -> bool:
+def _fits(rule: _FieldRule, name: str, values: Sequence[Any]) -> bool:
     return bool(values) and sum(rule.fits(value, name) for value in values) >= _FITTING * len(values)
 
 

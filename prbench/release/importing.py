@@ -1,7 +1,7 @@
-"""Import the authors' release: what it leaves open is inferred, written down, and never guessed in silence.
+"""Import the authors' release: every property that it leaves open is inferred and written down.
 
-Files are gone through three times, so that memory does not grow with the motions: headers (frame rate, base of the
-primed frames), measurements (unit, frames), and conversion.
+Files are read three times, so that memory does not grow with the motions: headers (frame rate, base of the primed
+frames), measurements (unit, frames), and conversion.
 """
 
 from __future__ import annotations
@@ -14,25 +14,23 @@ from typing import Any
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.locks import sole_writer
-from prbench.manifests import Manifest, load_manifest, load_protocol
-from prbench.release.inferences import Inference
+from prbench.manifests import load_manifest, load_protocol
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
 from prbench.release.layout import DatasetFiles, find_datasets
-from prbench.release.provenance import describe
-from prbench.release.report import ImportReport, count_rows, count_warnings
+from prbench.release.provenance import describe, read_export_record, terms_of
+from prbench.release.report import ImportReport, Inference, count_rows, count_warnings
 from prbench.release.rows import Reading
 from prbench.release.survey import Measured, survey
-from prbench.release.terms import read_export_record, terms_of
 from prbench.release.writing import ImportedRows
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
 
 NO_OPTIONS = ImportOptions()
 Progress = Callable[[str, str], None]
-"""Called with the dataset and what is being done."""
+"""Called with the dataset and the step that begins."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,14 @@ class FailedDataset:
 
 @dataclass(frozen=True)
 class ImportResult:
-    """What became of each dataset."""
+    """The imported datasets, and those that could not be imported."""
 
     reports: tuple[ImportReport, ...]
     failed: tuple[FailedDataset, ...]
 
     @property
     def complete(self) -> bool:
-        """Nothing had to be left out."""
+        """True if nothing had to be left out."""
         return not self.failed and not any(report.left_out for report in self.reports)
 
 
@@ -70,8 +68,8 @@ def import_release(
     Args:
         root: The release (folders HD-EPIC, MoGaze …), or the folder of one dataset.
         out: With ``dataset`` the table's folder, else a folder in which each dataset gets one of its own.
-        dataset: Only this dataset.
-        options: What the user knows better.
+        dataset: Name of the only dataset to import.
+        options: Statements of the user, which replace inferences.
         progress: Called before each step.
 
     Raises:
@@ -83,7 +81,8 @@ def import_release(
     """
     root = Path(root)
     out = Path(out)
-    dataset = None if dataset is None else dataset_of(dataset) or dataset  # the authors' spelling will do too
+    if dataset is not None:
+        dataset = dataset_of(dataset) or dataset  # users may write it as the authors do: HD-EPIC
     found = find_datasets(root, dataset)
     targets = {name: out if dataset is not None else out / name for name, _ in found}
     for target in targets.values():
@@ -109,7 +108,18 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
     progress(dataset, f"measuring {len(interpreted.found.candidates)} sequences")
     measured = _measure(interpreted, options)
     conclusions = _conclude(interpreted, measured, options)
-    reading = _as_exported(_reading(dataset, manifest, interpreted, conclusions, options), measured)
+    reading = Reading(
+        dataset=dataset,
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        texts=load_protocol().text,
+        mapping=interpreted.mapping,
+        unmapped=interpreted.unmapped,
+        fps=interpreted.fps,
+        primed=interpreted.primed,
+        conclusions=conclusions,
+        first_frame_is_previous=options.first_frame_is_previous,
+    )
+    reading = _as_exported(reading, measured)
     inferences = (*interpreted.inferences, *reading.conclusions.inferences)
     progress(dataset, f"writing {len(measured)} sequences")
     rows = ImportedRows(reading, measured, interpreted.found)
@@ -134,15 +144,16 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
         inferences=inferences + _round_trip(exported, info),
         problems=tuple(interpreted.found.problems),
         counts=counts,
-        warnings=(*reading.conclusions.warnings, *count_warnings(counts), *_strangers(interpreted.files)),
+        warnings=(*reading.conclusions.warnings, *count_warnings(counts), *_unused_files(interpreted.files)),
     )
     report.write()
     return report
 
 
 def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]:
-    """Read every sequence once; with ``on_error="fail"`` none may be missing then."""
-    found, shift = interpreted.found, int(options.first_frame_is_previous)
+    """Read every sequence once; with ``on_error="fail"`` refuse a release of which one is missing."""
+    found = interpreted.found
+    shift = int(options.first_frame_is_previous)
     rate = interpreted.fps if interpreted.primed.in_seconds else 1.0
     primed_frame = dict[int, int]()
     for candidate in found.candidates:
@@ -179,24 +190,8 @@ def _conclude(interpreted: Interpreted, measured: list[Measured], options: Impor
     return replace(conclusions, inferences=(*conclusions.inferences, previous))
 
 
-def _reading(
-    dataset: str, manifest: Manifest, interpreted: Interpreted, conclusions: Conclusions, options: ImportOptions
-) -> Reading:
-    return Reading(
-        dataset=dataset,
-        head_tilt_deg=manifest.body.head_tilt_deg,
-        texts=load_protocol().text,
-        mapping=interpreted.mapping,
-        unmapped=interpreted.unmapped,
-        fps=interpreted.fps,
-        primed=interpreted.primed,
-        conclusions=conclusions,
-        first_frame_is_previous=options.first_frame_is_previous,
-    )
-
-
 def _as_exported(reading: Reading, measured: list[Measured]) -> Reading:
-    """Where every entry has our own block, frames need no inference."""
+    """Replace the inferences of frames by the statements of our own blocks, where every entry has one."""
     blocks = [reading.block(each.candidate) for each in measured]
     stated = [block for block in blocks if block is not None]
     if len(stated) < len(blocks):
@@ -215,7 +210,7 @@ def _as_exported(reading: Reading, measured: list[Measured]) -> Reading:
 
 
 def _round_trip(exported: Mapping[str, Any] | None, info: DatasetInfo) -> tuple[Inference, ...]:
-    """Whether the table is the one that our exporter wrote."""
+    """Compare the imported table with the one that our exporter wrote, by their digests."""
     if exported is None:
         return ()
     kinds = ("identity_digest", "content_digest")
@@ -226,8 +221,8 @@ def _round_trip(exported: Mapping[str, Any] | None, info: DatasetInfo) -> tuple[
     return (Inference("exported_table", "not the same", "certain", found),)
 
 
-def _strangers(files: DatasetFiles) -> tuple[str, ...]:
-    if not files.strangers:
+def _unused_files(files: DatasetFiles) -> tuple[str, ...]:
+    if not files.unused_names:
         return ()
-    shown = ", ".join(files.strangers[:5]) + (", …" if len(files.strangers) > 5 else "")
-    return (f"{len(files.strangers)} files are no arrays of sequences: {shown}.",)
+    shown = ", ".join(files.unused_names[:5]) + (", …" if len(files.unused_names) > 5 else "")
+    return (f"{len(files.unused_names)} files are no arrays of sequences: {shown}.",)

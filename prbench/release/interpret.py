@@ -1,4 +1,4 @@
-"""What the JSON and the headers of the arrays tell: fields, sequences, frame rate, base of the primed frames."""
+"""Interpret the JSON and the headers of the arrays: fields, sequences, frame rate, base of the primed frames."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.release.candidates import Found, find_candidates
 from prbench.release.entries import Entries, read_entries
-from prbench.release.fields import FieldChoice, choose_fields
-from prbench.release.inferences import Inference
+from prbench.release.fields import choose_fields
 from prbench.release.known import SYNTHETIC_PREFIX, KnownDataset, load_known
 from prbench.release.layout import DatasetFiles, list_files
 from prbench.release.rates import FrameRateEvidence, PrimedFrames, infer_frame_rate, read_primed_frames
+from prbench.release.report import FieldChoice, Inference
 from prbench.release.values import parse_number
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """What a user may say about a release."""
+    """Statements of a user about a release."""
 
     fps: float | None = None
     """Frame rate; inferred if None."""
@@ -39,7 +39,7 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class Interpreted:
-    """A dataset before its arrays are read: what its fields mean, and which sequences there are."""
+    """A dataset before its arrays are read: the meaning of its fields, and its sequences."""
 
     entries: Entries
     files: DatasetFiles
@@ -57,14 +57,14 @@ class Interpreted:
 
     @property
     def unmapped(self) -> tuple[str, ...]:
-        """Fields that mean nothing to us."""
+        """Fields that stand for no canonical one."""
         taken = set(self.mapping.values())
         return tuple(name for name in self.entries.field_names if name not in taken)
 
 
 @foreign_input()
 def interpret(dataset: str, folder: Path, options: ImportOptions) -> Interpreted:
-    """Everything that can be known before the arrays are read.
+    """Infer everything that the JSON and the headers tell.
 
     Raises:
         InputFileError: if a file is missing or damaged, no field fits, no sequence is whole, or nothing tells the rate.
@@ -122,7 +122,7 @@ def _field_values(found: Found, mapping: Mapping[str, str], canonical: str) -> n
 
 
 def _check_lengths(found: Found, mapping: Mapping[str, str]) -> None:
-    """Compare stated lengths with the arrays'; the arrays count."""
+    """Report stated lengths that differ from the arrays', which are used."""
     for canonical, expected in (("num_frames", 0), ("event_frame", -1)):
         for candidate in found.candidates if canonical in mapping else ():
             stated = parse_number(candidate.entry.fields.get(mapping[canonical]))
@@ -133,7 +133,7 @@ def _check_lengths(found: Found, mapping: Mapping[str, str]) -> None:
 
 
 def require_some(found: Found, files: DatasetFiles) -> None:
-    """Refuse a dataset of which nothing is left.
+    """Refuse a dataset without any complete sequence.
 
     Raises:
         InputFileError: with what is wrong with the first sequence.

@@ -1,4 +1,4 @@
-"""From measurements to conclusions: unit, frames, skeleton (docs/specification/pr-release.md#what-is-unknown)."""
+"""Conclude unit, frames and skeleton from measurements (docs/specification/pr-release.md#what-is-unknown)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.release.inferences import Inference
 from prbench.release.known import load_known
+from prbench.release.report import Inference
 from prbench.release.survey import GOAL_FRAMES, Measured, mean_bones
 
 UNKNOWN = "unknown"
@@ -20,12 +20,12 @@ _UNIT_NAMES = {"m": "metres", "metre": "metres", "meter": "metres", "meters": "m
 
 @dataclass(frozen=True)
 class Conclusions:
-    """How the arrays of one dataset are to be read."""
+    """Unit and frames of the arrays of one dataset."""
 
     metres: float
-    """Length of the release's unit."""
+    """Length of the release's unit, metres."""
     is_canonical: bool
-    """Motions are canonical already, nearly all of them."""
+    """True if nearly all motions are canonical already."""
     goal_frame: str
     """One of the survey's frames, or ``unknown``."""
     inferences: tuple[Inference, ...]
@@ -36,9 +36,9 @@ def conclude(where: str, measured: Sequence[Measured], *, stated_unit: str | Non
     """Judge the measurements of all sequences of one dataset.
 
     Args:
-        where: For messages.
-        measured: All sequences.
-        stated_unit: What the release says of its unit, if anything.
+        where: Folder of the dataset, for messages.
+        measured: Measurements of all sequences.
+        stated_unit: Unit that the release states, if any.
 
     Raises:
         InputFileError: if the motions are too small or too large for people in metres, centimetres or millimetres, or
@@ -75,7 +75,7 @@ def _unit(where: str, measured: Sequence[Measured], stated: str | None) -> tuple
 
 
 def is_canonical_already(measured: Measured, metres: float) -> bool:
-    """Whether the canonical frame of a motion is the frame that it is given in."""
+    """Return True where a motion is given in its own canonical frame."""
     rules = load_known().canonical
     world_from_canonical = measured.world_from_canonical
     yaw = np.degrees(np.arctan2(world_from_canonical[0, 2], world_from_canonical[0, 0]))
@@ -104,7 +104,7 @@ def _goal_frame(measured: Sequence[Measured], metres: float) -> tuple[str, Infer
 
 
 def _skeleton(measured: Sequence[Measured], metres: float) -> Inference:
-    """Whether all sequences share the lengths of one skeleton."""
+    """Tell one skeleton that all sequences share from people's own bones."""
     spread = float(mean_bones(measured).std(axis=0).max()) * metres
     change = float(np.median([each.bone_change for each in measured])) * metres
     evidence = (
@@ -118,7 +118,7 @@ def _skeleton(measured: Sequence[Measured], metres: float) -> Inference:
 
 
 def _gaze(measured: Sequence[Measured], metres: float, goal_frame: str) -> tuple[Inference, tuple[str, ...]]:
-    """How often the gaze passes the goal at the primed frame: a check on frame, base and rate together."""
+    """Count how often the gaze passes the goal at the primed frame, which checks frame, base and rate together."""
     rules = load_known().goal
     rays = [each.gaze_ray for each in measured if each.gaze_ray is not None]
     if not rays:

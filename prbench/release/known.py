@@ -1,4 +1,4 @@
-"""What the authors say of their release, and the numbers by which an import judges what it finds."""
+"""The authors' statements about their release, and the limits by which an import judges measurements."""
 
 from __future__ import annotations
 
@@ -22,38 +22,38 @@ class KnownDataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     prime_gap: float
 
 
-class PelvisToHead(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Range of the median distance, metres."""
+class _PelvisToHead(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Range of the median distance from pelvis to head, metres."""
 
     lowest: float
     highest: float
 
 
-class GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How close goals must be to wrists and gaze, metres."""
+class _GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Largest distances of goals from wrists and gaze, metres, and the share of gazes within theirs."""
 
     wrist_distance: float
     gaze_distance: float
     gaze_share: float
 
 
-class CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """When a motion counts as canonical already."""
+class _CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Limits within which a motion counts as canonical already: metres, degrees, share of the sequences."""
 
     position: float
     yaw_deg: float
     agreeing: float
 
 
-class GazeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Lengths of gaze vectors."""
+class _GazeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Tolerances of the lengths of gaze vectors."""
 
     unit_tolerance: float
     renormalised_tolerance: float
 
 
-class SkeletonRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """When bones count as uniform, metres."""
+class _SkeletonRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Largest spread, metres, with which bones count as one skeleton's."""
 
     uniform: float
 
@@ -65,22 +65,22 @@ class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     frame_rate_tolerance: float
     agreeing_primes: float
     mean_precision: float
-    pelvis_to_head: PelvisToHead
-    goal: GoalRules
-    canonical: CanonicalRules
-    gaze: GazeRules
-    skeleton: SkeletonRules
+    pelvis_to_head: _PelvisToHead
+    goal: _GoalRules
+    canonical: _CanonicalRules
+    gaze: _GazeRules
+    skeleton: _SkeletonRules
     datasets: dict[str, KnownDataset]
 
 
 @cache
 def load_known() -> KnownRelease:
-    """The constants, read once."""
+    """Read the constants, once."""
     return read_toml("prbench_benchmarks.prime_and_reach", "release.toml", KnownRelease)
 
 
 def dataset_of(folder: str) -> str | None:
-    """The dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
+    """Return the dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
     name = folder.lower()
     prefix = SYNTHETIC_PREFIX if name.startswith(SYNTHETIC_PREFIX) else ""
     wanted = _letters(name.removeprefix(prefix))
@@ -91,7 +91,7 @@ def dataset_of(folder: str) -> str | None:
 
 
 def folder_of(dataset: str) -> str:
-    """The name of a dataset's folder in the layout; that of a dataset which the study lacks is its own."""
+    """Return the folder name of a dataset; a dataset that is not the study's keeps its own name."""
     known = load_known().datasets.get(dataset)
     return dataset if known is None else known.folder
 

@@ -1,4 +1,4 @@
-"""Where things lie in a release: one folder a dataset, files numbered by sequence; never outside its root."""
+"""Find the files of a release: one folder a dataset, files numbered by sequence, never outside its root."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ TARGETS = "target_information.json"
 MOTIONS = "motions"
 GAZES = "gazes"
 FURTHER = "further"
-"""Folder of what only this toolkit writes: arrays that the layout has no place for."""
+"""Folder that only this toolkit writes: arrays that the layout has no place for."""
 EXPORT_RECORD = "prbench_export.json"
-"""Written beside the targets by our exporter: which table it was, under which terms."""
+"""Record that our exporter writes beside the targets: the table and its terms."""
 
 _ENDS = re.compile(r"^\D+|\D+$")
 
@@ -32,8 +32,8 @@ class DatasetFiles:
     motions: dict[int, Path]
     gazes: dict[int, Path]
     further: dict[int, Path]
-    strangers: tuple[str, ...]
-    """Names in ``motions`` and ``gazes`` that are no array of a sequence."""
+    unused_names: tuple[str, ...]
+    """Names in the folders of arrays that are no array of a sequence."""
 
     @property
     def targets(self) -> Path:
@@ -42,7 +42,7 @@ class DatasetFiles:
 
 
 def index_of(key: str) -> int | None:
-    """The number of a sequence key or file name (``motions/0000000012.npy``, ``seq_12``, ``12``), or None."""
+    """Return the number of a sequence key or file name (``motions/0000000012.npy``, ``seq_12``, ``12``), or None."""
     name = re.split(r"[/\\]", key.strip())[-1].removesuffix(".npy")
     digits = _ENDS.sub("", name)
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
@@ -50,11 +50,11 @@ def index_of(key: str) -> int | None:
 
 @foreign_input()
 def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Path]]:
-    """Dataset folders of a release, by name.
+    """Find the dataset folders of a release, sorted by name.
 
     Args:
         root: The release, or the folder of one dataset.
-        dataset: Only this dataset; says also what ``root`` is if it is a dataset's folder of unknown name.
+        dataset: Name of the only dataset; a ``root`` of unknown name is taken for this dataset's folder.
 
     Raises:
         InputFileError: if there is none, or a folder's name leads out of the root.
@@ -86,26 +86,27 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
 
 
 def list_files(folder: Path, dataset: str) -> DatasetFiles:
-    """The arrays of one dataset's folder by the number in their names.
+    """List the arrays of one dataset's folder by the number in their names.
 
     Raises:
         InputFileError: if two files have one number, or a file leads out of the folder.
     """
     for name in (TARGETS, EXPORT_RECORD):
         _require_inside(folder, folder / name)
-    strangers: list[str] = []
+    unused_names: list[str] = []
     return DatasetFiles(
         folder,
         dataset,
-        _numbered(folder, MOTIONS, ".npy", strangers),
-        _numbered(folder, GAZES, ".npy", strangers),
-        _numbered(folder, FURTHER, ".npz", strangers),
-        tuple(strangers),
+        _numbered(folder, MOTIONS, ".npy", unused_names),
+        _numbered(folder, GAZES, ".npy", unused_names),
+        _numbered(folder, FURTHER, ".npz", unused_names),
+        tuple(unused_names),
     )
 
 
-def _numbered(root: Path, name: str, suffix: str, strangers: list[str]) -> dict[int, Path]:
-    folder, found = root / name, dict[int, Path]()
+def _numbered(root: Path, name: str, suffix: str, unused_names: list[str]) -> dict[int, Path]:
+    folder = root / name
+    found = dict[int, Path]()
     if not folder.is_dir():
         return found
     _require_inside(root, folder)
@@ -117,7 +118,7 @@ def _numbered(root: Path, name: str, suffix: str, strangers: list[str]) -> dict[
         if entry.is_symlink():
             _require_inside(root, path)
         if path.suffix != suffix or index is None or not entry.is_file():
-            strangers.append(f"{name}/{entry.name}")
+            unused_names.append(f"{name}/{entry.name}")
             continue
         if index in found:
             raise InputFileError(

@@ -1,17 +1,86 @@
-"""``dataset.json`` of an imported dataset."""
+"""Terms of an imported table and its ``dataset.json``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
 import prbench
-from prbench.manifests import Manifest, digest_of, load_protocol
-from prbench.release.inferences import Inference
+from prbench.manifests import Manifest, digest_of, load_citations, load_protocol
 from prbench.release.interpret import Interpreted
-from prbench.release.terms import Terms
+from prbench.release.known import SYNTHETIC_PREFIX
+from prbench.release.layout import EXPORT_RECORD
+from prbench.release.report import Inference
 from prbench.release.writing import ImportedRows
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts
-from prbench.sequences.info_file import QuarantinedRecording
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
+from prbench.sequences.redistribution import strictest
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
-from prbench.storage import file_digest, text_digest
+from prbench.storage import file_digest, read_json, text_digest
+
+_STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"
+_STUDY_REDISTRIBUTION = "non-commercial"
+"""Our assumption, since the study states no terms of its own contribution: the terms of most of its datasets."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Title, licence, redistribution, homepage and citation, as ``dataset.json`` has them."""
+
+    title: str
+    licence: str
+    redistribution: str
+    homepage: str
+    citation: str
+    synthetic: bool
+
+
+def read_export_record(folder: Path) -> dict[str, Any] | None:
+    """Read the record that our own exporter left in a dataset's folder, or None.
+
+    Raises:
+        InputFileError: if it is no JSON.
+    """
+    if not (folder / EXPORT_RECORD).is_file():
+        return None
+    record = read_json(folder / EXPORT_RECORD)
+    return record if isinstance(record, dict) else None
+
+
+def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | None) -> Terms:
+    """The terms of an imported dataset.
+
+    Data that our exporter wrote are no part of the study's release; what its record says can make terms stricter than
+    the manifest's, never looser.
+    """
+    if dataset.startswith(SYNTHETIC_PREFIX):
+        return Terms(
+            title=f"Invented recordings in the layout of {manifest.title}",
+            licence="MIT (invented by prbench, no recorded person)",
+            redistribution="yes",
+            homepage="",
+            citation="",
+            synthetic=True,
+        )
+    source = Terms(
+        title=manifest.title,
+        licence=manifest.licence,
+        redistribution=manifest.redistribution,
+        homepage=manifest.homepage,
+        citation=manifest.citation.strip(),
+        synthetic=False,
+    )
+    if exported is not None:
+        stated = str(exported.get("redistribution", source.redistribution))
+        return replace(source, redistribution=strictest([source.redistribution, stated]))
+    return replace(
+        source,
+        title=f"{source.title}, as released with Prime and Reach",
+        licence=f"{source.licence} (source recordings); {_STUDY_TERMS}",
+        redistribution=strictest([source.redistribution, _STUDY_REDISTRIBUTION]),
+        citation=f"{load_citations().study.strip()}\n\n{source.citation}",
+    )
 
 
 def describe(
@@ -22,8 +91,9 @@ def describe(
     inferences: tuple[Inference, ...],
     rows: ImportedRows,
 ) -> DatasetInfo:
-    """Provenance of an import: every inference stands among its options; the digests are filled in by the writer."""
-    protocol, n = load_protocol(), len(rows.measured)
+    """Describe an import: every inference stands among its options; the writer fills in the digests."""
+    protocol = load_protocol()
+    n = len(rows.measured)
     failed = [record for record in rows.records if record.status == "failed"]
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
@@ -64,17 +134,16 @@ def describe(
 
 def _options(interpreted: Interpreted, inferences: tuple[Inference, ...]) -> dict[str, str]:
     goal_frame = next(each.value for each in inferences if each.name == "goal_frame")
-    return (
-        {"source": "release", "goal_frame": goal_frame, "in_hand_rule": "the release's own events"}
-        | {f"release.{each.name}": each.text for each in inferences}
-        | {
-            f"release.field.{choice.canonical}": f"{choice.field} ({choice.certainty}: {choice.evidence})"
-            for choice in interpreted.fields
-        }
-    )
+    options = {"source": "release", "goal_frame": goal_frame, "in_hand_rule": "the release's own events"}
+    options |= {f"release.{each.name}": each.text for each in inferences}
+    for choice in interpreted.fields:
+        options[f"release.field.{choice.canonical}"] = f"{choice.field} ({choice.certainty}: {choice.evidence})"
+    return options
 
 
 def _input_digest(interpreted: Interpreted, rows: ImportedRows) -> str:
-    """Over ``target_information.json`` and the arrays of every sequence that was taken."""
-    arrays = (text for each in rows.measured for text in (str(each.candidate.index), each.digest))
+    """Return the digest of ``target_information.json`` and of the arrays of every imported sequence."""
+    arrays = []
+    for each in rows.measured:
+        arrays += [str(each.candidate.index), each.digest]
     return text_digest(file_digest(interpreted.files.targets), *arrays)

@@ -1,4 +1,4 @@
-"""Frame rate of a release, and whether its primed frames count from 0 or 1.
+"""Infer the frame rate of a release, and the number from which its primed frames count (0 or 1).
 
 Source: docs/specification/pr-release.md#what-is-unknown.
 """
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.release.inferences import Inference
 from prbench.release.known import KnownDataset, KnownRelease, load_known
+from prbench.release.report import Inference
 
 LEAD = 2.0
 """Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2)."""
@@ -20,7 +20,7 @@ LEAD = 2.0
 
 @dataclass(frozen=True)
 class PrimedFrames:
-    """What the primed-frame field holds."""
+    """Meaning of the primed-frame field."""
 
     in_seconds: bool
     base: int
@@ -30,11 +30,11 @@ class PrimedFrames:
 
 @dataclass(frozen=True)
 class FrameRateEvidence:
-    """Everything that can tell the rate."""
+    """Everything from which the frame rate can be inferred."""
 
     n_frames: Int[np.ndarray, " n"]
     primed: Float[np.ndarray, " n"]
-    """As written."""
+    """Primed frames as the release writes them."""
     stated: Float[np.ndarray, " stated"]
     """Values of a frame-rate field."""
     durations: Float[np.ndarray, " n"] | None
@@ -61,7 +61,7 @@ def read_primed_frames(primed: Float[np.ndarray, " n"], n_frames: Int[np.ndarray
 
 
 def infer_frame_rate(evidence: FrameRateEvidence, primed: PrimedFrames) -> tuple[float | None, Inference]:
-    """The frame rate, or None if the evidence is missing or contradicts itself.
+    """Infer the frame rate; None if the evidence is missing or contradicts itself.
 
     Stated rates count most; then stated durations; then (a) the most frequent primed frame, 2 s after the start, and
     (b) the mean length against the study's mean duration.
@@ -70,22 +70,20 @@ def infer_frame_rate(evidence: FrameRateEvidence, primed: PrimedFrames) -> tuple
     if len(evidence.stated) and (evidence.stated == evidence.stated[0]).all():
         rate = float(evidence.stated[0])
         return rate, Inference("fps", f"{rate:g}", "certain", f"stated by {len(evidence.stated)} entries")
-    votes = {
-        name: vote
-        for name, vote in (
-            ("lengths and durations", _by_durations(evidence, constants)),
-            ("primed frames", _by_primes(evidence, primed, constants)),
-            ("mean length", _by_mean_length(evidence, constants)),
-        )
-        if vote is not None
+    possible = {
+        "lengths and durations": _by_durations(evidence, constants),
+        "primed frames": _by_primes(evidence, primed, constants),
+        "mean length": _by_mean_length(evidence, constants),
     }
+    votes = {name: vote for name, vote in possible.items() if vote is not None}
     said = "; ".join(f"{name}: {value:.2f} Hz, near {rate:g}" for name, (rate, value) in votes.items())
     rates = {rate for rate, _ in votes.values()}
     if len(rates) != 1:
         reason = "the signs contradict each other" if rates else "nothing tells"
         return None, Inference("fps", "unknown", "unknown", said or reason)
     certainty = "likely" if len(votes) > 1 or "lengths and durations" in votes else "assumed"
-    return rates.pop(), Inference("fps", f"{next(iter(votes.values()))[0]:g}", certainty, said)
+    (rate,) = rates
+    return rate, Inference("fps", f"{rate:g}", certainty, said)
 
 
 def _by_durations(evidence: FrameRateEvidence, constants: KnownRelease) -> tuple[float, float] | None:
@@ -107,15 +105,16 @@ def _by_primes(
 
 
 def _by_mean_length(evidence: FrameRateEvidence, constants: KnownRelease) -> tuple[float, float] | None:
-    """Only where there are enough sequences for a mean to say something."""
-    known, n = evidence.known, len(evidence.n_frames)
+    """Return no rate where there are too few sequences for a precise mean."""
+    known = evidence.known
+    n = len(evidence.n_frames)
     if known is None or known.duration_sd / (known.duration * np.sqrt(n)) > constants.mean_precision:
         return None
     return _near(float(evidence.n_frames.mean()) / known.duration, constants)
 
 
 def _near(value: float, constants: KnownRelease) -> tuple[float, float] | None:
-    """The considered rate within the tolerance of a measured one, with what was measured."""
+    """Return the considered rate nearest to a measured one, and the measured one; None outside the tolerance."""
     nearest = min(constants.frame_rates, key=lambda rate: abs(value - rate))
     return (nearest, value) if abs(value - nearest) <= constants.frame_rate_tolerance * nearest else None
 

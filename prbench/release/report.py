@@ -1,4 +1,4 @@
-"""What an import did: fields, inferences, problems and counts, for people and as ``import_report.json``."""
+"""The inferences and problems of an import, and its report for people and as ``import_report.json``."""
 
 from __future__ import annotations
 
@@ -6,30 +6,75 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from prbench.release.fields import FieldChoice
-from prbench.release.inferences import Inference, Problem, grouped
 from prbench.release.known import KnownDataset
 from prbench.sequences import DatasetInfo
 from prbench.storage import write_json
 
+Certainty = Literal["certain", "likely", "assumed", "unknown"]
+"""In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out."""
 FILE_NAME = "import_report.json"
 
 
 @dataclass(frozen=True)
-class CountRow:
-    """Sequences of one split, beside what the study says."""
+class Inference:
+    """One property that the release does not state."""
+
+    name: str
+    value: str
+    certainty: Certainty
+    evidence: str
+
+    @property
+    def text(self) -> str:
+        """The inference in one line, as it stands among the options of ``dataset.json``."""
+        return f"{self.value} ({self.certainty}: {self.evidence})"
+
+
+@dataclass(frozen=True)
+class FieldChoice:
+    """The field of the release that was chosen for a canonical one."""
+
+    canonical: str
+    field: str
+    certainty: Certainty
+    evidence: str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One problem of one sequence."""
+
+    key: str
+    message: str
+    left_out: bool
+    """True if the sequence was left out; else it was imported in spite of the problem."""
+
+
+def grouped(problems: Iterable[Problem]) -> list[tuple[str, int, str]]:
+    """Return messages, the number of sequences they concern, and the first of these; the most frequent first."""
+    counts: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    for problem in problems:
+        counts[problem.message] += 1
+        first.setdefault(problem.message, problem.key)
+    return [(message, count, first[message]) for message, count in counts.most_common()]
+
+
+@dataclass(frozen=True)
+class _CountRow:
+    """Number of sequences of one split, beside the study's."""
 
     split: str
     found: int
     expected: int | None
-    """None where the study says nothing."""
+    """None where the study states none."""
 
 
 @dataclass(frozen=True)
 class ImportReport:
-    """Everything that an import of one dataset inferred, and what it could not use."""
+    """Everything that an import of one dataset inferred, and every problem that it met."""
 
     dataset: str
     folder: Path
@@ -40,12 +85,12 @@ class ImportReport:
     unmapped: tuple[str, ...]
     inferences: tuple[Inference, ...]
     problems: tuple[Problem, ...]
-    counts: tuple[CountRow, ...]
+    counts: tuple[_CountRow, ...]
     warnings: tuple[str, ...]
 
     @property
     def left_out(self) -> int:
-        """Number of sequences that could not be taken."""
+        """Number of sequences that were left out."""
         return len({problem.key for problem in self.problems if problem.left_out})
 
     def write(self) -> None:
@@ -74,24 +119,24 @@ class ImportReport:
         }
 
     def problem_lines(self, most: int = 12) -> list[str]:
-        """Problems by kind, the most frequent first."""
+        """Return one line for each kind of problem, the most frequent first."""
         groups = grouped(self.problems)
         lines = [f"{count} × {message} (first: {key})" for message, count, key in groups[:most]]
-        return lines + (
-            [f"… and {len(groups) - most} more kinds; {FILE_NAME} lists them"] if len(groups) > most else []
-        )
+        if len(groups) > most:
+            lines.append(f"… and {len(groups) - most} more kinds; {FILE_NAME} lists them")
+        return lines
 
 
-def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[CountRow, ...]:
-    """Sequences found by split, beside the study's."""
+def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_CountRow, ...]:
+    """Count the sequences of each split, beside the study's."""
     found = Counter(splits)
     expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
     names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
-    return tuple(CountRow(name, found[name], expected.get(name)) for name in names)
+    return tuple(_CountRow(name, found[name], expected.get(name)) for name in names)
 
 
-def count_warnings(rows: Iterable[CountRow]) -> tuple[str, ...]:
-    """A sentence for each split whose count is not the study's; a later release may well differ."""
+def count_warnings(rows: Iterable[_CountRow]) -> tuple[str, ...]:
+    """Return a sentence for each split whose count differs from the study's, as that of a later release may."""
     return tuple(
         f"{row.split}: {row.found} sequences, the study has {row.expected}."
         for row in rows

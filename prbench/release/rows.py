@@ -1,4 +1,4 @@
-"""One sequence of a release as a row of the sequence table, and as the event that it stands for."""
+"""Convert one sequence of a release to a row of the sequence table, and to its event."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from jaxtyping import Float
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.manifests import TextTemplates
-from prbench.release.arrays import parse_array
-from prbench.release.block import Block, fits, parse_block, unpack_arrays
+from prbench.release.block import Block, fits, parse_array, parse_block, unpack_arrays
 from prbench.release.candidates import Candidate
 from prbench.release.judge import UNKNOWN, Conclusions, is_canonical_already
 from prbench.release.rates import PrimedFrames
 from prbench.release.survey import Measured, clean_gaze, goal_transform
 from prbench.release.values import action_of_text, parse_action, parse_goal, parse_hand, parse_name, parse_text
-from prbench.sequences.movement import body_movement, hand_movement
 from prbench.sequences.sequence import EventRecord, Sequence
+from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, invert_rigid, transform_points
 
 POSE_SOURCE = "release"
-UNKNOWN_ACTION = "unknown"
+_UNKNOWN_ACTION = "unknown"
 
 
 @dataclass(frozen=True)
 class RowNames:
-    """What a sequence and its recording are called."""
+    """Names of a sequence and its recording."""
 
     sequence_id: str
     event_id: str
@@ -44,16 +43,16 @@ class RowNames:
 
 @dataclass(frozen=True)
 class Reading:
-    """Everything that was decided about one dataset of a release."""
+    """Everything that was inferred about one dataset of a release, as far as rows depend on it."""
 
     dataset: str
     head_tilt_deg: float
     texts: TextTemplates
-    """For entries without a prompt."""
+    """The protocol's prompts, for entries without one."""
     mapping: Mapping[str, str]
     """Field of the release by canonical name."""
     unmapped: tuple[str, ...]
-    """Fields that mean nothing here; they go to ``extra``."""
+    """Fields that stand for no canonical one; they go to ``extra``."""
     fps: float
     primed: PrimedFrames
     conclusions: Conclusions
@@ -61,15 +60,15 @@ class Reading:
     """Frame 0 of a motion is the frame before the sequence, kept for the initial velocity."""
 
     def primed_frame(self, candidate: Candidate) -> float:
-        """Frame of the prime from 0, with a fraction where the release gives seconds."""
+        """Return the frame of the prime from 0, with a fraction where the release gives seconds."""
         return candidate.primed * self.fps if self.primed.in_seconds else candidate.primed - self.primed.base
 
     def field(self, candidate: Candidate, canonical: str) -> object:
-        """The value of a canonical field, or None."""
+        """Return the value of a canonical field, or None."""
         return candidate.entry.fields.get(self.mapping.get(canonical, ""))
 
     def block(self, candidate: Candidate) -> Block | None:
-        """The prbench block of an entry, if it has one that still fits its sequence."""
+        """Return the prbench block of an entry, if it has one that still fits its sequence."""
         try:
             block = parse_block(self.field(candidate, "prbench"))
         except (ValueError, msgspec.ValidationError):
@@ -82,7 +81,7 @@ class Reading:
         return block if same_prime and same_length else None
 
     def names(self, candidate: Candidate) -> RowNames:
-        """Names from native keys: dataset and number, the source recording where it is told."""
+        """Name a sequence by dataset and number, and its recording by the source field, unless a block names both."""
         block = self.block(candidate)
         if block is not None:
             return RowNames(
@@ -100,13 +99,13 @@ class _Motion:
 
     joints: Float[np.ndarray, "n 22 3"]
     previous_joints: Float[np.ndarray, "22 3"] | None
-    """Recorded; None where the release has none."""
+    """Recorded pose before the first frame; None where the release has none."""
     goal: Float[np.ndarray, "3"]
     gaze_direction: Float[np.ndarray, "n 3"]
     gaze_valid: np.ndarray
     world_from_canonical: Float[np.ndarray, "4 4"]
     canonical_from_goal: Float[np.ndarray, "4 4"]
-    """From the frame that the release gives goals in (in metres)."""
+    """Transform from the frame of the release's goals, scaled to metres."""
 
 
 def make_row(reading: Reading, measured: Measured) -> tuple[Sequence, EventRecord]:
@@ -125,7 +124,8 @@ def make_row(reading: Reading, measured: Measured) -> tuple[Sequence, EventRecor
 
 
 def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motion:
-    candidate, metres = measured.candidate, reading.conclusions.metres
+    candidate = measured.candidate
+    metres = reading.conclusions.metres
     joints = parse_array(candidate.motion, read_whole(candidate.motion)).astype(np.float64) * metres
     gaze = None if candidate.gaze is None else parse_array(candidate.gaze, read_whole(candidate.gaze))
     directions, valid = clean_gaze(gaze, len(joints))
@@ -140,16 +140,17 @@ def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motio
     world_from_canonical = motion_from_canonical
     if block is not None:
         world_from_canonical = np.array(block.world_from_canonical).reshape(4, 4)
-    if (motion_from_canonical != np.eye(4)).any():  # else canonical already: not a bit is changed
+    if (motion_from_canonical != np.eye(4)).any():  # a canonical motion keeps every bit
         turn = canonical_from_motion.copy()
         turn[:3, 3] = 0.0
-        joints, directions = transform_points(canonical_from_motion, joints), transform_points(turn, directions)
+        joints = transform_points(canonical_from_motion, joints)
+        directions = transform_points(turn, directions)
         previous = None if previous is None else transform_points(canonical_from_motion, previous)
     return _Motion(joints, previous, goal, directions, valid, world_from_canonical, canonical_from_goal)
 
 
 def _motion_from_canonical(reading: Reading, measured: Measured, block: Block | None) -> Float[np.ndarray, "4 4"]:
-    """Joints, goal and gaze of one sequence are all turned by this one transform."""
+    """Return the one transform by which joints, goal and gaze of a sequence are turned."""
     if block is not None:
         is_world = block.motion_frame == "world"
         return np.array(block.world_from_canonical).reshape(4, 4) if is_world else np.eye(4)
@@ -170,8 +171,9 @@ def _scaled(transform: Float[np.ndarray, "4 4"], metres: float) -> Float[np.ndar
 
 
 def _plain_sequence(reading: Reading, candidate: Candidate, motion: _Motion) -> Sequence:
-    """What the layout itself tells; times count from the first frame."""
-    joints, fps = motion.joints, reading.fps
+    """Make the row from the layout's own fields; times count from the first frame."""
+    joints = motion.joints
+    fps = reading.fps
     primed = reading.primed_frame(candidate) - reading.first_frame_is_previous
     event_time = (len(joints) - 1) / fps
     action, text = _action_and_text(reading, candidate)
@@ -224,7 +226,7 @@ def _plain_sequence(reading: Reading, candidate: Candidate, motion: _Motion) -> 
 
 
 def _with_block(plain: Sequence, block: Block, candidate: Candidate) -> Sequence:
-    """The row as it was before our exporter wrote it."""
+    """Restore the row that our exporter wrote."""
     assert candidate.further is not None
     arrays = unpack_arrays(candidate.further, read_whole(candidate.further))
     if not fits(arrays, plain.n_frames):
@@ -249,11 +251,11 @@ def _as_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray | None
 
 
 def _action_and_text(reading: Reading, candidate: Candidate) -> tuple[str, str]:
-    """Action from its field, else from the prompt; a missing prompt is the protocol's for the action."""
+    """Take the action from its field, else from the prompt; a missing prompt is the protocol's for the action."""
     text = parse_text(reading.field(candidate, "text")) or ""
     action = parse_action(reading.field(candidate, "action"), reading.mapping.get("action", ""))
-    action = action or action_of_text(text) or UNKNOWN_ACTION
-    if not text and action != UNKNOWN_ACTION:
+    action = action or action_of_text(text) or _UNKNOWN_ACTION
+    if not text and action != _UNKNOWN_ACTION:
         text = reading.texts.pick if action == "pick" else reading.texts.put
     return action, text
 
@@ -261,7 +263,7 @@ def _action_and_text(reading: Reading, candidate: Candidate) -> tuple[str, str]:
 def _world_box(
     reading: Reading, candidate: Candidate, motion: _Motion
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """World-aligned box of the goal: around the corners of the release's box, else the goal itself."""
+    """Return the world-aligned box around the release's box of the goal, else around the goal's location."""
     box = candidate.goal.box
     if box is None:
         given = parse_goal(reading.field(candidate, "object_box"))
@@ -282,7 +284,7 @@ def _reaching_wrist(joints: Float[np.ndarray, "n 22 3"], goal: Float[np.ndarray,
 
 
 def _extra(reading: Reading, candidate: Candidate) -> dict[str, str]:
-    """Fields that mean nothing here, as text."""
+    """Return the fields that stand for no canonical one, as text."""
     values = {name: candidate.entry.fields[name] for name in reading.unmapped if name in candidate.entry.fields}
     return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
 

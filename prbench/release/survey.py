@@ -1,4 +1,4 @@
-"""The first reading of all arrays: what has to be measured before anything can be converted.
+"""Measure all arrays of a release before any of them is converted.
 
 A few numbers are kept of each sequence, so that memory does not grow with the motions.
 """
@@ -12,34 +12,32 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.limits import HARMLESS_SIZE
 from prbench.metrics.ray_track import ray_distance
-from prbench.release.arrays import parse_array
-from prbench.release.block import fits, unpack_arrays
+from prbench.release.block import fits, parse_array, unpack_arrays
 from prbench.release.candidates import Candidate, Found
 from prbench.release.known import load_known
 from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
 from prbench.storage import bytes_digest
 
-Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""(x, y, z) -> (x, z, -y): from a frame with z up to one with y up."""
 GOAL_FRAMES = ("as the motions", "z up", "canonical", "canonical, z up")
-"""Frames in which goals may be given, in the order in which they are tried."""
+"""Frames in which goals may be given, in the order in which they are tested."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What is kept of one sequence; lengths in the release's unit."""
+    """The measurements of one sequence; lengths in the release's unit."""
 
     candidate: Candidate
     digest: str
-    """Of the bytes of its files."""
+    """Digest of the bytes of its files."""
     pelvis_to_head: float
     bones: Float[np.ndarray, " bones"]
-    """Median over frames."""
+    """Lengths of the bones, medians over the frames."""
     bone_change: float
     """Largest standard deviation of a bone over the frames."""
     world_from_canonical: Float[np.ndarray, "4 4"]
@@ -50,12 +48,12 @@ class Measured:
 
 
 def survey(found: Found, primed_frame: dict[int, int], *, first_frame: int = 0) -> list[Measured]:
-    """Read every candidate once; what cannot be used is reported in ``found``.
+    """Read and measure every candidate once; unusable ones are reported in ``found``.
 
     Args:
         found: Candidates; problems are added.
-        primed_frame: Frame of the prime, from 0, by number of the sequence.
-        first_frame: Where the sequences begin; its pose decides the canonical frame.
+        primed_frame: Maps the number of each sequence to its frame of the prime, from 0.
+        first_frame: Frame at which the sequences begin; its pose decides the canonical frame.
     """
     measured = []
     for candidate in found.candidates:
@@ -77,7 +75,7 @@ class _Arrays:
 
 
 def _read(candidate: Candidate, found: Found) -> _Arrays | None:
-    """The arrays of a sequence whose motion is finite; anything else is reported."""
+    """Read the arrays of a sequence; report it and return None where its motion is damaged or not finite."""
     key = candidate.entry.key
     try:
         with foreign_input(candidate.motion):
@@ -108,7 +106,7 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
     except ValueError:
         found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")
         return None
-    goals = goals_in_every_frame(candidate.goal.location, world_from_canonical)
+    goals = _goals_in_every_frame(candidate.goal.location, world_from_canonical)
     directions, valid = clean_gaze(arrays.gaze, len(joints))
     if arrays.gaze is not None and not valid.any():
         found.report(key, "gaze: no frame has a unit vector", left_out=False)
@@ -127,7 +125,7 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
 
 
 def _is_usable(path: Path, content: bytes, n_frames: int) -> bool:
-    """Whether our exporter's further arrays are whole and belong to this motion."""
+    """Return True if our exporter's further arrays are whole and belong to this motion."""
     try:
         with foreign_input(path):
             return fits(unpack_arrays(path, content), n_frames)
@@ -135,23 +133,24 @@ def _is_usable(path: Path, content: bytes, n_frames: int) -> bool:
         return False
 
 
-def goals_in_every_frame(
+def _goals_in_every_frame(
     goal: Float[np.ndarray, "3"], world_from_canonical: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "tried 3"]:
-    """The goal in the frame of the motions, for each of :data:`GOAL_FRAMES` that it may have been given in."""
+    """Return the goal in the frame of the motions, for each of :data:`GOAL_FRAMES` that it may have been given in."""
     return np.stack([transform_points(goal_transform(name, world_from_canonical), goal) for name in GOAL_FRAMES])
 
 
 def goal_transform(frame: str, world_from_canonical: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """From one of :data:`GOAL_FRAMES` into the frame of the motions."""
-    axes = Z_UP if frame.endswith("z up") else np.eye(4)
+    """Return the transform from one of :data:`GOAL_FRAMES` into the frame of the motions."""
+    axes = Y_UP_FROM_Z_UP if frame.endswith("z up") else np.eye(4)
     return world_from_canonical @ axes if frame.startswith("canonical") else axes
 
 
 def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Unit directions, and where they can be trusted; a missing last frame is invalid, one too many is cut off.
+    """Return unit directions and their validity.
 
-    NaN, zero and lengths far from 1 are invalid; lengths near 1 are made exact.
+    A missing last frame is invalid, one too many is cut off. NaN, zero and lengths far from 1 are invalid; lengths
+    near 1 are made exact.
     """
     directions = np.full((n_frames, 3), np.nan)
     if gaze is not None:
@@ -165,5 +164,5 @@ def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray
 
 
 def mean_bones(measured: Iterable[Measured]) -> Float[np.ndarray, "sequences bones"]:
-    """Bone lengths of all sequences, one row each, in the order of the skeleton's bones."""
+    """Return the bone lengths of all sequences, one row each, in the order of the skeleton's bones."""
     return np.array([each.bones for each in measured]).reshape(-1, len(BONES))

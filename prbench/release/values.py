@@ -1,4 +1,4 @@
-"""Values of ``target_information.json`` in the many forms that people write them in; None for what is no such value."""
+"""Parse values of ``target_information.json`` in all forms that occur; None stands for a value of another kind."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _HANDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 @dataclass(frozen=True)
 class Goal:
-    """A goal, in whatever frame and unit the release has it."""
+    """A goal, in the frame and unit of the release."""
 
     location: Float[np.ndarray, "3"]
     box: Float[np.ndarray, "2 3"] | None
@@ -35,7 +35,10 @@ class Goal:
 
 
 def parse_goal(value: Any) -> Goal | None:
-    """A point (list, nested list, text, ``{x, y, z}``) or a box (six numbers, ``{min, max}``), whose centre counts."""
+    """Parse a point (list, nested list, text, ``{x, y, z}``) or a box (six numbers, ``{min, max}``).
+
+    The location of a box is its centre.
+    """
     if isinstance(value, dict):
         named = {str(name).lower(): part for name, part in value.items()}
         if {"min", "max"} <= set(named):
@@ -54,23 +57,22 @@ def parse_goal(value: Any) -> Goal | None:
 
 
 def _numbers(value: Any, *, depth: int = 0) -> np.ndarray | None:
-    """All finite numbers of a list, nested list or text; None if there is anything else in it."""
+    """Return all finite numbers of a list, nested list or text; None if there is anything else in it."""
     if isinstance(value, str):
         value = re.split(r"[\s,;]+", value.strip(" ()[]{}\t\n"))
     if not isinstance(value, list | tuple) or depth > _DEEPEST:
         return None
     flat = list[float]()
     for part in value:
-        inner = _numbers(part, depth=depth + 1) if isinstance(part, list | tuple) else None
-        number = None if isinstance(part, list | tuple) else parse_number(part)
-        if inner is None and number is None:
+        inner = _numbers(part, depth=depth + 1) if isinstance(part, list | tuple) else parse_number(part)
+        if inner is None:
             return None
-        flat += [number] if inner is None and number is not None else list(inner if inner is not None else ())
+        flat += np.ravel(inner).tolist()
     return np.array(flat, dtype=np.float64)
 
 
 def parse_number(value: Any) -> float | None:
-    """A finite number, also written as text; truth values are none."""
+    """Parse a finite number, also one written as text; truth values are no numbers."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -81,14 +83,14 @@ def parse_number(value: Any) -> float | None:
 
 
 def parse_text(value: Any) -> str | None:
-    """A sentence: text with a space in it; of a list of such the first."""
+    """Parse a sentence, which is text with a space in it; of a list the first element."""
     if isinstance(value, list) and value:
         return parse_text(value[0])
     return value.strip() if isinstance(value, str) and " " in value.strip() else None
 
 
 def parse_subset(value: Any, field: str = "") -> str | None:
-    """``train``, ``test`` or ``validation``; truth values where the field's name says of what they are the truth."""
+    """Parse ``train``, ``test`` or ``validation``; truth values too, where the field's name says what is true."""
     if isinstance(value, str):
         named = SUBSETS.get(value.strip().lower())
         if named is not None or value.strip().lower() not in ("0", "1", "true", "false"):
@@ -103,7 +105,7 @@ def parse_subset(value: Any, field: str = "") -> str | None:
 
 
 def parse_action(value: Any, field: str = "") -> str | None:
-    """``pick`` or ``put``, from a word, or from 0/1 where the field's name says of what."""
+    """Parse ``pick`` or ``put`` from a word, or from 0/1 where the field's name says what is true."""
     if isinstance(value, str):
         word = value.strip().lower()
         return next((action for start, action in _ACTION_WORDS.items() if word.startswith(start)), None)
@@ -115,18 +117,20 @@ def parse_action(value: Any, field: str = "") -> str | None:
 
 
 def action_of_text(text: str) -> str | None:
-    """``pick`` or ``put`` as a prompt says it; None where it says both or neither."""
-    picks, puts = bool(_PICKS.search(text)), bool(_PUTS.search(text))
-    return None if picks == puts else "pick" if picks else "put"
+    """Return ``pick`` or ``put`` as a prompt says it; None where it says both or neither."""
+    picks = bool(_PICKS.search(text))
+    if picks == bool(_PUTS.search(text)):
+        return None
+    return "pick" if picks else "put"
 
 
 def parse_hand(value: Any) -> str | None:
-    """``left`` or ``right``."""
+    """Parse ``left`` or ``right``, also by their first letters."""
     return _HANDS.get(value.strip().lower()) if isinstance(value, str) else None
 
 
 def parse_name(value: Any) -> str | None:
-    """A name or id as text."""
+    """Parse a name or id as text."""
     if isinstance(value, bool) or not isinstance(value, str | int):
         return None
     return str(value).strip() or None

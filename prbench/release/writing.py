@@ -1,4 +1,4 @@
-"""Rows of the three tables of an imported dataset, sequence by sequence."""
+"""Rows of the three tables of an imported dataset, converted sequence by sequence."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _Member:
 
 
 class ImportedRows:
-    """Sequences in table order, each read when its turn comes; events follow from them, recordings stand before.
+    """Sequences in table order, each read when it is written; events follow from them, recordings are known before.
 
     Raises:
         InputFileError: if two entries state the same sequence id.
@@ -44,18 +44,18 @@ class ImportedRows:
         self.records = [*_read(members, reading.fps), *_failed(found)]
 
     def sequences(self) -> Iterator[pa.RecordBatch]:
-        """Rows of ``sequences``."""
+        """Yield the rows of ``sequences``."""
         for start in range(0, len(self.measured), _ROWS):
             rows = [make_row(self._reading, each) for each in self.measured[start : start + _ROWS]]
             self._events += [event for _, event in rows]
             yield sequence_batch(sequence for sequence, _ in rows)
 
     def events(self) -> Iterator[pa.RecordBatch]:
-        """Rows of ``events``; to be asked for when all sequences are through."""
+        """Yield the rows of ``events``; complete only after all sequences were read."""
         yield event_batch(sorted(self._events, key=lambda event: event.event_id))
 
     def recordings(self) -> Iterator[pa.RecordBatch]:
-        """Rows of ``recordings``."""
+        """Yield the rows of ``recordings``."""
         yield recording_batch(self.records)
 
 
@@ -68,7 +68,7 @@ def _require_distinct(names: Sequence[RowNames]) -> None:
 
 
 def _read(members: Sequence[_Member], fps: float) -> list[RecordingRecord]:
-    """Source recordings where the release names them, one unknown one a split where not."""
+    """Return source recordings where the release names them, else one unknown recording for each split."""
     recordings: dict[str, list[_Member]] = defaultdict(list)
     for member in members:
         recordings[member.names.recording_id].append(member)
@@ -96,7 +96,7 @@ def _message(rows: Sequence[_Member]) -> str:
 
 
 def _failed(found: Found) -> list[RecordingRecord]:
-    """What was left out, with the reason."""
+    """Return one failed record, with its reason, for each sequence that was left out."""
     return [
         RecordingRecord(
             recording_id=f"sequence {key}",

@@ -6,10 +6,8 @@ This is the NumPy side, which checks what it is given; the differentiable torch 
 
 from __future__ import annotations
 
-from prbench.representation.checks import check_joints
-from prbench.representation.clips import at_20_fps, canonicalise, every_stride, mirror
-from prbench.representation.decoding import decode, decode_rotations
-from prbench.representation.encoding import encode
+from prbench.representation.clips import at_20_fps, canonicalise, check_joints, every_stride, mirror
+from prbench.representation.encoding import decode, decode_rotations, encode
 from prbench.representation.features import BLOCKS, N_FEATURES, REST_OFFSETS, Mode
 from prbench.representation.statistics import Statistics, StatisticsAccumulator
 from prbench.representation.uniform_skeleton import UniformSkeleton, rest_offsets, retarget, root_scale

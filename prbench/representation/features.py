@@ -54,7 +54,7 @@ CONTACT_JOINTS = (Joint.LEFT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_ANKLE, Joint.RI
 CONTACT_THRESHOLD = 0.002
 """Squared step of a joint below which it touches the ground, square metres; no height is tested."""
 
-HEADING_SIGMA = 20.0
+_HEADING_SIGMA = 20.0
 """Standard deviation of the Gaussian that smooths the heading, frames."""
 HEADING_RADIUS = 80
 """Frames on each side that it reaches: four standard deviations."""
@@ -63,7 +63,7 @@ HEADING_RADIUS = 80
 def heading_kernel() -> np.ndarray:
     """The 161 weights that smooth the heading over time; their sum is 1."""
     frames = np.arange(-HEADING_RADIUS, HEADING_RADIUS + 1)
-    weights = np.exp(-0.5 * (frames / HEADING_SIGMA) ** 2)
+    weights = np.exp(-0.5 * (frames / _HEADING_SIGMA) ** 2)
     return weights / weights.sum()
 
 
@@ -98,7 +98,7 @@ ROTATION_PARENTS: tuple[int, ...] = _rotation_parents()
 
 
 def _half_turn_midways() -> np.ndarray:
-    """For a bone exactly opposite to its rest direction: the direction half-way of the turn that is chosen for it.
+    """Choose the direction half-way of the turn of a bone that is exactly opposite to its rest direction.
 
     Bones along x and y turn about z, those along z about y; the half-way direction is orthogonal to both.
     """

@@ -24,10 +24,10 @@ _WEIGHTED = (ROOT_YAW_VELOCITY, ROOT_LINEAR_VELOCITY, ROOT_HEIGHT, FOOT_CONTACTS
 
 @dataclass(frozen=True)
 class Statistics:
-    """What features are standardised with; kept beside the weights that learnt from them."""
+    """Mean and deviation that features are standardised with; kept beside the weights that learnt from them."""
 
     mean: Float[np.ndarray, " 263"]
-    """Of each feature, float32."""
+    """Mean of each feature, float32."""
     std: Float[np.ndarray, " 263"]
     """One number a block: the average of the standard deviations in it, float32."""
 
@@ -40,7 +40,7 @@ class Statistics:
         return standardised * self.std + self.mean
 
     def for_evaluator(self) -> Statistics:
-        """The same with root and contacts weighted up as text-to-motion evaluators have them.
+        """Weight root and contacts up as text-to-motion evaluators do.
 
         Their standard deviation is divided by 25, the measured ratio of the published ones.
         """

@@ -49,7 +49,8 @@ def decode(features: Float[torch.Tensor, "*batch frames 263"]) -> Float[torch.Te
     features = features[..., : JOINT_POSITIONS.stop]
     steps = pad(features[..., :-1, :3].movedim(-1, 0), (1, 0))  # each frame's step from the one before
     turn = 2 * steps[0].cumsum(-1)
-    cos, sin = turn.cos(), turn.sin()
+    cos = turn.cos()
+    sin = turn.sin()
     root_x = (cos * steps[1] - sin * steps[2]).cumsum(-1)
     root_z = (sin * steps[1] + cos * steps[2]).cumsum(-1)
     pelvis = torch.stack((root_x, features[..., 3], root_z), -1)
@@ -67,7 +68,7 @@ def encode(
     next_joints: Float[torch.Tensor, "batch 22 3"] | None = None,
     mode: Mode = "continuous",
 ) -> Float[torch.Tensor, "batch frames 263"]:
-    """As many rows of features as frames, from canonical joints of any bone lengths.
+    """Encode canonical joints of any bone lengths to as many rows of features as frames.
 
     Every row is computed with its own true length, so neither padding nor batch mates change it. The last valid row
     holds the step to ``next_joints`` (docs/specification/pr-model.md#data-and-features).
@@ -143,7 +144,8 @@ def _reference_headings(x: torch.Tensor, z: torch.Tensor) -> tuple[torch.Tensor,
     w, y = (x.square() + z.square()).sqrt() + z, -x
     opposite = (w == 0) & (y == 0)
     w, y = _unit(torch.stack((w, torch.where(opposite, 1.0, y))), dim=0)
-    w, y = pad(w[:, 1:], (1, 0), value=1.0), pad(y[:, 1:], (1, 0))
+    w = pad(w[:, 1:], (1, 0), value=1.0)
+    y = pad(y[:, 1:], (1, 0))
     turn = torch.asin((y[:, 1:] * w[:, :-1] - w[:, 1:] * y[:, :-1]).clamp(-1.0, 1.0))
     return w.square() - y.square(), 2 * w * y, turn
 
@@ -162,7 +164,8 @@ def _rotations(joints: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> to
     turned = 2 * midway[..., :, None] * midway[..., None, :] - constants.identity
     bone_rotations = turned * constants.signs[:, None, :]
 
-    zero, one = torch.zeros_like(cos), torch.ones_like(cos)
+    zero = torch.zeros_like(cos)
+    one = torch.ones_like(cos)
     heading = torch.stack((cos, zero, sin, zero, one, zero, -sin, zero, cos), -1).unflatten(-1, (1, 3, 3))
     before = torch.cat((heading, bone_rotations), 2)[:, :, ROTATION_PARENTS[1:]]
     relative = before.mT @ bone_rotations[..., :2]

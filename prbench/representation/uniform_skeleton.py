@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.representation.checks import IN_MEMORY, check_joints
+from prbench.representation.clips import IN_MEMORY, check_joints
 from prbench.representation.features import REST_DIRECTIONS, REST_OFFSETS
 from prbench.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
 
@@ -62,7 +62,7 @@ def retarget(
 
 @dataclass(frozen=True)
 class UniformSkeleton:
-    """To and from the skeleton of a model that learnt from HumanML3D, for a batch of bodies.
+    """Change of a batch of bodies to and from the skeleton of a model that learnt from HumanML3D.
 
     Conditions go in with :meth:`poses` and :meth:`locations`, generated motion comes out with :meth:`own_scale`
     (docs/specification/pr-model.md#data-and-features). Lengths scale about the canonical origin; bone proportions stay
@@ -96,7 +96,7 @@ class UniformSkeleton:
         return (points * self._like(points)).astype(points.dtype)
 
     def own_scale(self, joints: Float[np.ndarray, "batch *points 3"]) -> Float[np.ndarray, "batch *points 3"]:
-        """What was generated on the uniform skeleton, at the scale of the bodies."""
+        """Bring what was generated on the uniform skeleton to the scale of the bodies."""
         return (joints / self._like(joints)).astype(joints.dtype)
 
     def _like(self, values: np.ndarray) -> np.ndarray:

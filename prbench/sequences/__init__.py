@@ -1,9 +1,8 @@
 """Sequence and corpus tables: schema, rows, writing, reading, digests."""
 
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.corpus_info import CorpusInfo
 from prbench.sequences.corpus_table import CorpusTable
-from prbench.sequences.dataset_info import DatasetInfo
+from prbench.sequences.dataset_info import CorpusInfo, DatasetInfo
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.sequences.table import SequenceTable
 

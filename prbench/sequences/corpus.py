@@ -1,4 +1,7 @@
-"""One clip, one annotation, one recording of a text-motion corpus, and their Arrow rows."""
+"""Clips, annotations and recordings of a text-motion corpus: their columns, and their rows as Arrow batches.
+
+Columns that the sequence table has too keep its name, type, unit and frame, so code that reads motions reads both.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,117 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from prbench.sequences.arrow import column
-from prbench.sequences.corpus_schema import ANNOTATION_OUTCOMES, ANNOTATIONS, CLIPS, CORPUS_RECORDINGS
+from prbench.errors import TableError
+from prbench.sequences.chunk import column
+from prbench.sequences.schema import KEY_VALUES, SEQUENCES, check_columns
 from prbench.sequences.sequence import FrameSource
+
+CORPUS_SCHEMA_VERSION = 1
+_VERSION_KEY = "prbench_corpus_schema_version"
+
+ANNOTATION_OUTCOMES = (
+    "clip",
+    "no_text",
+    "duplicate",
+    "end_before_start",
+    "too_short",
+    "outside_motion",
+    "clock_gap",
+    "no_clock",
+    "no_heading",
+)
+"""Possible outcomes of one annotated span of text."""
+
+_CAPTION = pa.struct(
+    [
+        pa.field("text", pa.string(), nullable=False),
+        pa.field("kind", pa.string(), nullable=False),
+        pa.field("tokens", pa.string(), nullable=False),
+    ]
+)
+"""One text of a clip; ``tokens`` as the source gives them (``word/POS``), else empty."""
+_METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
+
+
+def _shared(*names: str) -> list[pa.Field]:
+    return [SEQUENCES.field(name) for name in names]
+
+
+def _field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
+    return pa.field(name, kind, nullable=nullable)
+
+
+CLIPS = pa.schema(
+    [
+        *_shared("sequence_id", "dataset", "recording_id", "participant_id", "split", "split_group"),
+        _field("kind", pa.string()),
+        *_shared("text"),
+        _field("captions", pa.list_(_CAPTION)),
+        *_shared("fps", "n_frames", "start_time"),
+        _field("end_time", pa.float64()),
+        _field("text_start", pa.float64()),
+        _field("text_end", pa.float64()),
+        _field("cut", pa.bool_()),
+        _field("mirrored", pa.bool_()),
+        _field("clock_method", pa.string()),
+        _field("clock_offset", pa.float64()),
+        _field("clock_quality", pa.float64(), nullable=True),
+        _field("approximate", pa.bool_()),
+        *_shared(
+            "pose_source", "head_tilt_deg", "joints", "previous_joints", "previous_source", "next_joints", "next_source"
+        ),
+        *_shared("world_from_canonical", "extra"),
+    ],
+    metadata=_METADATA,
+)
+
+ANNOTATIONS = pa.schema(
+    [
+        _field("annotation_id", pa.string()),
+        _field("recording_id", pa.string()),
+        _field("sequence_id", pa.string(), nullable=True),
+        _field("kind", pa.string()),
+        _field("text", pa.string()),
+        _field("text_start", pa.float64()),
+        _field("text_end", pa.float64()),
+        _field("outcome", pa.string()),
+        _field("value", pa.float64(), nullable=True),
+        _field("threshold", pa.float64(), nullable=True),
+    ],
+    metadata=_METADATA,
+)
+
+CORPUS_RECORDINGS = pa.schema(
+    [
+        *_shared("recording_id", "participant_id", "split", "split_group"),
+        _field("duration", pa.float64()),
+        *(_field(outcome, pa.int32()) for outcome in ANNOTATION_OUTCOMES),
+        _field("clock_method", pa.string()),
+        _field("clock_quality", pa.float64(), nullable=True),
+        _field("status", pa.string()),
+        _field("message", pa.string()),
+        _field("measured", KEY_VALUES),
+    ],
+    metadata=_METADATA,
+)
+
+CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}
+"""The tables of a corpus folder by the names of their files."""
+
+
+def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:
+    """Refuse a file of an unknown version or with missing or differently typed columns; further columns are welcome.
+
+    Raises:
+        TableError: naming the file, what was expected and what was found.
+    """
+    version = (schema.metadata or {}).get(_VERSION_KEY.encode(), b"").decode() or "none"
+    if version != str(CORPUS_SCHEMA_VERSION):
+        raise TableError(
+            f"{source}: expected version {CORPUS_SCHEMA_VERSION} of the corpus schema, found {version}."
+            " Build the corpus again with `prbench build-corpus`, or update prbench."
+        )
+    check_columns(schema, expected, source=source, what="corpus")
 
 
 @dataclass(frozen=True)
@@ -21,7 +132,7 @@ class Caption:
 
     text: str
     kind: str
-    """What the text describes, for example ``atomic_action`` or ``body posture``."""
+    """Kind of description, for example ``atomic_action`` or ``body posture``."""
     tokens: str = ""
     """``word/POS`` tokens where the source gives them."""
 
@@ -38,18 +149,18 @@ class Clip:
     split_group: str
     kind: str
     captions: tuple[Caption, ...]
-    """At least one."""
+    """The texts of the clip, at least one."""
     fps: float
     n_frames: int
     start_time: float
-    """Of the first frame, on the motion's clock."""
+    """Time of the first frame, on the motion's clock."""
     end_time: float
     """``start_time`` plus ``n_frames`` frame times."""
     text_start: float
     """Beginning of the described span on the text's own clock."""
     text_end: float
     cut: bool
-    """Whether the described span goes on after the last frame."""
+    """True if the described span goes on after the last frame."""
     mirrored: bool
     clock_method: str
     clock_offset: float
@@ -87,7 +198,7 @@ class Annotation:
     value: float | None = None
     """The deciding number."""
     threshold: float | None = None
-    """What it was compared with."""
+    """Threshold that the value was compared with."""
 
     def __post_init__(self) -> None:
         assert self.outcome in ANNOTATION_OUTCOMES, self.outcome
@@ -110,7 +221,7 @@ class CorpusRecord:
     """``read``, ``failed`` or ``skipped``."""
     message: str
     measured: Mapping[str, str] = field(default_factory=dict)
-    """What was measured about the recording, as text."""
+    """Measurements of the recording, as text."""
 
 
 def clip_batch(clips: Iterable[Clip]) -> pa.RecordBatch:

@@ -15,12 +15,11 @@ import pyarrow.compute as pc
 from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
-from prbench.sequences.corpus_schema import CLIPS, CORPUS_TABLES, check_corpus_schema
-from prbench.sequences.digests import ContentDigest, identity_digest
+from prbench.sequences.corpus import CLIPS, CORPUS_TABLES, check_corpus_schema
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
+from prbench.sequences.digests import ContentDigest, digests_of_files, identity_digest, require_unchanged
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.rows import is_bulky, naming, open_parquet, read_parquet, stream_chunks, table_parts
-from prbench.sequences.unchanged import digests_of_files, require_unchanged
 from prbench.sequences.write import write_table, write_table_in_parts
 from prbench.storage import atomic_folder, require_replaceable
 
@@ -84,7 +83,7 @@ class CorpusTable:
 
     @foreign_input()
     def scalars(self, *, split: str | None = None) -> pa.Table:
-        """All columns of the clips that hold one short value a row, and their captions."""
+        """Read all columns of the clips that hold one short value a row, and their captions."""
         names = [field.name for field in CLIPS if not is_bulky(field.type) or field.name == "captions"]
         table = pa.concat_tables(read_parquet(path, names) for path in table_parts(self.folder, "clips"))
         if split is not None:

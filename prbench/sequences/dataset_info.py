@@ -1,26 +1,112 @@
-"""``dataset.json``: what a built dataset is, where it came from and under which terms it may be used."""
+"""``dataset.json`` and ``corpus.json``: what a table is, where it came from, under which terms it may be used."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
-from prbench.sequences.info_file import Provenance, read_info
-from prbench.storage import write_json
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
+from prbench.errors import TableError
+from prbench.limits import LARGEST_JSON
+from prbench.shown import quoted
+from prbench.storage import is_path_part, write_json
 
 FILE_NAME = "dataset.json"
+CORPUS_FILE = "corpus.json"
+
+
+class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
+    """A recording that was left out, and why."""
+
+    recording_id: str
+    status: str
+    message: str
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """The description of every built table. Holds no time of day, host, absolute path or worker count."""
+
+    schema_version: int
+    protocol_version: int
+    protocol_digest: str
+    dataset: str
+    title: str
+    synthetic: bool
+    prbench_version: str
+    manifest_digest: str
+    input_digest: str
+    """Over the names and contents of all files that were used."""
+    options: dict[str, str]
+    outcomes: dict[str, int]
+    quarantine: tuple[QuarantinedRecording, ...]
+    identity_digest: str
+    content_digest: str
+    file_digests: dict[str, str] = {}
+    """SHA-256 of each Parquet file beside this one, by relative path; empty in tables of earlier versions."""
+    licence: str
+    redistribution: str
+    homepage: str
+    citation: str
+
+
+_Info = TypeVar("_Info", bound=Provenance)
+
+
+@foreign_input()
+def _read_info(path: Path, kind: type[_Info], *, what: str) -> _Info:
+    """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
+
+    Raises:
+        TableError: if the folder holds none, or it is damaged or of another version.
+    """
+    folder = path.parent
+    try:
+        info = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        raise TableError(
+            f"{folder}: expected a built {what} (a folder with {path.name}), found {found}. {_remedy(path, what)}"
+        ) from error
+    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {what} again.") from error
+    if not is_path_part(info.dataset):  # folders are named after it, and nothing is made before this is known
+        raise TableError(
+            f"{path}, dataset: expected a name that a folder can have, found '{quoted(info.dataset)}'."
+            f" Build the {what} again."
+        )
+    return info
+
+
+def _remedy(path: Path, what: str) -> str:
+    """Name the built ones that lie one folder farther down, where a folder of several was given."""
+    inner = sorted(str(file.parent) for file in path.parent.glob(f"*/{path.name}"))
+    return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench build-{what}`."
+
+
+def counts_stated(path: Path) -> dict[str, int]:
+    """The counts in a file that describes a dataset or corpus of any version; none where it cannot be read."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Counted).counts
+    except (OSError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
+        return {}
+
+
+class _Counted(msgspec.Struct):
+    counts: dict[str, int]
 
 
 class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """How many candidates each stage left."""
+    """Numbers of candidates that each stage left."""
 
     recordings_found: int
     recordings_read: int
     recordings_failed: int
     recordings_skipped: int
     recordings_cut_short: int = 0
-    """Of those that were read, how many have a stream that ends before the recording does; 0 in older tables."""
+    """Recordings, among those that were read, with a stream that ends too early; 0 in older tables."""
     events: int
     located: int
     primed: int
@@ -36,7 +122,7 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
 
     @property
     def why_not_scored(self) -> str | None:
-        """Why no metric may be computed on this dataset, or None; an import may not know where its goals are."""
+        """Why no metric may be computed on this dataset, or None: an import may not know the frame of its goals."""
         if self.options.get("goal_frame") == "unknown":
             return (
                 "it was imported from a release whose goals are in an unknown frame (import_report.json has the"
@@ -55,4 +141,39 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
         Raises:
             TableError: if the folder holds none, or it is damaged or of another version.
         """
-        return read_info(Path(folder) / FILE_NAME, cls, what="dataset")
+        return _read_info(Path(folder) / FILE_NAME, cls, what="dataset")
+
+
+class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """Numbers of recordings, texts and clips that each stage left."""
+
+    recordings_found: int
+    recordings_read: int
+    recordings_failed: int
+    recordings_skipped: int
+    annotations: int
+    """Texts of the source, empty ones included."""
+    clips: int
+    captions: int
+    approximate_clips: int
+    """Clips whose text was placed by aligning starts alone."""
+    frames: int
+
+
+class CorpusInfo(Provenance, frozen=True, kw_only=True):
+    """Provenance of one built corpus; its outcomes are those of annotations."""
+
+    counts: CorpusCounts
+
+    def write(self, folder: Path) -> None:
+        """Write ``corpus.json``."""
+        write_json(folder / CORPUS_FILE, msgspec.to_builtins(self))
+
+    @classmethod
+    def read(cls, folder: Path | str) -> CorpusInfo:
+        """Read ``corpus.json``.
+
+        Raises:
+            TableError: if the folder holds none, or it is damaged or of another version.
+        """
+        return _read_info(Path(folder) / CORPUS_FILE, cls, what="corpus")

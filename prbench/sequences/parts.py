@@ -25,12 +25,12 @@ def work_folder(out: Path) -> Path:
 
 
 def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path:
-    """Where one part lies: another input, option or version of the code is another folder."""
-    return work / text_digest(name, input_digest, settings, code_digest())[:32]
+    """Return the folder of one part: another input, option or version of the code is another folder."""
+    return work / text_digest(name, input_digest, settings, _code_digest())[:32]
 
 
 @cache
-def code_digest() -> str:
+def _code_digest() -> str:
     """Digest of the package's source files, so that parts made by other code are never taken over."""
     root = Path(prbench.__file__).parent
     digest = hashlib.sha256(prbench.__version__.encode())
@@ -60,7 +60,7 @@ def _plain_number(value: object) -> object:
 
 
 def read_receipt(folder: Path) -> dict | None:
-    """What was given to :func:`write_part` as the receipt of a finished part; None if there is no such part."""
+    """Read the receipt that :func:`write_part` was given for a finished part; None if there is no such part."""
     if not (folder / _RECEIPT).is_file():
         return None
     entries = read_json(folder / _RECEIPT)

@@ -1,4 +1,4 @@
-"""What a dataset's licence lets leave the machine of whoever has it: one rule for every view, export and run.
+"""One rule for every view, export and run of what a dataset's licence lets leave its holder's machine.
 
 ``none``: recorded motion and goal poses are left out or refused unless the user states permission for that dataset;
 ``non-commercial``: they may be passed on, with a notice; ``yes``: they may be passed on.
@@ -18,7 +18,7 @@ _STRICTEST_FIRST = ("none", "non-commercial", "yes")
 
 
 @runtime_checkable
-class HasTerms(Protocol):
+class _HasTerms(Protocol):
     """Anything that says under which terms a dataset's recordings stand (``DatasetInfo``, ``TableRecord`` …)."""
 
     @property
@@ -37,8 +37,8 @@ class HasTerms(Protocol):
         ...
 
 
-def may_pass_on(terms: HasTerms, permitted: Collection[str] = ()) -> bool:
-    """Whether recorded motion and goal poses may stand in a view or export.
+def may_pass_on(terms: _HasTerms, permitted: Collection[str] = ()) -> bool:
+    """Return True if recorded motion and goal poses may stand in a view or export.
 
     Args:
         terms: Of the dataset.
@@ -47,7 +47,7 @@ def may_pass_on(terms: HasTerms, permitted: Collection[str] = ()) -> bool:
     return _known(terms.redistribution) != "none" or terms.dataset in permitted
 
 
-def require_may_pass_on(terms: HasTerms, what: str, permitted: Collection[str] = ()) -> None:
+def require_may_pass_on(terms: _HasTerms, what: str, permitted: Collection[str] = ()) -> None:
     """Refuse to write what the licence keeps.
 
     Args:
@@ -66,7 +66,7 @@ def require_may_pass_on(terms: HasTerms, what: str, permitted: Collection[str] =
         )
 
 
-def notice(terms: HasTerms, permitted: Collection[str] = ()) -> str:
+def notice(terms: _HasTerms, permitted: Collection[str] = ()) -> str:
     """The sentence that a view or export of the dataset's recordings carries; empty where nothing has to be said."""
     if _known(terms.redistribution) == "yes":
         return ""
@@ -77,8 +77,8 @@ def notice(terms: HasTerms, permitted: Collection[str] = ()) -> str:
     return f"{terms.title}: recorded motion and goal poses must not be passed on; left out here."
 
 
-def run_notice(terms: HasTerms, *, recorded_motion: bool) -> str:
-    """What a run folder says about the motions in it; empty where nothing has to be said.
+def run_notice(terms: _HasTerms, *, recorded_motion: bool) -> str:
+    """Return the notice of a run folder about the motions in it; empty where nothing has to be said.
 
     A run stays with whoever has the data, so nothing is refused; passing the folder on is the user's act.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from prbench.errors import RecordingsWouldBeLost, TableError
-from prbench.sequences.info_file import counts_stated
+from prbench.sequences.dataset_info import counts_stated
 from prbench.sequences.rows import read_parquet, table_parts
 from prbench.shown import clean, quoted
 
@@ -25,16 +25,16 @@ _LONGEST_REASON = 160
 
 @dataclass(frozen=True)
 class Holdings:
-    """What a table holds of each recording."""
+    """The contents of a table by recording."""
 
     yields: dict[str, int]
     """Sequences (of a corpus: clips) of every recording that was read."""
     reasons: dict[str, str] = field(default_factory=dict)
-    """Why each of the others was left out."""
+    """Maps each of the other recordings to the reason why it was left out."""
 
     @classmethod
     def of(cls, recordings: Iterable[pa.RecordBatch], outcome: str) -> Holdings:
-        """From the rows of ``recordings``, in which the column ``outcome`` counts what became a sequence or clip."""
+        """Count from the rows of ``recordings``, whose column ``outcome`` counts what became a sequence or clip."""
         yields: dict[str, int] = {}
         reasons: dict[str, str] = {}
         for batch in recordings:
@@ -47,7 +47,7 @@ class Holdings:
 
     @property
     def failed(self) -> bool:
-        """Whether a recording was left out because it could not be read."""
+        """Return True if a recording was left out because it could not be read."""
         return any(reason.startswith("failed") for reason in self.reasons.values())
 
 
@@ -91,7 +91,7 @@ def require_no_loss(
 
 
 def _old_holdings(folder: Path, outcome: str) -> Holdings | None:
-    """What a folder holds; None where its recordings cannot be listed."""
+    """List the contents of a folder; None where its recordings cannot be listed."""
     columns = ["recording_id", "status", "message", outcome]
     try:
         tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]

@@ -1,4 +1,4 @@
-"""Rows of tables in Parquet files: found, streamed, and damage told with the file's name."""
+"""Rows of tables in Parquet files: found and streamed; damage is reported with the file's name."""
 
 from __future__ import annotations
 
@@ -120,5 +120,5 @@ def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatc
 
 
 def is_bulky(kind: pa.DataType) -> bool:
-    """Whether a column holds per-frame values or whole poses."""
+    """Return True if a column holds per-frame values or whole poses."""
     return pa.types.is_list(kind) or (pa.types.is_fixed_size_list(kind) and kind.list_size > 16)

@@ -5,6 +5,8 @@ Source: docs/specification/sequence-table.md#schema-version.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pyarrow as pa
 
 from prbench.errors import TableError
@@ -13,9 +15,9 @@ from prbench.skeleton import JOINT_SET, N_JOINTS
 SCHEMA_VERSION = 3
 """2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
 the hand."""
-READABLE_VERSIONS = (1, 2, 3)
+_READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
-"""Of the columns of ``sequences`` alone, which enters the identity of a table: it outlives changes of the others."""
+"""Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
 
 OUTCOMES = (
     "sequence",
@@ -30,7 +32,7 @@ OUTCOMES = (
     "excluded_by_dataset",
     "not_published",
 )
-"""What can become of a candidate event."""
+"""Possible outcomes of a candidate event."""
 
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float32(), 3)
@@ -171,21 +173,36 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
     """
     metadata = schema.metadata or {}
     version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
-    if version not in {str(known) for known in READABLE_VERSIONS}:
-        known = ", ".join(map(str, READABLE_VERSIONS))
+    if version not in {str(known) for known in _READABLE_VERSIONS}:
+        known = ", ".join(map(str, _READABLE_VERSIONS))
         raise TableError(
             f"{source}: expected schema version {known}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."
         )
-    joint_set = metadata.get(b"joint_set", b"").decode()
+    later = {name for name, since in _SINCE_VERSION.items() if since > int(version)}
+    known = [field for field in expected if field.name not in later or schema.get_field_index(field.name) >= 0]
+    check_columns(schema, known, source=source, what="dataset")
+
+
+def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: str, what: str) -> None:
+    """Refuse a file with other joints, or with missing or differently typed columns.
+
+    Args:
+        schema: The columns of the file.
+        expected: Columns that it must have.
+        source: The file, for the message.
+        what: Thing to build again: ``dataset`` or ``corpus``.
+
+    Raises:
+        TableError: naming the file, what was expected and what was found.
+    """
+    joint_set = (schema.metadata or {}).get(b"joint_set", b"").decode()
     if joint_set != JOINT_SET:
         raise TableError(f"{source}: expected joint set {JOINT_SET}, found {joint_set or 'none'}.")
     for field in expected:
-        index = schema.get_field_index(field.name)
-        if index < 0 and _SINCE_VERSION.get(field.name, 1) > int(version):
-            continue
+        index = schema.get_field_index(field.name)  # also below 0 where the name stands twice
         if index < 0:
-            raise TableError(f"{source}: expected a column '{field.name}', found none. Build the dataset again.")
+            raise TableError(f"{source}: expected a column '{field.name}', found none. Build the {what} again.")
         found = schema.field(index).type
         if not found.equals(field.type):
             raise TableError(f"{source}: column '{field.name}': expected {field.type}, found {found}.")

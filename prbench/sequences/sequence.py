@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float
 
-from prbench.sequences.arrow import column
+from prbench.sequences.chunk import column
 from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
@@ -86,15 +86,15 @@ class EventRecord:
     value: float | None
     """The deciding number."""
     threshold: float | None
-    """What it was compared with."""
+    """Threshold that the value was compared with."""
     left_wrist: Float[np.ndarray, "3"] | None = None
-    """Where the wearer's wrist was at the event; None where nothing measured it."""
+    """Position of the wearer's wrist at the event; None where nothing measured it."""
     right_wrist: Float[np.ndarray, "3"] | None = None
     published_priming: str | None = None
     """``primed``, ``not_primed`` or ``excluded`` where the dataset itself says so."""
     published_prime_time: float | None = None
     hand_source: str | None = None
-    """What told the hand (:data:`prbench.recording.streams.HandSource`); None where it is unknown."""
+    """Source of the hand (:data:`prbench.recording.streams.HandSource`); None where it is unknown."""
 
     def __post_init__(self) -> None:
         assert self.outcome in OUTCOMES, self.outcome
@@ -117,7 +117,7 @@ class RecordingRecord:
     shortfalls: tuple[str, ...] = ()
     """One message for each stream that ends before the recording does; they stand in ``message``, too."""
     lacks: tuple[str, ...] = ()
-    """What it lacks to have events or sequences at all; stands in ``message``, too."""
+    """Parts that it lacks to have events or sequences at all; stands in ``message``, too."""
 
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:

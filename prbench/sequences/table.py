@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,10 +14,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.boundary import foreign_input
-from prbench.errors import TableError
+from prbench.errors import TableError, UsageError
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.digests import ContentDigest, identity_digest
+from prbench.sequences.digests import ContentDigest, identity_digest, require_unchanged
 from prbench.sequences.rows import (
     is_bulky,
     naming,
@@ -27,9 +28,9 @@ from prbench.sequences.rows import (
     table_parts,
 )
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, check_schema, with_later_columns
-from prbench.sequences.unchanged import require_unchanged
 
 SPLITS = ("train", "validation", "test")
+_SHOWN = 8  # ids that an error message lists
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class SequenceTable:
 
     @foreign_input()
     def scalars(self, *, split: str | None = None) -> pa.Table:
-        """All columns that hold one short value a row (no per-frame values, no poses)."""
+        """Read all columns that hold one short value a row (no per-frame values, no poses)."""
         names = [field.name for field in SEQUENCES if not is_bulky(field.type)]
         table = pa.concat_tables(read_parquet(path, names) for path in self.part_paths("sequences"))
         if split is not None:
@@ -169,15 +170,15 @@ class SequenceTable:
 
 
 def why_no_sequences(info: DatasetInfo) -> str:
-    """What became of the recordings and events of a dataset, in one sentence or two."""
+    """Say in one sentence or two what became of the recordings and events of a dataset."""
     counts = info.counts
-    told = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
+    counted = f"{counts.recordings_read} of {counts.recordings_found} recordings were read"
     outcomes = sorted(info.outcomes.items(), key=lambda item: (-item[1], item[0]))
     became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
     if not became:
-        return f"{told}, and no candidate event was found in them."
+        return f"{counted}, and no candidate event was found in them."
     bodies = " Bodies can be estimated: `prbench poses egoallo`." if info.outcomes.get("no_body") else ""
-    return f"{told}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
+    return f"{counted}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
 
 
 def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
@@ -189,3 +190,48 @@ def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
 def by_hash(sequence_ids: SequenceOf[str]) -> list[str]:
     """The ids by the SHA-256 of each: the order in which a growing limit takes them up."""
     return sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())
+
+
+def find_sequence_id(wanted: str, known: Sequence[str], *, among: str) -> str:
+    """The id that is meant: itself, or the only one that begins or ends with, or else holds, what was typed.
+
+    Args:
+        wanted: What was typed.
+        known: All ids.
+        among: What they belong to, for the message.
+
+    Raises:
+        UsageError: if none or several fit; names the nearest ids, or those that fit.
+    """
+    if wanted in known:
+        return wanted
+    fitting: list[str] = []
+    if wanted:
+        ends = [name for name in known if name.startswith(wanted) or name.endswith(wanted)]
+        fitting = ends or [name for name in known if wanted in name]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
+        raise UsageError(
+            f"'{wanted}' fits {len(fitting)} sequences of {among}; give a longer part of one:\n{_lines(fitting)}{more}"
+        )
+    near = _nearest_ids(wanted, known)
+    hint = f" Near it:\n{_lines(near)}" if near else ""
+    raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{hint}")
+
+
+def _nearest_ids(wanted: str, known: Sequence[str]) -> list[str]:
+    """Up to three ids of which a part between slashes, as long as what was typed, looks like it."""
+    length = wanted.count("/") + 1
+    whole: dict[str, str] = {}
+    for name in known:
+        parts = name.split("/")
+        for start in range(max(len(parts) - length, 0) + 1):
+            whole.setdefault("/".join(parts[start : start + length]), name)
+    near = difflib.get_close_matches(wanted, whole, n=12, cutoff=0.0)
+    return list(dict.fromkeys(whole[part] for part in near))[:3]
+
+
+def _lines(names: Sequence[str]) -> str:
+    return "\n".join(f"  {name}" for name in names[:_SHOWN])

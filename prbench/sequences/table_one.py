@@ -19,9 +19,9 @@ from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.table import SequenceTable
 from prbench.skeleton import Joint
 
-GAZE_SHIFT_SPAN = (-2.0, 8.0)
+_GAZE_SHIFT_SPAN = (-2.0, 8.0)
 """Seconds before and after the prime time over which the gaze shift is averaged."""
-GAZE_SHIFT_STEP = 0.1
+_GAZE_SHIFT_STEP = 0.1
 _COLUMNS = ("joints", "goal_location", "gaze_origin", "gaze_direction", "gaze_valid", "fps", "preroll", "split")
 
 
@@ -111,9 +111,9 @@ def _gaze_shift(chunk: SequenceChunk) -> Float[np.ndarray, "m 2"]:
 
 
 def _quartiles(samples: Float[np.ndarray, "m 2"]) -> tuple[np.ndarray, np.ndarray]:
-    first, last = GAZE_SHIFT_SPAN
-    times = np.round(np.arange(first, last, GAZE_SHIFT_STEP), 6)
-    bins = np.floor((samples[:, 0] - first) / GAZE_SHIFT_STEP + 1e-6).astype(int)
+    first, last = _GAZE_SHIFT_SPAN
+    times = np.round(np.arange(first, last, _GAZE_SHIFT_STEP), 6)
+    bins = np.floor((samples[:, 0] - first) / _GAZE_SHIFT_STEP + 1e-6).astype(int)
     order = np.argsort(bins, kind="stable")
     edges = np.searchsorted(bins[order], np.arange(len(times) + 1))
     quartiles = np.full((len(times), 3), np.nan)
@@ -122,3 +122,15 @@ def _quartiles(samples: Float[np.ndarray, "m 2"]) -> tuple[np.ndarray, np.ndarra
         if len(inside):
             quartiles[index] = np.quantile(inside, (0.25, 0.5, 0.75))
     return times, quartiles
+
+
+def body_movement(joints: np.ndarray) -> float:
+    """Largest 3-D distance of the pelvis from frame 0, metres; joints (n, 22, 3)."""
+    pelvis = joints[:, Joint.PELVIS]
+    return float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
+
+
+def hand_movement(joints: np.ndarray, wrist: int) -> float:
+    """Largest displacement of one wrist relative to the pelvis (translation removed, heading not), metres."""
+    relative = joints[:, wrist] - joints[:, Joint.PELVIS]
+    return float(np.linalg.norm(relative - relative[0], axis=1).max())

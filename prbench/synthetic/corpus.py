@@ -1,29 +1,35 @@
-"""Invented people as a corpus: acted out when they are read, without native files.
+"""Synthetic people as text-motion corpora: in the layouts of Nymeria and HumanML3D, or generated when they are read.
 
-They wear the suit of the Nymeria layout, so that a corpus built here and one built from written files hold the same
-joints.
+Those that are acted out wear the suit of the Nymeria layout, so that a corpus built here and one built from written
+files hold the same joints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.corpora.humanml3d.files import MIRROR_PREFIX
 from prbench.corpora.nymeria.body import suit_motion
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import SUIT_RATE
 from prbench.corpora.nymeria.source import NymeriaOptions, recording_clips
 from prbench.corpora.nymeria.suit import clean_suit
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
+from prbench.engine import engine_for
 from prbench.errors import UsageError
+from prbench.locks import sole_writer
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, described_options
 from prbench.readers.options import ReaderOptions, parse_options
-from prbench.storage import text_digest
+from prbench.storage import atomic_folder, text_digest, write_json
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.activities import cast_of, narrated_recording
-from prbench.synthetic.sensors.nymeria import sense_nymeria
+from prbench.synthetic.activities import identity_of, narrated_recording
+from prbench.synthetic.defects import defect
+from prbench.synthetic.layouts import humanml3d, nymeria
+from prbench.synthetic.layouts.nymeria import sense_nymeria
+from prbench.synthetic.write_tree import WrittenRecording, WrittenTree, require_free, write_mark
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"
 _COST = Cost(0, 1.2, 0.5e6)
@@ -31,7 +37,7 @@ POSE_SOURCE = "invented-xsens"
 
 
 class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to invent."""
+    """Options of a corpus that is generated when it is read."""
 
     recordings: int = 40
     """How many; about 13 atomic actions each."""
@@ -48,25 +54,26 @@ class SyntheticSource:
     """One recording that is acted out when it is read (see :class:`prbench.corpora.sources.CorpusRecording`)."""
 
     index: int
-    belonging: Belonging
+    identity: RecordingIdentity
     options: SyntheticOptions
     limits: ClipLimits
     skip_reason: None = None
     cost: Cost = _COST
 
     def input_digest(self) -> str:
-        """Of what the recording is made from."""
+        """Return the digest of what the recording is made from."""
         return text_digest("corpus", str(GENERATOR_VERSION), str(self.options.seed), str(self.index))
 
     def without_places(self, message: str) -> str:
-        """Nothing of this machine is in the messages."""
+        """Return the message itself: nothing of this machine is in it."""
         return message
 
     def read(self) -> ReadRecording:
         """Act it out, and cut the clips that its texts describe."""
         motion = narrated_recording(self.options.seed, self.index)
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
-        manifest, kinds = load_manifest("nymeria"), NymeriaOptions(kinds=self.options.kinds).chosen_kinds
+        manifest = load_manifest("nymeria")
+        kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
         clean = clean_suit(readings.recording.suit, manifest.thresholds, path=motion.recording_id)
         body = suit_motion(
             clean,
@@ -78,7 +85,7 @@ class SyntheticSource:
         )
         texts = tuple(row for row in readings.recording.narrations if row.kind in kinds)
         offset = ClockOffset("known", readings.offset)
-        return recording_clips(self.belonging, body, texts, offset, self.limits, manifest.thresholds)
+        return recording_clips(self.identity, body, texts, offset, self.limits, manifest.thresholds)
 
 
 class SyntheticCorpus:
@@ -86,12 +93,13 @@ class SyntheticCorpus:
 
     @property
     def manifest(self) -> Manifest | None:
-        """Nobody's licence: invented by prbench."""
+        """Return None: synthetic people are under nobody's licence."""
         return None
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
-        """Rate, lengths, seed and generator."""
-        limits, chosen = self._limits(options), self._options(options)
+        """Return the rate, lengths, seed and generator."""
+        limits = self._limits(options)
+        chosen = self._options(options)
         return {
             "fps": f"{limits.fps:g}",
             "max_frames": str(limits.longest),
@@ -100,19 +108,22 @@ class SyntheticCorpus:
         }
 
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[SyntheticSource, ...]:
-        """As many recordings as were asked for."""
+        """Return as many recordings as were asked for."""
         if root is not None:
             raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
-        chosen, limits = self._options(options), self._limits(options)
+        chosen = self._options(options)
+        limits = self._limits(options)
         sources = []
         for index in range(chosen.recordings):
-            cast = cast_of(chosen.seed, index)
-            belonging = Belonging(DATASET, cast.recording_id, cast.participant_id, cast.split, cast.participant_id)
-            sources.append(SyntheticSource(index, belonging, chosen, limits))
+            identity = identity_of(chosen.seed, index)
+            source = RecordingIdentity(
+                DATASET, identity.recording_id, identity.participant_id, identity.split, identity.participant_id
+            )
+            sources.append(SyntheticSource(index, source, chosen, limits))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
-        """Every recording is worked on alone."""
+        """Return the recording itself: recordings do not influence one another."""
         return recording_id
 
     def _options(self, options: CorpusOptions) -> SyntheticOptions:
@@ -129,3 +140,94 @@ class SyntheticCorpus:
 
 
 CORPUS = SyntheticCorpus()
+
+
+CORPUS_LAYOUTS = ("nymeria", "humanml3d")
+DEFAULT_RECORDINGS = 4
+TRUTH_FILE = "truth/clock_offsets.json"
+"""Of each sequence: TIME_CODE minus device time. Readers never open it."""
+_WITHOUT_TRAJECTORY = 3
+"""Every so many-th sequence comes without the glasses' trajectory."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    layout: str
+    root: Path
+    seed: int
+    index: int
+    noise: float
+
+
+@dataclass(frozen=True)
+class _Done:
+    recording: WrittenRecording
+    offset: float
+    splits: tuple[tuple[str, str], ...]
+
+
+def synthesize_corpus_tree(
+    layout: str,
+    out: Path,
+    *,
+    recordings: int | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    noise: float = 1.0,
+    defects: Sequence[str] = (),
+    on_written: Callable[[WrittenRecording], None] | None = None,
+) -> WrittenTree:
+    """Write native files of narrated recordings, complete or not at all; bytes depend on layout, seed and index alone.
+
+    Args:
+        layout: ``nymeria`` or ``humanml3d``.
+        out: Folder of the tree; an older synthetic tree there is replaced.
+        recordings: How many; 4 if None.
+        seed: Of the whole tree.
+        workers: Processes.
+        noise: Multiplies every sensor error.
+        defects: Names of defects that are done to the first recording.
+        on_written: Called after each recording, in their order.
+
+    Raises:
+        UsageError: for an unknown layout or defect, or a folder that holds something else.
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    if layout not in CORPUS_LAYOUTS:
+        raise UsageError(f"unknown corpus layout '{layout}'; known ones are: {', '.join(CORPUS_LAYOUTS)}.")
+    damages = [defect(layout, name) for name in defects]
+    require_free(out)
+    with sole_writer(out), atomic_folder(out) as root:
+        done: list[_Done] = []
+        jobs = [_Job(layout, root, seed, index, noise) for index in range(recordings or DEFAULT_RECORDINGS)]
+        for result in engine_for(workers).map(_write, jobs):
+            done.append(result)
+            if on_written:
+                on_written(result.recording)
+        splits = dict(item for result in done for item in result.splits)
+        if layout == "humanml3d":
+            humanml3d.write_lists(root, splits)
+        else:
+            write_json(root / TRUTH_FILE, {result.recording.recording_id: result.offset for result in done})
+        for damage in damages:
+            damage.apply(root, done[0].splits[0][0])
+        write_mark(root, layout, seed, "default", splits)
+    return WrittenTree(out, tuple(result.recording for result in done))
+
+
+def _write(job: _Job) -> _Done:
+    motion = narrated_recording(job.seed, job.index)
+    n_texts = sum(row.kind == "atomic_action" for row in motion.narrations)
+    recording = WrittenRecording(motion.recording_id, motion.split, motion.duration, n_texts, 0)
+    if job.layout == "nymeria":
+        readings = sense_nymeria(motion, seed=job.seed, noise=job.noise)
+        with_trajectory = job.index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1
+        nymeria.write_nymeria(readings, job.root, trajectory=with_trajectory)
+        return _Done(recording, readings.offset, ((motion.recording_id, motion.split),))
+    splits = []
+    for number, captioned in enumerate(humanml3d.captioned_motions(motion)):
+        name = f"{job.index * 100 + number:06d}"
+        humanml3d.write_motion(job.root, name, captioned)
+        humanml3d.write_motion(job.root, f"{MIRROR_PREFIX}{name}", humanml3d.mirrored(captioned))
+        splits += [(name, motion.split), (f"{MIRROR_PREFIX}{name}", motion.split)]
+    return _Done(recording, 0.0, tuple(splits))

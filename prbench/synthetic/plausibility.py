@@ -18,7 +18,7 @@ from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.smoothness import jitter
 from prbench.skeleton import WRISTS, Joint, bone_lengths
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.true_clips import FPS, true_clips
+from prbench.synthetic.statistics import FPS, true_clips
 
 _HIPS, _KNEES = [Joint.LEFT_HIP, Joint.RIGHT_HIP], [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]
 _ANKLES, _BALLS = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE], [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
@@ -111,7 +111,7 @@ _INF = float("inf")
 
 
 def limits() -> dict[str, Limit]:
-    """The range of every number."""
+    """Return the range of every number."""
     return {
         "foot_skating_mean": Limit(-_INF, 0.02),
         "foot_skating_worst": Limit(-_INF, 0.10),
@@ -136,13 +136,13 @@ def limits() -> dict[str, Limit]:
 
 
 def checks(numbers: Plausibility) -> list[Check]:
-    """Every number beside its limit."""
+    """Return every number beside its limit."""
     ranges = limits()
     return [Check(item.name, getattr(numbers, item.name), ranges[item.name]) for item in fields(numbers)]
 
 
 def measure(performances: Sequence[Performance]) -> Plausibility:
-    """Extremes, means and shares over performances.
+    """Measure extremes, means and shares over performances.
 
     Raises:
         ValueError: if none of them holds an event that should become a sequence.
@@ -154,14 +154,15 @@ def measure(performances: Sequence[Performance]) -> Plausibility:
 
 
 def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> Plausibility:
-    """Extremes over motions, and means and shares over clips of them at 20 frames a second.
+    """Measure extremes over motions, and means and shares over clips of them at 20 frames a second.
 
     Args:
         motions: Performances, or anything else that moves.
         clips: Joints (n, 22, 3) of each clip, metres, Y up.
     """
     on_floor = [clip - [0.0, clip[..., 1].min(), 0.0] for clip in clips]
-    batch, constants = MotionBatch.from_motions(on_floor), load_protocol().metrics
+    batch = MotionBatch.from_motions(on_floor)
+    constants = load_protocol().metrics
     skating = foot_skating(batch, FPS, constants)
     extremes = np.array([_extremes(motion) for motion in motions])
     knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0).tolist()
@@ -192,8 +193,9 @@ def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> P
 
 
 def _extremes(performance: Moving) -> tuple[float, ...]:
-    """Three minima, then eleven maxima of one performance."""
-    joints, rate = performance.joints, performance.rate
+    """Return three minima, then eleven maxima of one performance."""
+    joints = performance.joints
+    rate = performance.rate
     knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
     elbows = _inner_angle(joints[:, _SHOULDERS], joints[:, _ELBOWS], joints[:, WRISTS])
     lengths = bone_lengths(joints)
@@ -217,14 +219,15 @@ def _extremes(performance: Moving) -> tuple[float, ...]:
 
 
 def _inner_angle(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle at a joint, degrees."""
-    first, second = a - middle, b - middle
+    """Return the angle at a joint, degrees."""
+    first = a - middle
+    second = b - middle
     cross = np.linalg.norm(np.cross(first, second), axis=-1)
     return np.rad2deg(np.arctan2(cross, (first * second).sum(axis=-1)))
 
 
 def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray, "n 3"]:
-    """One column of the rotation matrices: 2 is forward."""
+    """Return one column of the rotation matrices: 2 is forward."""
     w, x, y, z = quaternions.T
     columns = (
         (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
@@ -235,7 +238,7 @@ def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray,
 
 
 def _planted_slide(performance: Moving) -> float:
-    """Farthest horizontal way of a ball within one stretch of contact."""
+    """Return the farthest horizontal way of a ball within one stretch of contact."""
     farthest = 0.0
     for side, ball in enumerate(_BALLS):
         planted = performance.planted[:, side]
@@ -248,8 +251,10 @@ def _planted_slide(performance: Moving) -> float:
 
 
 def _share_backwards(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
-    """Share of frames in which a knee lies behind the line from hip to ankle, seen along pelvis and foot."""
-    hips, knees, ankles = joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES]
+    """Return the share of frames in which a knee lies behind the line from hip to ankle, seen along pelvis and foot."""
+    hips = joints[:, _HIPS]
+    knees = joints[:, _KNEES]
+    ankles = joints[:, _ANKLES]
     foot = joints[:, _BALLS] - ankles
     foot[..., 1] = 0.0
     forward = foot / np.linalg.norm(foot, axis=-1, keepdims=True) + pelvis_forward[:, None]
@@ -272,7 +277,7 @@ def _top_speed(points: np.ndarray, rate: float) -> float:
 
 
 def _jerk(performance: Moving) -> Float[np.ndarray, "m 22"]:
-    """Third difference quotient on a 60 Hz grid, m/s³."""
+    """Return the third difference quotient on a 60 Hz grid, m/s³."""
     stride = max(1, round(performance.rate / _JERK_RATE))
     rate = performance.rate / stride
     return np.linalg.norm(np.diff(performance.joints[::stride], n=3, axis=0), axis=-1) * rate**3

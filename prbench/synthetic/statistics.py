@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline
 
 from prbench.manifests import load_protocol
 from prbench.metrics.batch import MotionBatch
@@ -18,9 +20,63 @@ from prbench.metrics.prime_success import prime_success
 from prbench.metrics.reach_success import reach_success
 from prbench.metrics.targets import ScoringTargets
 from prbench.published import Spread, load_table_one
-from prbench.skeleton import canonical_frame, invert_rigid, transform_points
-from prbench.synthetic.performance import Performance
-from prbench.synthetic.true_clips import FPS, TrueClip, true_clips
+from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.synthetic.performance import Performance, TrueEvent
+
+PREROLL = 2.0
+"""Seconds before the prime time (docs/specification/curation.md#clip)."""
+FPS = 20.0
+"""Frames a second (docs/specification/constants.md#protocol)."""
+
+
+@dataclass(frozen=True)
+class TrueClip:
+    """One pick or put from two seconds before its prime time to the event; world frame."""
+
+    event: TrueEvent
+    start: float
+    """Time of the first frame, seconds of the recording."""
+    joints: Float[np.ndarray, "n 22 3"]
+    neck_tilt_deg: float
+
+    @property
+    def prime_after(self) -> float:
+        """Prime time in seconds after the first frame."""
+        assert self.event.prime_time is not None  # clips are made of primed events only
+        return self.event.prime_time - self.start
+
+    @property
+    def body_movement(self) -> float:
+        """Largest distance of the pelvis from where it was in the first frame, metres."""
+        pelvis = self.joints[:, Joint.PELVIS]
+        return float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
+
+    @property
+    def hand_movement(self) -> float:
+        """The same for the reaching wrist relative to the pelvis (translation removed, heading not)."""
+        wrist = self.joints[:, WRISTS[self.event.hand == "right"]] - self.joints[:, Joint.PELVIS]
+        return float(np.linalg.norm(wrist - wrist[0], axis=1).max())
+
+
+def true_clips(performance: Performance) -> list[TrueClip]:
+    """Return all events of a performance that should become sequences."""
+    return [_clip(performance, event) for event in performance.events if event.expected == "sequence"]
+
+
+def _clip(performance: Performance, event: TrueEvent) -> TrueClip:
+    assert event.prime_time is not None  # expected to become a sequence
+    n_frames = int(np.floor((event.event_time - event.prime_time + PREROLL) * FPS + 1e-6)) + 1
+    times = event.event_time - np.arange(n_frames)[::-1] / FPS
+    times = np.clip(times, performance.times[0], performance.times[-1])
+    return TrueClip(event, float(times[0]), sample_joints(performance, times), performance.person.neck_tilt_deg)
+
+
+def sample_joints(performance: Performance, times: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m 22 3"]:
+    """Return joints between frames, by cubic interpolation: linear interpolation would add jerk of its own."""
+    first, last = np.searchsorted(performance.times, [times[0], times[-1]])
+    part = slice(max(int(first) - 3, 0), int(last) + 4)
+    velocity = np.gradient(performance.joints[part], performance.times[part], axis=0)
+    return CubicHermiteSpline(performance.times[part], performance.joints[part], velocity, axis=0)(times)
 
 
 @dataclass(frozen=True)
@@ -33,7 +89,7 @@ class SequenceStatistics:
     hand: Spread
 
     def deviations(self, target: SequenceStatistics) -> dict[str, float]:
-        """(ours - target) / target sd of every mean."""
+        """Return (ours - target) / target sd of every mean."""
         names = ("duration", "gap", "body", "hand")
         pairs = {name: (getattr(self, name), getattr(target, name)) for name in names}
         return {name: (ours.mean - theirs.mean) / theirs.sd for name, (ours, theirs) in pairs.items()}
@@ -49,7 +105,7 @@ TARGETS: Mapping[str, SequenceStatistics] = MappingProxyType(
 
 
 def sequence_statistics(clips: Sequence[TrueClip]) -> SequenceStatistics:
-    """Mean and spread of the four numbers over sequences."""
+    """Return mean and spread of the four numbers over sequences."""
     gaps = np.array([clip.event.event_time - clip.start - clip.prime_after for clip in clips])
     return SequenceStatistics(
         duration=_spread(gaps + 2.0),
@@ -78,7 +134,8 @@ def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
     frames = [invert_rigid(canonical_frame(clip.joints)) for clip in clips]
     motions = [transform_points(frame, clip.joints) for frame, clip in zip(frames, clips, strict=True)]
     goals = [transform_points(frame, clip.event.goal) for frame, clip in zip(frames, clips, strict=True)]
-    batch, constants = MotionBatch.from_motions(motions), load_protocol().metrics
+    batch = MotionBatch.from_motions(motions)
+    constants = load_protocol().metrics
     targets = ScoringTargets(
         goal_location=np.array(goals),
         prime_time=np.array([clip.prime_after for clip in clips]),
@@ -95,5 +152,5 @@ def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
 
 
 def clips_of(performances: Sequence[Performance]) -> list[TrueClip]:
-    """The sequences of several performances."""
+    """Return the sequences of several performances."""
     return [clip for performance in performances for clip in true_clips(performance)]

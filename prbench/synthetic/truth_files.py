@@ -21,12 +21,12 @@ from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches
 
-TRUTH_FOLDER = "truth"
-TRUTH_SCHEMA = 1
+_TRUTH_FOLDER = "truth"
+_TRUTH_SCHEMA = 1
 TruthTable = Literal["recordings", "events", "fixations", "joints", "objects"]
 
 _STREAMS = ("glasses", "gaze", "objects", "body")
-_METADATA = {"prbench.truth_schema": str(TRUTH_SCHEMA)}
+_METADATA = {"prbench.truth_schema": str(_TRUTH_SCHEMA)}
 _DECIMALS = 5  # 10 micrometres; keeps digests equal where the last bits of a sine differ
 _POINT = pa.list_(pa.float64(), 3)
 
@@ -34,7 +34,7 @@ _POINT = pa.list_(pa.float64(), 3)
 def recordings_table(
     performances: Sequence[Performance], *, noise: float = 1.0, switches: Switches | None = None
 ) -> pa.Table:
-    """One row a recording: who, where, which clock and which constant errors."""
+    """Return one row a recording: who, where, which clock and which constant errors."""
     on = switches or Switches()
     biases = [np.rad2deg(layout_for(p.preset).gaze_bias(p, noise=noise, switches=on)) for p in performances]
     starts = [layout_for(p.preset).clock_start(p) for p in performances]
@@ -62,7 +62,7 @@ def recordings_table(
 
 
 def events_table(performance: Performance) -> pa.Table:
-    """One row a pick, put or provocation of one recording."""
+    """Return one row a pick, put or provocation of one recording."""
     layout = layout_for(performance.preset)
     events = layout.events(performance)
     return _table(
@@ -93,7 +93,7 @@ def events_table(performance: Performance) -> pa.Table:
 
 
 def fixations_table(performance: Performance) -> pa.Table:
-    """One row a planned look."""
+    """Return one row a planned look."""
     looks = performance.fixations
     return _table(
         {
@@ -108,7 +108,7 @@ def fixations_table(performance: Performance) -> pa.Table:
 
 
 def joints_table(performance: Performance, *, rate: float) -> pa.Table:
-    """One row a frame: body, segment rotations, eyes, gaze, the head's own direction, planted feet.
+    """Return one row a frame: body, segment rotations, eyes, gaze, the head's own direction, planted feet.
 
     Args:
         performance: The truth.
@@ -132,8 +132,9 @@ def joints_table(performance: Performance, *, rate: float) -> pa.Table:
 
 
 def objects_table(performance: Performance) -> pa.Table:
-    """Poses of every object's box centre: rows while it moves, and its first and last."""
-    tables, layout = [], layout_for(performance.preset)
+    """Return the poses of every object's box centre: rows while it moves, and its first and last."""
+    tables = []
+    layout = layout_for(performance.preset)
     for motion in performance.objects:
         kept = _moving_rows(motion.position, motion.rotation)
         times = performance.times[: len(motion.position)][kept]
@@ -154,7 +155,7 @@ def objects_table(performance: Performance) -> pa.Table:
 
 def write_truth(table: pa.Table, tree: Path, name: TruthTable, *, part: str | None = None) -> None:
     """Write one table, or one recording's part of it, below ``truth/``; equal tables give equal bytes."""
-    folder = tree / TRUTH_FOLDER
+    folder = tree / _TRUTH_FOLDER
     path = folder / f"{name}.parquet" if part is None else folder / name / f"{part}.parquet"
     with atomic_path(path) as temporary:
         pq.write_table(table, temporary, compression="zstd", compression_level=1)
@@ -166,7 +167,7 @@ def read_truth(tree: Path, name: TruthTable) -> pa.Table:
     Raises:
         InputFileError: if the tree has none, or it is of an unknown schema version.
     """
-    folder = tree / TRUTH_FOLDER
+    folder = tree / _TRUTH_FOLDER
     path = folder / f"{name}.parquet" if (folder / f"{name}.parquet").is_file() else folder / name
     if not path.exists():
         raise InputFileError(
@@ -174,11 +175,11 @@ def read_truth(tree: Path, name: TruthTable) -> pa.Table:
         )
     table = pq.read_table(path)
     version = (table.schema.metadata or {}).get(b"prbench.truth_schema", b"none").decode()
-    if version != str(TRUTH_SCHEMA):
+    if version != str(_TRUTH_SCHEMA):
         raise InputFileError(
             path,
             "schema version",
-            expected=str(TRUTH_SCHEMA),
+            expected=str(_TRUTH_SCHEMA),
             found=version,
             remedy="It was written by another version of prbench; synthesise the tree again.",
         )
@@ -195,7 +196,7 @@ def _moving_rows(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def _rows(values: np.ndarray) -> pa.Array:
-    """One fixed-size list a row: float32 rounded to 10 micrometres, or booleans."""
+    """Return one fixed-size list a row: float32 rounded to 10 micrometres, or booleans."""
     flat = values.reshape(len(values), -1)
     if flat.dtype == bool:
         return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])

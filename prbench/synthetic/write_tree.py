@@ -23,7 +23,7 @@ from prbench.locks import sole_writer
 from prbench.storage import atomic_folder, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.defects import defect
-from prbench.synthetic.layouts import SHARED_PARTS, EstimatedBodies, layout_for
+from prbench.synthetic.layouts import SHARED_PARTS, layout_for
 from prbench.synthetic.people import perform
 from prbench.synthetic.truth_files import (
     events_table,
@@ -39,7 +39,7 @@ Size = Literal["tiny", "default", "large"]
 
 
 @dataclass(frozen=True)
-class SizeOfTree:
+class _SizeOfTree:
     """How much a size means."""
 
     recordings: int
@@ -48,9 +48,9 @@ class SizeOfTree:
     """Frames a second of the joints in the truth record."""
 
 
-SIZES: dict[str, SizeOfTree] = {
-    "tiny": SizeOfTree(recordings=2, events=6, truth_rate=30.0),
-    "default": SizeOfTree(recordings=24, events=10, truth_rate=120.0),
+SIZES: dict[str, _SizeOfTree] = {
+    "tiny": _SizeOfTree(recordings=2, events=6, truth_rate=30.0),
+    "default": _SizeOfTree(recordings=24, events=10, truth_rate=120.0),
 }
 
 
@@ -112,7 +112,7 @@ def synthesize_tree(
         StorageError: if the disk is full or the folder cannot be written.
     """
     layout = layout_for(preset)
-    if estimates and not isinstance(layout, EstimatedBodies):
+    if estimates and layout.write_estimates is None:
         raise UsageError(f"{preset} has no bodies of its own beside which EgoAllo's estimates could stand.")
     damages = [defect(preset, name) for name in defects]
     amount = _amount(size)
@@ -145,12 +145,13 @@ def synthesize_tree(
             damage.apply(root, done[0].recording.recording_id)
         for name in ("recordings", "events", "fixations"):
             write_truth(pa.concat_tables([getattr(result, name) for result in done]), root, name)
-        _write_mark(root, preset, seed, done)
+        splits = {result.recording.recording_id: result.recording.split for result in done}
+        write_mark(root, preset, seed, done[0].world, splits)
     return WrittenTree(out, tuple(result.recording for result in done))
 
 
 def planned_recordings(size: str, recordings: int | None) -> int:
-    """How many recordings a tree will have.
+    """Return how many recordings a tree will have.
 
     Raises:
         UsageError: for less than one, or a size that is not written.
@@ -197,7 +198,7 @@ def _write_recording(job: _Job) -> _Done:
     layout = layout_for(job.preset)
     readings = layout.sense(performance, noise=job.noise)
     layout.write(readings, job.root)
-    if job.estimates and isinstance(layout, EstimatedBodies):
+    if job.estimates and layout.write_estimates is not None:
         layout.write_estimates(performance, readings, job.root, noise=job.noise)
     write_truth(joints_table(performance, rate=job.truth_rate), job.root, "joints", part=name)
     write_truth(objects_table(performance), job.root, "objects", part=name)
@@ -213,7 +214,8 @@ def _write_recording(job: _Job) -> _Done:
     )
 
 
-def _write_mark(root: Path, preset: str, seed: int, done: list[_Done]) -> None:
+def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[str, str]) -> None:
+    """Write the mark that tells readers and people that a tree is synthetic, and which recording is in which split."""
     write_json(
         root / SYNTHETIC_FILE,
         {
@@ -221,13 +223,13 @@ def _write_mark(root: Path, preset: str, seed: int, done: list[_Done]) -> None:
             "version": GENERATOR_VERSION,
             "seed": seed,
             "preset": preset,
-            "world": done[0].world,
-            "split": {result.recording.recording_id: result.recording.split for result in done},
+            "world": world,
+            "split": dict(split),
         },
     )
 
 
-def _amount(size: str) -> SizeOfTree:
+def _amount(size: str) -> _SizeOfTree:
     if size == "large":
         raise UsageError(
             "size 'large' (480 recordings a preset) is not written as native files: that would be about 30 GB of text"

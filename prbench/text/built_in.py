@@ -23,7 +23,7 @@ NAME = "hashed-ngrams"
 DIMENSION = 64
 MOST_WORDS = 32
 """Later words of a text are dropped."""
-NGRAMS = (3, 4, 5)
+_NGRAMS = (3, 4, 5)
 _WORD = re.compile(r"[^\W_]+")
 _DIGESTS = DIMENSION * 2 // hashlib.sha256().digest_size
 _UNIT = np.sqrt(3.0 / (65536.0**2 - 1.0))  # of the odd numbers -65535, -65533 … 65535: makes their variance 1
@@ -65,7 +65,7 @@ def _word_vector(word: str) -> Float[np.ndarray, " 64"]:
 def ngrams(word: str) -> tuple[str, ...]:
     """The distinct runs of 3, 4 and 5 characters of ``<word>``, in the order in which they are met."""
     marked = f"<{word}>"
-    return tuple(dict.fromkeys(marked[at : at + n] for n in NGRAMS for at in range(len(marked) - n + 1)))
+    return tuple(dict.fromkeys(marked[at : at + n] for n in _NGRAMS for at in range(len(marked) - n + 1)))
 
 
 def _random_integers(kind: str, text: str) -> np.ndarray:

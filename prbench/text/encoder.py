@@ -1,4 +1,4 @@
-"""What every text encoder gives: one vector a token, padded to the longest text of the batch."""
+"""The form of encoded text: one vector a token, padded to the longest text of the batch."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class TextEncoder(Protocol):
 
     @property
     def name(self) -> str:
-        """What weights that were trained with these vectors call them."""
+        """Name by which weights that were trained with these vectors call them."""
         ...
 
     @property

@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from prbench.training.batch import MotionBatch, collate
-    from prbench.training.dataset import MotionItem, SequenceDataset
+    from prbench.training.batches import LengthBatches
+    from prbench.training.dataset import SequenceDataset
+    from prbench.training.items import MotionBatch, MotionItem, collate
     from prbench.training.loop import fit
-    from prbench.training.sampling import LengthBatches
     from prbench.training.task import TrainingData, TrainingModule, TrainingTask
 
 _HOMES = {
-    "LengthBatches": "prbench.training.sampling",
-    "MotionBatch": "prbench.training.batch",
-    "MotionItem": "prbench.training.dataset",
+    "LengthBatches": "prbench.training.batches",
+    "MotionBatch": "prbench.training.items",
+    "MotionItem": "prbench.training.items",
     "SequenceDataset": "prbench.training.dataset",
     "TrainingData": "prbench.training.task",
     "TrainingModule": "prbench.training.task",
     "TrainingTask": "prbench.training.task",
-    "collate": "prbench.training.batch",
+    "collate": "prbench.training.items",
     "fit": "prbench.training.loop",
 }
 

@@ -100,7 +100,7 @@ def _described(state: TrainingState) -> dict[str, object]:
 
 
 def _timing(state: TrainingState) -> dict[str, object]:
-    """What differs between two trainings that are the same in all else."""
+    """Describe what differs between two trainings that are the same in all else."""
     return {"seconds": state.seconds, "waited": state.waited, "timings": state.timings}
 
 

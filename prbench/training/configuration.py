@@ -30,7 +30,7 @@ class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     crop: Literal["end", "random"] = "end"
     """Keep the end (it holds the goal), or a random part (for text alone)."""
     mode: Literal["continuous", "reference"] = "continuous"
-    """Of the representation."""
+    """Mode of the representation."""
     mirrored: bool = False
     """Show each sequence a second time as a mirror shows it, left and right exchanged."""
 
@@ -40,9 +40,9 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
     steps: int
     batch_size: int = 64
-    """Of each process, for one batch."""
+    """Size of a batch of each process, in the unit below."""
     batch_unit: Literal["sequences", "frames"] = "sequences"
-    """What ``batch_size`` counts; frames with their padding."""
+    """Unit of ``batch_size``; frames are counted with their padding."""
     micro_batches: int = 1
     """Batches whose gradients are averaged into one step."""
     learning_rate: float = 1e-4
@@ -62,7 +62,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     save_every: int = 1000
     log_every: int = 50
     weights_dtype: Literal["float32", "float16"] = "float32"
-    """Of matrices in the saved weights."""
+    """Type of matrices in the saved weights."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch_size", "micro_batches", "save_every", "log_every"):
@@ -84,9 +84,9 @@ class ValidationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields
     every: int = 0
     """Steps between validations; 0 for none."""
     sequences: int = 64
-    """Of each dataset, those with the smallest SHA-256 of their id."""
+    """Number of sequences of each dataset: those with the smallest SHA-256 of their id."""
     condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None
-    """What the method is given; None for losses alone."""
+    """Condition that the method is given; None for losses alone."""
     batch_size: int = 32
 
 

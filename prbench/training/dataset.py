@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch.utils.data import Dataset
 
 from prbench.errors import TableError, UsageError
@@ -17,33 +16,10 @@ from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.table import SPLITS
 from prbench.storage import cache_folder
-from prbench.training.condition_statistics import ConditionStatistics, Goal, condition_statistics
 from prbench.training.feature_store import FeatureStore
-from prbench.training.motion import Motion, cut, encoded
-from prbench.training.rows import Table, frame_rate, holds_mirrored, open_table
+from prbench.training.items import ConditionStatistics, Goal, MotionItem, condition_statistics
+from prbench.training.motions import Motion, Table, cut, encoded, frame_rate, holds_mirrored, open_table
 from prbench.training.store_building import Crop, Encoding, LeftOut, table_store
-
-
-@dataclass(frozen=True)
-class MotionItem:
-    """One motion as it is trained on. Canonical frame of its first frame, metres; arrays may be read-only views."""
-
-    features: Float[np.ndarray, "n 263"]
-    """Raw features, one row a frame, not standardised (docs/specification/humanml3d.md#forward-conversion)."""
-    joints: Float[np.ndarray, "n 22 3"]
-    n_frames: int
-    text: str
-    """One of the captions."""
-    initial_joints: Float[np.ndarray, "22 3"]
-    """The first frame."""
-    previous_joints: Float[np.ndarray, "22 3"]
-    """The frame before it, for the initial velocity."""
-    goal_joints: Float[np.ndarray, "22 3"]
-    """The last frame."""
-    goal_location: Float[np.ndarray, "3"]
-    """What is reached; NaN for motions of a corpus."""
-    fps: float
-    sequence_id: str
 
 
 class SequenceDataset(Dataset[MotionItem]):
@@ -123,7 +99,9 @@ class SequenceDataset(Dataset[MotionItem]):
         """The item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         row, epoch = index if isinstance(index, tuple) else (index, 0)
         store, place = self._at(row)
-        name, motion, features = store.sequence_id(place), store.motion(place), store.features(place)
+        name = store.sequence_id(place)
+        motion = store.motion(place)
+        features = store.features(place)
         text, *others = store.texts(place)
         if features is not None and not others:
             return _item(motion, features, text, self.fps, name)

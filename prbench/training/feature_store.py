@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from prbench.representation import N_FEATURES
 from prbench.skeleton import N_JOINTS
-from prbench.training.motion import Motion
+from prbench.training.motions import Motion
 
 _POSE = pa.list_(pa.float32(), 3 * N_JOINTS)
 
@@ -110,7 +110,8 @@ class _Block:
 
     @classmethod
     def of(cls, batch: pa.RecordBatch) -> _Block:
-        joints, features = batch.column("joints"), batch.column("features")
+        joints = batch.column("joints")
+        features = batch.column("features")
         return cls(
             batch,
             _values(joints.values).reshape(-1, N_JOINTS, 3),

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from prbench.training.task import TrainingTask
 
 ENTRY_POINT_GROUP = "prbench.training_tasks"
-BESIDE_THE_METHOD = "training_task"
+_BESIDE_THE_METHOD = "training_task"
 """The callable without arguments that makes the task of a method, in the module of the method's ``load``."""
 
-_DEFINITION = re.compile(rf"^def {BESIDE_THE_METHOD}\b", re.MULTILINE)
+_DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
 
 
 def list_tasks() -> tuple[str, ...]:
@@ -75,11 +75,11 @@ def _find(name: str) -> EntryPoint:
 
 def _beside(method: EntryPoint) -> EntryPoint:
     """The task that stands beside a method, as if it had an entry point."""
-    return EntryPoint(method.name, f"{_module(method)}:{BESIDE_THE_METHOD}", ENTRY_POINT_GROUP)
+    return EntryPoint(method.name, f"{_module(method)}:{_BESIDE_THE_METHOD}", ENTRY_POINT_GROUP)
 
 
 def _defines_a_task(method: EntryPoint) -> bool:
-    """Whether the source of a method's module has the callable; read, not run, because a module may be broken."""
+    """Return True where a method's module defines the callable; its source is read, because a module may be broken."""
     try:
         spec = find_spec(_module(method))
         source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin else ""

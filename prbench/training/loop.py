@@ -20,35 +20,33 @@ from prbench.errors import TrainingError, TrainingStopped
 from prbench.randomness import named_generator
 from prbench.training.checkpoints import Checkpoints
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench.training.devices import make_fabric
-from prbench.training.learning_rate import learning_rate
 from prbench.training.outputs import Describe, Outputs
-from prbench.training.state import Row, Tally, TrainingState
-from prbench.training.stopping import StopRequest, stop_on_signals
+from prbench.training.processes import StopRequest, make_fabric, stop_on_signals
+from prbench.training.state import Row, Tally, TrainingState, learning_rate
 from prbench.training.task import TrainingModule
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-CHECKPOINTS = "checkpoints"
+_CHECKPOINTS = "checkpoints"
 _STEPS_BETWEEN_QUESTIONS = 10  # processes that train together agree to stop; asking costs a message each
 
 Batches = Callable[[int], Iterable[Any]]
-"""From the number of batches taken before to the batches that follow, without end."""
+"""Maps the number of batches taken before to the batches that follow, without end."""
 Validate = Callable[[TrainingModule], Row]
-"""From a module with the averaged weights, in evaluation mode, to what was measured."""
+"""Maps a module with the averaged weights, in evaluation mode, to what was measured."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training is."""
+    """Progress of a training."""
 
     step: int
     steps: int
     row: Row | None = None
     """A new line of the log, if there is one."""
     validation: Row | None = None
-    """What a validation measured, if there was one."""
+    """Measurements of a validation, if there was one."""
 
 
 def silent(progress: Progress) -> None:
@@ -91,7 +89,7 @@ def fit(
     module.calls = configuration.training.steps * configuration.training.micro_batches
     module.train().to(fabric.device)
     state = TrainingState.start(module, configuration.training)
-    checkpoints = Checkpoints(out / CHECKPOINTS)
+    checkpoints = Checkpoints(out / _CHECKPOINTS)
     resumed = checkpoints.restore(state)
     fabric.barrier()  # nobody writes a new checkpoint before everybody has read the old one
     outputs = None

@@ -1,21 +1,35 @@
-"""``training.json``: what decides the result of a training, so that a folder never mixes two of them."""
+"""Records of a training: ``training.json``, and the card beside the weights.
+
+``training.json`` says what decides the result, so that a folder never mixes two trainings. The card says what the
+weights are, what they were made from, and how far the training came.
+"""
 
 from __future__ import annotations
 
+import platform
+import sys
 from collections.abc import Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import torch
 
+import prbench
 from prbench.errors import StorageError, TrainingError
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
+from prbench.training.state import Row, TrainingState
 
 RECORD = "training.json"
 SCHEMA_VERSION = 1
 _MAY_CHANGE = frozenset({"configuration.training.save_every", "configuration.training.log_every"})
+_CARD_VERSION = 2
+"""2: times stand in ``timing.json``, so that the same training has the same card."""
+_CURVE_POINTS = 100
+_PACKAGES = ("numpy", "pyarrow", "torch", "lightning-fabric", "safetensors", "transformers")
 
 
 class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -28,7 +42,7 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
     identity_digest: str
     content_digest: str
     sequences: int
-    """Of the split that is trained on."""
+    """Number of sequences in the split that is trained on."""
 
 
 class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,7 +58,7 @@ class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) -> tuple[TableRecord, ...]:
-    """What the card says of each table, in the order given (the order decides what a seed draws)."""
+    """Describe each table for the card, in the order given (the order decides what a seed draws)."""
     return tuple(
         TableRecord(
             dataset=table.info.dataset,
@@ -78,7 +92,7 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
     found = read_json(path)
     if not isinstance(found, Mapping):
         raise TrainingError(f"{path}: expected the record of a training. Choose another folder for --out.")
-    difference = first_difference(_flat(msgspec.to_builtins(record)), _flat(found))
+    difference = _first_difference(_flat(msgspec.to_builtins(record)), _flat(found))
     if difference is not None:
         key, now, then = difference
         raise TrainingError(
@@ -96,10 +110,11 @@ def write_record(out: Path, record: TrainingRecord) -> None:
     write_json(out / RECORD, msgspec.to_builtins(record))
 
 
-def first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
+def _first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
     """The first key, as asked and as found, whose value differs; None if all agree."""
     for key in dict.fromkeys((*asked, *found)):
-        now, then = asked.get(key, "nothing"), found.get(key, "nothing")
+        now = asked.get(key, "nothing")
+        then = found.get(key, "nothing")
         if now != then and key not in _MAY_CHANGE:
             return key, now, then
     return None
@@ -114,3 +129,70 @@ def _flat(value: Any, prefix: str = "") -> dict[str, str]:
     else:
         return {prefix.rstrip("."): msgspec.json.encode(value).decode()}
     return {key: text for part in parts for key, text in part.items()}
+
+
+def training_card(record: TrainingRecord, state: TrainingState, device: torch.device, threads: int) -> dict[str, Any]:
+    """The card of a state.
+
+    Args:
+        record: What decides the result.
+        state: Its steps, learning curve and validations.
+        device: Where it was trained.
+        threads: Torch's threads, on which the last bits depend on a CPU.
+    """
+    steps = record.configuration.training.steps
+    return {
+        "card_version": _CARD_VERSION,
+        "prbench": prbench.__version__,
+        "method": record.method,
+        "stage": record.stage,
+        "finished": state.step >= steps,
+        "steps": state.step,
+        "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
+        "averaged": record.configuration.training.ema > 0,
+        "device": _device_in_words(device),
+        "devices": record.devices,
+        "threads": threads,
+        "packages": _packages(),
+        "configuration": msgspec.to_builtins(record.configuration),
+        "data": msgspec.to_builtins(record.data),
+        "initial_weights_sha256": record.initial_weights_sha256,
+        "learned_from": list(state.module.learned_from()),
+        "learning_curve": thinned(state.rows, _CURVE_POINTS),
+        "validation": state.validations,
+    }
+
+
+def training_times(state: TrainingState) -> dict[str, Any]:
+    """Return how long a training took, which no two trainings have in common."""
+    return {
+        "steps": state.step,
+        "seconds": round(state.seconds, 1),
+        "waiting_fraction": round(state.waiting, 4),
+        "timings": thinned(state.timings, _CURVE_POINTS),
+    }
+
+
+def thinned(rows: list[Row], points: int) -> list[Row]:
+    """Select at most ``points`` rows, spread evenly, the last among them."""
+    if len(rows) <= points:
+        return rows
+    places = sorted({round((place + 1) * len(rows) / points) - 1 for place in range(points)})
+    return [rows[place] for place in places]
+
+
+def _device_in_words(device: torch.device) -> str:
+    """``cpu (x86_64)``, or the name of the GPU."""
+    if device.type == "cuda":
+        return f"cuda ({torch.cuda.get_device_name(device)})"
+    return f"{device.type} ({platform.machine()})"
+
+
+def _packages() -> dict[str, str]:
+    found = {"python": ".".join(map(str, sys.version_info[:3]))}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,4 +1,4 @@
-"""From a user's request to trained weights: task, configuration, data, loop."""
+"""A whole training, from a user's request to trained weights: task, configuration, data, loop."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ import torch
 
 from prbench.errors import TrainingStopped, UsageError
 from prbench.locks import sole_writer
-from prbench.training.card import training_card
+from prbench.training.batches import LengthBatches, load_batches
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
 from prbench.training.dataset import SequenceDataset
-from prbench.training.devices import make_fabric
 from prbench.training.installed import load_task
-from prbench.training.loading import load_batches
 from prbench.training.loop import Progress, fit, silent
 from prbench.training.outputs import WEIGHTS
-from prbench.training.record import TrainingRecord, require_same_training, table_records, write_record
-from prbench.training.sampling import LengthBatches
+from prbench.training.processes import make_fabric
+from prbench.training.record import TrainingRecord, require_same_training, table_records, training_card, write_record
 from prbench.training.state import Row, TrainingState
 from prbench.training.task import TrainingData, TrainingModule, TrainingTask
 from prbench.training.validation import Validation
@@ -30,7 +28,7 @@ from prbench.training.weights import read_weights
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-DEFAULT_CONFIGURATION = "small"
+_DEFAULT_CONFIGURATION = "small"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +42,8 @@ class TrainRequest:
     out: Path
     """The training folder; goes on with the same training, refuses another."""
     stage: str | None = None
-    """By default the task's first."""
-    configuration: str = DEFAULT_CONFIGURATION
+    """Stage of the training; by default the task's first."""
+    configuration: str = _DEFAULT_CONFIGURATION
     """Name of one that comes with the task, or the path of a TOML file."""
     overrides: tuple[tuple[str, str], ...] = ()
     """``("training.steps", "100")`` …"""
@@ -62,7 +60,7 @@ class TrainRequest:
 
 @dataclass(frozen=True)
 class TrainReport:
-    """What a training has left behind."""
+    """Summary of a finished training."""
 
     weights: Path
     steps: int
@@ -138,7 +136,7 @@ def _run(
     report: Callable[[Progress], None],
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = training_dataset(request.data, configuration)
+        data = _training_dataset(request.data, configuration)
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
@@ -174,7 +172,7 @@ def _run(
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
-def training_dataset(
+def _training_dataset(
     folders: Iterable[Path], configuration: TrainingConfiguration, *, split: str = "train"
 ) -> SequenceDataset:
     """The sequences of a split, as a configuration wants them."""

@@ -1,18 +1,69 @@
-"""Everything that changes while training goes on, and all that a checkpoint has to hold."""
+"""Everything that changes while training goes on, and all that a checkpoint has to hold.
+
+The exponential moving average of the weights is what is validated and saved (docs/specification/mdm.md#training). The
+learning rate is a pure function of the step.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
+from torch import nn
 
 from prbench.errors import TrainingError
-from prbench.training.average import WeightAverage
 from prbench.training.configuration import OptimisationConfiguration
 from prbench.training.task import TrainingModule
 
 Row = dict[str, float | int]
 """One line of the log: ``step`` and what was measured there, by name."""
+
+
+class WeightAverage:
+    """Averages of the trained parameters, kept in float32 on their device.
+
+    Args:
+        module: Whose parameters; only those that require gradients.
+        decay: At most; 0 follows the weights themselves.
+        warmup: Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n).
+    """
+
+    def __init__(self, module: nn.Module, decay: float, *, warmup: bool = True) -> None:
+        self.decay, self.warmup = decay, warmup
+        self.parameters = _trained_parameters(module)
+        self.averages = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
+
+    @torch.no_grad()
+    def update(self, steps_done: int) -> None:
+        """Take in the weights as they are after ``steps_done`` steps (1 after the first)."""
+        decay = min(self.decay, (1 + steps_done) / (10 + steps_done)) if self.warmup else self.decay
+        averages = list(self.averages.values())
+        parameters: list[torch.Tensor] = list(self.parameters.values())
+        torch._foreach_lerp_(averages, parameters, 1 - decay)  # pyright: ignore[reportPrivateImportUsage]
+
+    @contextlib.contextmanager
+    def applied(self) -> Iterator[None]:
+        """Put the averages in the module's place while the block runs, and the weights back afterwards, to the bit."""
+        self._exchange()
+        try:
+            yield
+        finally:
+            self._exchange()
+
+    @torch.no_grad()
+    def _exchange(self) -> None:
+        for name, parameter in self.parameters.items():
+            held = parameter.detach().clone()
+            parameter.copy_(self.averages[name])
+            self.averages[name].copy_(held)
+
+
+def _trained_parameters(module: nn.Module) -> dict[str, nn.Parameter]:
+    """The parameters that require gradients, by name."""
+    return {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
 
 
 @dataclass
@@ -46,7 +97,7 @@ class TrainingState:
     seconds: float = 0.0
     """Spent in training, all sessions together; validation and saving apart."""
     waited: float = 0.0
-    """Of these, seconds without a batch to work on."""
+    """Seconds of these without a batch to work on."""
     tally: Tally = field(default_factory=Tally)
     rows: list[Row] = field(default_factory=list)
     """The log so far; holds no times, so that two undisturbed trainings have the same."""
@@ -112,3 +163,18 @@ class TrainingState:
             }
             if moments:
                 self.optimiser.state[parameter] = moments
+
+
+def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
+    """Linear warm-up, then constant or a half cosine that would reach 0 one step after the last.
+
+    Args:
+        step: From 0 on.
+        settings: Peak rate, schedule, warm-up and number of steps.
+    """
+    if step < settings.warmup_steps:
+        return settings.learning_rate * (step + 1) / settings.warmup_steps
+    if settings.schedule == "constant":
+        return settings.learning_rate
+    progress = (step - settings.warmup_steps) / (settings.steps - settings.warmup_steps)
+    return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))

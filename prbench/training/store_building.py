@@ -18,12 +18,11 @@ from prbench.errors import InputFileError, TableError
 from prbench.locks import in_turn, sole_writer
 from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
-from prbench.sequences.arrow import column
+from prbench.sequences.chunk import column
 from prbench.sequences.rows import table_parts
 from prbench.storage import atomic_path, read_json, text_digest, write_json
 from prbench.training.feature_store import STORE, FeatureStore
-from prbench.training.motion import check_headings, cut, encoded, mirrored, mirrored_text
-from prbench.training.rows import Row, Table, read_rows
+from prbench.training.motions import Row, Table, check_headings, cut, encoded, mirrored, mirrored_text, read_rows
 
 Crop = Literal["end", "random"]
 
@@ -41,7 +40,7 @@ class LeftOut(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Encoding:
-    """How rows become items; stores of different encodings stand beside each other."""
+    """Settings by which rows become items; stores of different encodings stand beside each other."""
 
     split: str
     mode: Mode
@@ -51,7 +50,7 @@ class Encoding:
 
 
 @dataclass(frozen=True)
-class TableStore:
+class _TableStore:
     """The opened store of one table, and the rows that are not in it."""
 
     table: Table
@@ -59,7 +58,7 @@ class TableStore:
     left_out: tuple[LeftOut, ...]
 
 
-def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
+def table_store(table: Table, encoding: Encoding, cache: Path) -> _TableStore:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
     Args:
@@ -78,7 +77,7 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> TableStore:
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
-    return TableStore(table, store, notes.left_out)
+    return _TableStore(table, store, notes.left_out)
 
 
 def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, FeatureStore]:
@@ -93,7 +92,7 @@ def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, Fe
 
 
 class _Notes(msgspec.Struct, frozen=True):
-    """What is known of a store beside its rows."""
+    """Notes on a store, kept beside its rows."""
 
     files: list[tuple[int, int]]
     """Size and time of change of the table's files when the store was made."""

@@ -1,4 +1,4 @@
-"""What a training task is: the seam between the loop, which knows no network, and a network, which knows no loop.
+"""Training tasks: the interface between the loop, which knows no network, and a network, which knows no loop.
 
 An installed package offers a task by an entry point in the group ``prbench.training_tasks`` that names a callable
 without arguments which returns a :class:`TrainingTask`; so does a method, by a callable ``training_task`` in the module
@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
+import msgspec
 import torch
 from torch import nn
 
@@ -21,13 +22,16 @@ from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
     from prbench.contract import Adapter
-    from prbench.training.batch import MotionBatch
     from prbench.training.dataset import SequenceDataset
+    from prbench.training.items import MotionBatch
+
+Networks = TypeVar("Networks", bound=msgspec.Struct)
+Objective = TypeVar("Objective", bound=msgspec.Struct)
 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What a task may look at before the first step: the training split, as it will be fed.
+    """The training split as it will be fed, at which a task may look before the first step.
 
     A task takes normalisation statistics from ``train.statistics()`` and ``train.condition_statistics(goal)``, both
     made once and kept; a fine-tuned model keeps those of its initial weights instead
@@ -74,11 +78,13 @@ class TrainingModule(nn.Module):
     """
 
     seed: int = 0
-    """Of the configuration."""
+    """Seed of the configuration."""
     rank: int = 0
-    """Which of the processes that train together this is; each draws other noise."""
+    """Number of this process among those that train together; each draws other noise."""
+    origin: tuple[str, ...] = ()
+    """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
     calls: int = 1
-    """How often the whole training calls :meth:`forward`, validation apart: where modules that train one network after
+    """Number of calls of :meth:`forward` in the whole training, validation apart: modules that train one network after
     the other take the time of their phases from."""
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
@@ -95,7 +101,7 @@ class TrainingModule(nn.Module):
         raise NotImplementedError
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-        """What is saved: tensors by name, and the entries of the file's header.
+        """Return what is saved: tensors by name, and the entries of the file's header.
 
         The header needs ``kind`` (such as ``denoiser``), ``configuration`` (JSON) and, for networks of motion,
         ``representation`` (such as ``humanml3d-263/continuous``); the writer adds format and version
@@ -108,8 +114,8 @@ class TrainingModule(nn.Module):
         return None
 
     def learned_from(self) -> tuple[str, ...]:
-        """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
-        return ()
+        """Lines for the card about what the weights build upon."""
+        return self.origin
 
     def learning_rate_factor(self, step: int) -> float:  # noqa: ARG002 - for those that have phases of their own
         """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""
@@ -155,3 +161,24 @@ class TrainingTask(Protocol):
             PrbenchError: if the table does not describe a model, or the initial weights do not fit it.
         """
         ...
+
+
+def split_model_table(
+    model: Mapping[str, Any], networks: type[Networks], objective: type[Objective]
+) -> tuple[Networks, Objective]:
+    """Split the table between two kinds of settings.
+
+    Args:
+        model: The table as it is in the TOML file.
+        networks: Made from the keys that ``objective`` does not have; should forbid unknown ones.
+        objective: Made from the keys of its own.
+
+    Raises:
+        UsageError: for an unknown key or an impossible value.
+    """
+    trained_for = {key: value for key, value in model.items() if key in objective.__struct_fields__}
+    described = {key: value for key, value in model.items() if key not in trained_for}
+    try:
+        return msgspec.convert(described, networks), msgspec.convert(trained_for, objective)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"[model]: {error}.") from error

@@ -32,26 +32,26 @@ from prbench.metrics import METRICS
 from prbench.runs.predictions import PredictionRows, write_part
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import smallest_by_hash
-from prbench.training.batch import collate
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.dataset import SequenceDataset
-from prbench.training.rows import Table
+from prbench.training.items import collate
+from prbench.training.motions import Table
 from prbench.training.state import Row
 from prbench.training.task import TrainingModule
 
-SPLIT = "validation"
+_SPLIT = "validation"
 _SCORES = tuple(info.id for info in METRICS if info.main)
 
 
 @dataclass(frozen=True)
 class Validation:
-    """What is measured, and on which sequences; the same at every step of a training."""
+    """Chosen sequences and settings of a validation, the same at every step of a training."""
 
     data: SequenceDataset
     places: tuple[int, ...]
-    """Of the chosen items in ``data``, by length."""
+    """Places of the chosen items in ``data``, by length."""
     selections: tuple[Selection, ...]
-    """Of the tables that motions are generated for."""
+    """Sequences of the tables that motions are generated for."""
     condition: Condition | None
     batch_size: int
     seed: int
@@ -68,7 +68,7 @@ class Validation:
         wanted, data = configuration.validation, configuration.data
         if not wanted.every:
             return None
-        usable = [table for table in tables if table.scalars(split=SPLIT).num_rows]
+        usable = [table for table in tables if table.scalars(split=_SPLIT).num_rows]
         if not usable:
             raise UsageError(
                 "no table has sequences in split 'validation'. Build more recordings, or train without:"
@@ -76,7 +76,7 @@ class Validation:
             )
         dataset = SequenceDataset(
             usable,
-            split=SPLIT,
+            split=_SPLIT,
             max_frames=data.max_frames,
             crop=data.crop,
             mode=data.mode,
@@ -168,11 +168,11 @@ def _chosen(dataset: SequenceDataset, tables: Iterable[Table], limit: int) -> tu
     """Places of the rows of each table with the smallest hash of their id, in order of length."""
     chosen: set[str] = set()
     for table in tables:
-        chosen.update(smallest_by_hash(table.scalars(split=SPLIT)["sequence_id"].to_pylist(), limit))
+        chosen.update(smallest_by_hash(table.scalars(split=_SPLIT)["sequence_id"].to_pylist(), limit))
     places = [place for place, name in enumerate(dataset.sequence_ids) if name in chosen]
     return tuple(sorted(places, key=lambda place: (int(dataset.lengths[place]), place)))
 
 
 def _selections(tables: Iterable[Table], limit: int) -> tuple[Selection, ...]:
     scorable = (table for table in tables if isinstance(table, SequenceTable) and table.info.why_not_scored is None)
-    return tuple(select(table, split=SPLIT, limit=limit) for table in scorable)
+    return tuple(select(table, split=_SPLIT, limit=limit) for table in scorable)

@@ -26,12 +26,12 @@ from prbench.errors import InputFileError
 from prbench.limits import LARGEST_HEADER
 from prbench.storage import atomic_path, bytes_digest, write_json
 
-FORMAT = "prbench-weights"
+_FORMAT = "prbench-weights"
 FORMAT_VERSION = "1"
 _REPRESENTATION = "humanml3d-263"
 _HALF_LIMIT = torch.finfo(torch.float16).max
 
-Configuration = TypeVar("Configuration")
+_Configuration = TypeVar("_Configuration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +40,17 @@ class Weights:
 
     path: Path
     tensors: dict[str, torch.Tensor]
-    """By name; floating-point tensors as float32 whatever the file holds, on the CPU."""
+    """Maps names to tensors, on the CPU; floating-point ones are float32 whatever the file holds."""
     metadata: dict[str, str]
     digest: str
     """SHA-256 of the file."""
 
     @property
     def kind(self) -> str:
-        """What the weights are of, such as ``denoiser``."""
+        """Kind of network that the weights are of, such as ``denoiser``."""
         return self.metadata.get("kind", "")
 
-    def configuration(self, kind: type[Configuration]) -> Configuration:
+    def configuration(self, kind: type[_Configuration]) -> _Configuration:
         """The network's configuration from the header.
 
         Raises:
@@ -79,7 +79,8 @@ class Weights:
         """
         old = self.configuration(type(configuration))
         for name in configuration.__struct_fields__:
-            wanted, found = getattr(configuration, name), getattr(old, name)
+            wanted = getattr(configuration, name)
+            found = getattr(old, name)
             if name not in apart_from and wanted != found:
                 raise InputFileError(
                     self.path,
@@ -114,7 +115,8 @@ class Weights:
         Raises:
             InputFileError: if one is missing, has another shape, or belongs to no parameter.
         """
-        wanted, found = module.state_dict(), self.part(prefix)
+        wanted = module.state_dict()
+        found = self.part(prefix)
         for name, tensor in wanted.items():
             self.require(f"{prefix}.{name}", tuple(tensor.shape))
         unknown = sorted(set(found) - set(wanted))
@@ -173,7 +175,7 @@ def write_weights(
         ValueError: if a value is not finite, or too large for float16.
     """
     stored = {name: _stored(name, tensor, dtype) for name, tensor in tensors.items()}
-    header = {**metadata, "format": FORMAT, "format_version": FORMAT_VERSION}
+    header = {**metadata, "format": _FORMAT, "format_version": FORMAT_VERSION}
     content = _sorted_header(safetensors.torch.save(stored, metadata=header))
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
@@ -181,7 +183,7 @@ def write_weights(
 
 
 def _sorted_header(content: bytes) -> bytes:
-    """The same file with its entries in alphabetical order; the library writes them in another order every time."""
+    """Sort the entries of the header; the library writes them in another order every time."""
     (length,) = struct.unpack("<Q", content[:8])
     header = json.loads(content[8 : 8 + length])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
@@ -203,6 +205,21 @@ def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
     return tensor.to(torch.float16).clone()
 
 
+def weights_header(kind: str, configuration: msgspec.Struct, representation: str) -> dict[str, str]:
+    """The entries of a header that say what the weights are; the writer adds format and version.
+
+    Args:
+        kind: What the weights are of, such as ``denoiser``.
+        configuration: Of the network; is stored as JSON.
+        representation: What the network sees, such as :func:`representation_entry` gives.
+    """
+    return {
+        "kind": kind,
+        "configuration": msgspec.json.encode(configuration).decode(),
+        "representation": representation,
+    }
+
+
 def representation_entry(mode: str) -> str:
     """The header entry ``representation`` of a network of motion features, such as ``humanml3d-263/continuous``."""
     return f"{_REPRESENTATION}/{mode}"
@@ -222,7 +239,7 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
     """
     content = _content(path)
     metadata = _metadata(path, content)
-    _require_entry(path, metadata, "format", FORMAT)
+    _require_entry(path, metadata, "format", _FORMAT)
     _require_entry(path, metadata, "format_version", FORMAT_VERSION)
     if kind is not None:
         _require_entry(path, metadata, "kind", kind)

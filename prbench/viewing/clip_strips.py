@@ -1,4 +1,4 @@
-"""Filmstrips of a corpus' clips with their texts, to be looked at. matplotlib is imported when something is drawn."""
+"""Filmstrips of a corpus' clips with their texts, for checking synthetic corpora by eye."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.locks import sole_file
 from prbench.shown import figure_text
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.activities import narrated_recording
-from prbench.viewing.stick_figure import draw_figure
+from prbench.viewing.figures import draw_figure, new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,15 +35,16 @@ class Strip:
     head_tilt_deg: float
 
 
-def invented_strips(seed: int) -> tuple[Strip, ...]:
-    """One clip of every activity that invented people do, by name; from the first recordings of a seed."""
+def strips_of_activities(seed: int) -> tuple[Strip, ...]:
+    """Return one clip of every activity that synthetic people do, by name, from the first recordings of a seed."""
     strips: dict[str, Strip] = {}
     for index in range(_RECORDINGS):
         motion = narrated_recording(seed, index)
         for row in motion.narrations:
             if row.kind != "atomic_action" or len(row.activities) != 1 or row.activities[0] in strips:
                 continue
-            first, last = (round(time * motion.rate) for time in (row.start, row.end))
+            first = round(row.start * motion.rate)
+            last = round(row.end * motion.rate)
             joints = motion.joints[first : last + 1 : round(motion.rate / _FPS)]
             canonical = transform_points(invert_rigid(canonical_frame(joints)), joints)
             strips[row.activities[0]] = Strip(f"[{row.activities[0]}] {row.texts[0]}", canonical, motion.neck_tilt_deg)
@@ -52,10 +52,10 @@ def invented_strips(seed: int) -> tuple[Strip, ...]:
 
 
 def render_strips(strips: Sequence[Strip], path: Path | str, *, columns: int = 2, dpi: int = 70) -> None:
-    """Draw each clip as ten stick figures from first to last frame, its text above, the way on the floor below.
+    """Draw each clip as ten stick figures from first to last frame, its text above, the distance walked below.
 
     Args:
-        strips: What to show, row by row.
+        strips: Clips, row by row.
         path: PNG to write; replaced when it exists.
         columns: Strips side by side.
         dpi: Resolution; a strip is 9 by 2.4 inches.
@@ -66,20 +66,15 @@ def render_strips(strips: Sequence[Strip], path: Path | str, *, columns: int = 2
     """
     if not strips:
         raise ValueError("expected at least one clip to draw, found none")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(columns, len(strips))
     rows = -(-len(strips) // columns)
-    figure = Figure(figsize=(9.0 * columns, 2.4 * rows), dpi=dpi, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.0 * columns, 2.4 * rows, dpi=dpi, layout="constrained")
     grid = np.asarray(figure.subplots(rows, columns, squeeze=False)).ravel()
     for axes in grid[len(strips) :]:
         axes.set_axis_off()
     for axes, strip in zip(grid, strips, strict=False):
         _draw(axes, strip)
-    with sole_file(Path(path)) as draft:
-        figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
+    write_png(figure, path)
 
 
 def _draw(axes: Axes, strip: Strip) -> None:

@@ -1,30 +1,102 @@
-"""One event as a picture: its timeline, and, where it became a sequence, figures, gaze and distances."""
+"""The story of one event: how far it came through curation, with the numbers, as text and as a picture."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from prbench.locks import sole_file
 from prbench.metrics.ray_track import ray_distance
+from prbench.sequences import EventRecord
 from prbench.shown import clean, figure_text
 from prbench.skeleton import WRISTS, Joint, head_forward
-from prbench.viewing.stick_figure import draw_figure
-from prbench.viewing.story import EventStory, StoryMotion
+from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+
+Verdict = Literal["passed", "stopped here", "not reached"]
+_MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached": " "}
 _FIGURES = 9
 _SPACING = 1.25  # metres between figures in the picture
 _GAZE, _PRIME, _EVENT = "tab:orange", "tab:purple", "black"
-_OUTCOME_COLOURS = {"sequence": "tab:green"}
-_OTHER_OUTCOME = "tab:gray"
-_BOX_EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7))
 _WIDTH = 13.0  # inches
+
+
+@dataclass(frozen=True)
+class StoryStage:
+    """One stage of curation and its verdict on the event."""
+
+    name: str
+    verdict: Verdict
+    text: str
+    """The numbers, beside what they are compared with."""
+
+
+@dataclass(frozen=True)
+class StoryMotion:
+    """The sequence that the event became: canonical frame, metres; times in seconds on the recording's clock."""
+
+    times: Float[np.ndarray, " n"]
+    joints: Float[np.ndarray, "n 22 3"]
+    head_tilt_deg: float
+    goal: Float[np.ndarray, "3"]
+    box_corners: Float[np.ndarray, "8 3"]
+    gaze_origin: Float[np.ndarray, "n 3"]
+    gaze_direction: Float[np.ndarray, "n 3"]
+    gaze_valid: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class EventStory:
+    """Everything that a built dataset knows about one event."""
+
+    event: EventRecord
+    dataset: str
+    split: str
+    stages: tuple[StoryStage, ...]
+    neighbours: tuple[EventRecord, ...]
+    """Other events of the recording, by time: those around it, and those of the same object."""
+    priming_window: float
+    """Seconds before the event in which a look counts."""
+    lead: float
+    """Seconds before the prime at which a sequence begins."""
+    motion: StoryMotion | None
+    """None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views."""
+    notice: str = ""
+    """Sentence that the dataset's terms ask a picture to show."""
+
+    @property
+    def title(self) -> str:
+        """Action, object, time and hand in one line."""
+        event = self.event
+        hand = f", {event.hand} hand" if event.hand else ""
+        return f"{event.action} of {event.object_name} ({event.object_id}) at {event.event_time:.3f} s{hand}"
+
+    def text(self) -> str:
+        """Return the story in lines for a terminal."""
+        event = self.event
+        width = max(len(stage.name) for stage in self.stages)
+        lines = [
+            event.event_id,
+            self.title,
+            f"recording {event.recording_id} ({self.split}) of {self.dataset}; outcome: {event.outcome}",
+            "",
+            *(f"  {_MARKS[s.verdict]} {s.name:<{width}}  {s.text or s.verdict}" for s in self.stages),
+        ]
+        if self.neighbours:
+            lines += ["", "other events around it, and of the same object:"]
+            lines += [f"  {self._beside(other)}" for other in self.neighbours]
+        return "\n".join(map(clean, lines))
+
+    def _beside(self, other: EventRecord) -> str:
+        same = " (same object)" if other.object_id == self.event.object_id else ""
+        difference = other.event_time - self.event.event_time
+        return f"{difference:+9.2f} s  {other.action:<4} {other.object_name}{same}: {other.outcome}  {other.event_id}"
 
 
 def draw_event_story(story: EventStory, path: Path) -> None:
@@ -33,11 +105,8 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     Raises:
         StorageError: if it cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     heights = [2.0, 1.9] if story.motion is None else [2.0, 1.9, 3.4, 2.8]
-    figure = Figure(figsize=(_WIDTH, sum(heights) + 0.4), layout="constrained")
+    figure = new_figure(_WIDTH, sum(heights) + 0.4, layout="constrained")
     axes = figure.subplots(len(heights), 1, height_ratios=heights)
     notice = f"\n{story.notice}" if story.notice else ""
     title = f"{clean(story.title)}: {clean(story.event.outcome)}\n{clean(story.event.event_id)}{notice}"
@@ -47,12 +116,11 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     if story.motion is not None:
         _draw_figures(axes[2], story, story.motion)
         _draw_distances(axes[3], story, story.motion)
-    with sole_file(path) as temporary, open(temporary, "wb") as file:
-        FigureCanvasAgg(figure).print_png(file)
+    write_png(figure, path)
 
 
 def _write_stages(axes: Axes, story: EventStory) -> None:
-    """What each stage said, line by line."""
+    """Write each stage's verdict and numbers, line by line."""
     axes.set_axis_off()
     colours = {"passed": "tab:green", "stopped here": "tab:red", "not reached": "0.6"}
     for number, stage in enumerate(story.stages):
@@ -65,7 +133,7 @@ def _write_stages(axes: Axes, story: EventStory) -> None:
 
 
 def _draw_timeline(axes: Axes, story: EventStory) -> None:
-    """Window, sequence, prime and event, with the neighbouring events; seconds from the event."""
+    """Draw window, sequence, prime and event, with the neighbouring events; seconds from the event."""
     event = story.event
     axes.axvspan(-story.priming_window, 0, color="0.93", label=f"a look counts ({story.priming_window:g} s)")
     if event.prime_time is not None:
@@ -78,8 +146,9 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
     first, last = -story.priming_window - story.lead - 1, 5.0
     shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
     for number, other in enumerate(shown):
-        time, height = other.event_time - event.event_time, (0.37, 0.52, 0.67)[number % 3]
-        colour = _OUTCOME_COLOURS.get(other.outcome, _OTHER_OUTCOME)
+        time = other.event_time - event.event_time
+        height = (0.37, 0.52, 0.67)[number % 3]  # neighbours in time would cover one another's labels
+        colour = "tab:green" if other.outcome == "sequence" else "tab:gray"
         axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
         name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
         side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
@@ -90,31 +159,27 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
 
 
 def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
-    """Stick figures over time, seen from the side, each with its gaze ray and the goal."""
+    """Draw stick figures over time, seen from the side, each with its gaze ray and the goal."""
     frames = np.unique(np.linspace(0, len(motion.times) - 1, _FIGURES).round().astype(int))
-    sideways = _picture_axis(motion)
+    # Towards the goal at the end, so that the reach is seen from the side.
+    sideways = horizontal_direction(motion.goal - motion.joints[-1, Joint.PELVIS])
     for number, frame in enumerate(frames):
-        at, joints = number * _SPACING, motion.joints[frame]
+        at = number * _SPACING
+        joints = motion.joints[frame]
         pelvis = joints[Joint.PELVIS]
         draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
-
-        def place(points: np.ndarray, pelvis: np.ndarray = pelvis, at: float = at) -> np.ndarray:
-            return np.stack([(points - pelvis) @ sideways + at, points[..., 1]], axis=-1)
-
         near = abs(float((motion.goal - pelvis) @ sideways)) < 0.75 * _SPACING
         if near:
-            corners = place(motion.box_corners)
-            for one, other in _BOX_EDGES:
-                axes.plot(*corners[[one, other]].T, color="tab:cyan", linewidth=0.8)
+            draw_box(axes, flattened(motion.box_corners, pelvis, sideways, at), color="tab:cyan", linewidth=0.8)
         else:
-            x, y = place(motion.goal[None])[0]
+            x, y = flattened(motion.goal[None], pelvis, sideways, at)[0]
             side = float(np.sign(x - at)) * 0.3 * _SPACING
             arrow = {"arrowstyle": "->", "color": "tab:cyan"}
             axes.annotate("", (at + 1.4 * side, y), (at + side, y), arrowprops=arrow)
         if motion.gaze_valid[frame]:
             length = min(float(np.linalg.norm(motion.goal - motion.gaze_origin[frame])), 0.9)
             ray = motion.gaze_origin[frame] + np.array([[0.0], [length]]) * motion.gaze_direction[frame]
-            axes.plot(*place(ray).T, color=_GAZE, linewidth=0.9, linestyle="--")
+            axes.plot(*flattened(ray, pelvis, sideways, at).T, color=_GAZE, linewidth=0.9, linestyle="--")
         distance = np.linalg.norm((motion.goal - pelvis)[[0, 2]])
         since = motion.times[frame] - story.event.event_time
         axes.text(at, -0.12, f"{since:+.1f} s\ngoal {distance:.1f} m", ha="center", va="top", fontsize=7)
@@ -128,7 +193,7 @@ def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
 
 
 def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
-    """Distance of the goal from the gaze ray, the head ray and the wrists."""
+    """Draw the distance of the goal from the gaze ray, the head ray and the wrists."""
     times = motion.times - story.event.event_time
     forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
     gaze = ray_distance(motion.gaze_origin, motion.gaze_direction, motion.goal[None])
@@ -152,10 +217,3 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     )
     axes.legend(fontsize=7, ncols=3, frameon=False)
     axes.grid(alpha=0.3)
-
-
-def _picture_axis(motion: StoryMotion) -> Float[np.ndarray, "3"]:
-    """Horizontal axis of the picture: towards the goal at the end, so that the reach is seen from the side."""
-    towards = (motion.goal - motion.joints[-1, Joint.PELVIS]) * [1.0, 0.0, 1.0]
-    length = float(np.linalg.norm(towards))
-    return towards / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])

@@ -1,6 +1,6 @@
-"""Filmstrips, top views and curves of synthetic performances, to be looked at.
+"""Filmstrips, top views and curves of synthetic performances, for checking them by eye.
 
-Source: docs/specification/synthetic-recordings.md#plausibility. matplotlib is imported when something is drawn.
+Source: docs/specification/synthetic-recordings.md#plausibility.
 """
 
 from __future__ import annotations
@@ -11,26 +11,76 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
-from prbench.locks import sole_file
-from prbench.skeleton import TOES, Joint
+from prbench.metrics.ray_track import ray_distance
+from prbench.skeleton import TOES, WRISTS, Joint, head_forward
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.viewing.curves import Curves, curves_of
-from prbench.viewing.stick_figure import draw_figure, flattened
+from prbench.viewing.figures import draw_figure, flattened, horizontal_direction, new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
+
+_STEP = 0.025  # seconds between the points of a curve
 _N_FIGURES = 9
 _SPACING = 1.15  # metres between the figures of a strip
 _PREROLL = 2.0
 
 
 @dataclass(frozen=True)
+class Curves:
+    """Measurements from before the prime time to the event. Metres, seconds, degrees; times relative to the event."""
+
+    times: Float[np.ndarray, " n"]
+    gaze_distance: Float[np.ndarray, " n"]
+    """Goal to the true gaze ray."""
+    head_distance: Float[np.ndarray, " n"]
+    """Goal to the head-forward ray of the joints."""
+    wrist_distance: Float[np.ndarray, " n"]
+    wrist_speed: Float[np.ndarray, " n"]
+    pelvis_speed: Float[np.ndarray, " n"]
+    pelvis_height: Float[np.ndarray, " n"]
+    head_rate: Float[np.ndarray, " n"]
+
+
+def curves_of(performance: Performance, event: TrueEvent, start: float, end: float) -> Curves:
+    """Measure one event of a performance between two times of the recording.
+
+    Args:
+        performance: Noise-free motion and gaze.
+        event: The event; distances are to its goal, speeds of its hand.
+        start: First time, seconds.
+        end: Last time, seconds.
+    """
+    stride = max(1, round(_STEP * performance.rate))
+    first, last = np.searchsorted(performance.times, [start, end])
+    frames = np.arange(int(first), min(int(last) + 1, performance.times.size), stride)
+    joints, times = performance.joints[frames], performance.times[frames]
+    forward, _ = head_forward(joints, performance.person.neck_tilt_deg)
+    wrist = joints[:, WRISTS[event.hand == "right"]]
+    turning = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1.0, 1.0))
+    return Curves(
+        times=times - event.event_time,
+        gaze_distance=ray_distance(performance.eye[frames], performance.gaze[frames], event.goal[None]),
+        head_distance=ray_distance(joints[:, Joint.HEAD], forward, event.goal[None]),
+        wrist_distance=np.linalg.norm(wrist - event.goal, axis=1),
+        wrist_speed=_speed(wrist, times),
+        pelvis_speed=_speed(joints[:, Joint.PELVIS], times),
+        pelvis_height=joints[:, Joint.PELVIS, 1],
+        head_rate=np.rad2deg(np.concatenate([[0.0], turning]) / (times[1] - times[0])),
+    )
+
+
+def _speed(points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.gradient(points, times, axis=0), axis=1)
+
+
+@dataclass(frozen=True)
 class Scene:
-    """One event of a performance: what one picture shows."""
+    """One event of a performance, which one cell of the sheet shows."""
 
     performance: Performance
     event: TrueEvent
@@ -43,18 +93,18 @@ class Scene:
 
     @property
     def end(self) -> float:
-        """The event."""
+        """Time of the event, seconds of the recording."""
         return self.event.event_time
 
     @property
     def title(self) -> str:
-        """Preset, event and kind."""
+        """Preset, number, action, object and kind of the event."""
         event = self.event
         return f"{self.performance.preset} #{self.performance.index}: {event.action} {event.object_name} ({event.tag})"
 
 
 def sequences_of(performances: Sequence[Performance]) -> list[Scene]:
-    """All events of some performances that become sequences."""
+    """Return all events of some performances that are meant to become sequences."""
     return [Scene(p, event) for p in performances for event in p.events if event.expected == "sequence"]
 
 
@@ -62,7 +112,7 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
     """Draw a contact sheet: for every scene two filmstrips, the top view and the curves.
 
     Args:
-        scenes: What to show, row by row.
+        scenes: Scenes to draw, row by row.
         path: PNG to write; replaced when it exists.
         columns: Scenes side by side.
         dpi: Resolution; a scene is 8 by 6.2 inches.
@@ -73,18 +123,13 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
     """
     if not scenes:
         raise ValueError("expected at least one scene for the gallery, found none")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(columns, len(scenes))
     rows = -(-len(scenes) // columns)
-    figure = Figure(figsize=(8.0 * columns, 6.2 * rows), dpi=dpi)
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0 * columns, 6.2 * rows, dpi=dpi)
     cells = np.asarray(figure.subfigures(rows, columns, squeeze=False)).ravel()
     for cell, scene in zip(cells, scenes, strict=False):
         draw_scene(cell, scene)
-    with sole_file(Path(path)) as draft:
-        figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
+    write_png(figure, path)
 
 
 def draw_scene(cell: SubFigure, scene: Scene) -> None:
@@ -102,11 +147,9 @@ def draw_scene(cell: SubFigure, scene: Scene) -> None:
 
 
 def _towards_goal(scene: Scene) -> np.ndarray:
-    """Horizontal unit vector from the pelvis to the goal at the event."""
+    """Return the horizontal unit vector from the pelvis to the goal at the event."""
     frame = _frame(scene, scene.end)
-    offset = scene.event.goal - scene.performance.joints[frame, Joint.PELVIS]
-    offset[1] = 0.0
-    return offset / np.linalg.norm(offset)
+    return horizontal_direction(scene.event.goal - scene.performance.joints[frame, Joint.PELVIS])
 
 
 def _frame(scene: Scene, time: float) -> int:
@@ -115,10 +158,11 @@ def _frame(scene: Scene, time: float) -> int:
 
 
 def _draw_strip(axes: Axes, scene: Scene, sideways: np.ndarray) -> None:
-    """Figures from the first frame to the event; the goal box stands where it is relative to each pelvis."""
+    """Draw figures from the first frame to the event, each with the goal at its place relative to that pelvis."""
     performance, event = scene.performance, scene.event
     for number, time in enumerate(np.linspace(scene.start, scene.end, _N_FIGURES)):
-        frame, at = _frame(scene, time), number * _SPACING
+        frame = _frame(scene, time)
+        at = number * _SPACING
         joints = performance.joints[frame]
         goal = flattened(event.goal[None], joints[Joint.PELVIS], sideways, at)[0]
         if abs(goal[0] - at) < 0.75 * _SPACING:
@@ -140,7 +184,7 @@ def _draw_strip(axes: Axes, scene: Scene, sideways: np.ndarray) -> None:
 
 
 def _draw_top(axes: Axes, scene: Scene) -> None:
-    """Way of the pelvis, planted feet, points looked at, furniture, goal."""
+    """Draw the path of the pelvis, planted feet, fixated points, furniture and the goal from above."""
     performance, event = scene.performance, scene.event
     for piece in performance.objects:
         if not piece.movable:
@@ -157,7 +201,8 @@ def _draw_top(axes: Axes, scene: Scene) -> None:
             colour = "tab:green" if fixation.kind == "goal" else "0.6"
             axes.plot(fixation.target[0], fixation.target[2], "+", color=colour, markersize=4, linewidth=0.5)
     axes.plot(event.goal[0], event.goal[2], "s", color="tab:orange", markersize=5, markeredgecolor="k")
-    middle, reach = pelvis[:, [0, 2]].mean(axis=0), max(1.3, float(np.ptp(pelvis[:, [0, 2]], axis=0).max()) * 0.75)
+    middle = pelvis[:, [0, 2]].mean(axis=0)
+    reach = max(1.3, float(np.ptp(pelvis[:, [0, 2]], axis=0).max()) * 0.75)
     axes.set_xlim(middle[0] + reach, middle[0] - reach)  # x points left, so that the view is from above
     axes.set_ylim(middle[1] - reach, middle[1] + reach)
     axes.set_aspect("equal")
@@ -165,9 +210,10 @@ def _draw_top(axes: Axes, scene: Scene) -> None:
 
 
 def _outline(centre: np.ndarray, half: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a box that is turned about the vertical, from above."""
+    """Return x and z of the corners of a box that is turned about the vertical."""
     yaw = 2.0 * np.arctan2(quaternion[2], quaternion[0])
-    x, z = half[0] * np.array([1, 1, -1, -1]), half[2] * np.array([1, -1, -1, 1])
+    x = half[0] * np.array([1, 1, -1, -1])
+    z = half[2] * np.array([1, -1, -1, 1])
     return centre[0] + np.cos(yaw) * x + np.sin(yaw) * z, centre[2] - np.sin(yaw) * x + np.cos(yaw) * z
 
 
@@ -215,15 +261,15 @@ _SHEET: tuple[tuple[str, int, int], ...] = (
     ("gimo", 1, 2),
     ("gimo", 2, 1),
 )
-"""Preset, recording, and which of its sequences: twelve that show walking, standing, sitting, high and low goals."""
+"""Preset, recording and number of the sequence: walking, standing, sitting, high and low goals."""
 
 
 def render_contact_sheet(path: Path | str, *, seed: int = 7) -> None:
-    """Act out and draw the twelve sequences of ``docs/gallery.png``.
+    """Synthesize and draw the twelve sequences of ``docs/gallery.png``.
 
     Args:
         path: PNG to write.
-        seed: Of the performances.
+        seed: Seed of the performances.
 
     Raises:
         StorageError: if the file cannot be written.

@@ -1,1 +1,1 @@
-"""What strings the rivers together: from recordings to tables, from nothing to a first score."""
+"""Workflows that join curation and evaluation: from recordings to tables, from nothing to a first score."""

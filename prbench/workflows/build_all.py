@@ -20,18 +20,18 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one dataset."""
+    """The outcome of one dataset."""
 
     dataset: str
     root: Path
     report: BuildReport | None
-    """None where nothing could be built."""
+    """The report; None where nothing could be built."""
     message: str
-    """Why; empty where it was."""
+    """The reason why nothing was built; empty where it was."""
 
     @property
     def complete(self) -> bool:
-        """Whether every recording that was found could be read, to its end."""
+        """Return True if every recording that was found could be read to its end."""
         if self.report is None:
             return False
         counts = self.report.info.counts

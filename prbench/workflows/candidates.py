@@ -26,12 +26,12 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True)
 class Proposal:
-    """What was found in one segment."""
+    """The picks proposed in one segment."""
 
     segment: gimo.Segment
     candidate: Candidate | None
     problem: str = ""
-    """Why the segment could not be read; empty for those that were."""
+    """The reason why the segment could not be read; empty for those that were."""
 
     def row(self) -> dict[str, object]:
         """The line of the table; a segment without a proposal has one too, for a person to fill in."""

@@ -14,10 +14,9 @@ from prbench.manifests import Manifest, dataset_names, load_citations, load_mani
 from prbench.readers import READER_MODULES, reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
-from prbench.sequences.corpus_info import CORPUS_FILE, CorpusInfo
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.shown import clean
-from prbench.workflows.found_corpora import FoundCorpus, find_corpora
-from prbench.workflows.inspection import missing_files
+from prbench.workflows.inspection import FoundCorpus, find_corpora, missing_files
 
 _TERMS = {
     "none": "must not be passed on in any form, derived data included, without permission of its owners",
@@ -40,7 +39,7 @@ class CatalogueEntry:
 
 
 def catalogue(root: Path | None = None, name: str | None = None) -> tuple[CatalogueEntry, ...]:
-    """All datasets, or one of them.
+    """List all datasets, or one of them.
 
     Args:
         root: Folder with copies, itself or one folder below; nothing is looked for if None.

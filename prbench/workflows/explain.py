@@ -18,10 +18,10 @@ from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.shown import clean
 from prbench.skeleton import invert_rigid, transform_points
-from prbench.viewing.story import EventStory, StoryMotion, StoryStage, Verdict
+from prbench.viewing.event_story import EventStory, StoryMotion, StoryStage, Verdict
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
-"""In the order in which curation asks."""
+"""The stages in the order in which curation asks."""
 _PART_OF_PRIMING = (OCCLUSION_STAGE, PUBLISHED_STAGE)
 """Stages that stand for priming where an option asks otherwise."""
 _TOLD_BY = {
@@ -51,7 +51,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     """
     table = SequenceTable.open(folder)
     events = table.events()
-    row = find_event(events, event)
+    row = _find_event(events, event)
     record = _record(events, row)
     recordings = table.recordings()
     index = pc.index(recordings["recording_id"], record.recording_id).as_py()
@@ -70,7 +70,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     )
 
 
-def find_event(events: pa.Table, wanted: str) -> int:
+def _find_event(events: pa.Table, wanted: str) -> int:
     """The row of the one event that fits.
 
     Raises:
@@ -172,7 +172,7 @@ def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
 
 
 def _location(event: EventRecord, *, shown: bool) -> str:
-    """Where the object is; not told where the licence keeps goals."""
+    """Return the object's place in words; empty where the licence keeps goals private."""
     if event.outcome == "no_location":
         return "the object never came to rest, or the dataset gives no place"
     if event.location is None or event.box_min is None or event.box_max is None:

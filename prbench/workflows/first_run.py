@@ -24,11 +24,11 @@ from prbench.synthetic import GENERATOR_VERSION
 if TYPE_CHECKING:
     from prbench.workflows.synthetic_table import Progress
 
-PRESET = "adt"
+_PRESET = "adt"
 RECORDINGS = 40
 SEED = 0
 SEQUENCES = 48
-"""Of the test split that a first run generates, unless it is told how many."""
+"""Number of test sequences that a first run generates, unless the user names another."""
 BATCH_SIZE = 12
 """Sequences a batch in a first run: small enough that two workers share the work."""
 _COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))
@@ -42,9 +42,9 @@ def default_table_folder() -> Path:
         str(GENERATOR_VERSION),
         str(SCHEMA_VERSION),
         load_protocol().digest,
-        digest_of(load_manifest(PRESET)),
+        digest_of(load_manifest(_PRESET)),
     )
-    return cache_folder() / "tables" / f"synthetic-{PRESET}-{RECORDINGS}-{key[:12]}"
+    return cache_folder() / "tables" / f"synthetic-{_PRESET}-{RECORDINGS}-{key[:12]}"
 
 
 def default_table(engine: Engine, progress: Progress, tell: Callable[[str], None] = lambda _: None) -> SequenceTable:
@@ -67,12 +67,14 @@ def _build_once(folder: Path, engine: Engine, progress: Progress, tell: Callable
     with in_turn(folder.with_name(f"{folder.name}.first-run"), tell):  # the build itself holds the folder
         if not (folder / FILE_NAME).is_file():
             build_synthetic_table(
-                PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress
+                _PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress
             )
 
 
 def companions(request: RunRequest) -> Iterator[RunRequest]:
-    """The same sequences for text alone, clockwork, a mean pose and the recorded motion, as far as they are installed.
+    """Yield runs of the same sequences for controls and recorded motion, as far as their methods are installed.
+
+    The controls are text alone, constant timing and a mean pose.
 
     None for one of these.
     """

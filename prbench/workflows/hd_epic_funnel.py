@@ -1,4 +1,4 @@
-"""From HD-EPIC's movements to sequences, ours beside the published counts, and what explains the difference."""
+"""Counts from HD-EPIC's movements to sequences, ours beside the published ones, with reasons for differences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FILE = "hd_epic_priming.toml"
 
 
 class PublishedAction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the dataset says of its picks or puts; shares and seconds."""
+    """The dataset's own figures for its picks or puts; shares and seconds."""
 
     tested: float
     primed: float
@@ -28,7 +28,7 @@ class PublishedAction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StudyCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the study says of HD-EPIC."""
+    """The study's figures for HD-EPIC."""
 
     sequences: int
     gap_mean: float
@@ -40,7 +40,7 @@ class PublishedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     videos: int
     tracks: int
     tracks_by_masks: tuple[int, int, int, int]
-    """Without a mask, with one, with two, with more."""
+    """Movements without a mask, with one, with two, with more."""
     priming_annotations: int
     pick: PublishedAction
     put: PublishedAction
@@ -87,7 +87,7 @@ class FunnelLine:
 
 
 def funnel_lines(validation: Validation) -> list[FunnelLine]:
-    """From videos to sequences; nothing published beside invented videos."""
+    """Return one line a stage, from videos to sequences; synthetic videos have no published counts beside them."""
     known, both = published_counts(), validation.agreements[-1]
     rule, taken = validation.outcomes, validation.published_outcomes
     tracks = str(both.events // 2)
@@ -127,7 +127,7 @@ class Remark:
 
 
 def remarks(validation: Validation) -> list[Remark]:
-    """Why our count is not the study's; of invented videos only what was measured."""
+    """Explain why our count is not the study's; for synthetic videos only what was measured is said."""
     measured = _measured(validation)
     return measured if validation.synthetic else [*_known(), *measured, *_guesses()]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from prbench.boundary import foreign_input
+from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecording, corpus_for
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
@@ -17,9 +18,41 @@ from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
-from prbench.workflows.found_corpora import FoundCorpus, find_corpora
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
+
+
+@dataclass(frozen=True)
+class FoundCorpus:
+    """One corpus in a folder."""
+
+    corpus: str
+    """Name under which it is built."""
+    root: Path
+    recordings: tuple[CorpusRecording, ...]
+
+    @property
+    def name(self) -> str:
+        """Name that a build gives it: ``synthetic-`` stands before that of synthetic people."""
+        return self.recordings[0].identity.dataset
+
+
+def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
+    """Look for each corpus in the folder itself, and one folder below where there is nothing."""
+    found = []
+    for name in CORPUS_MODULES:
+        if corpus_for(name).manifest is None:
+            continue  # generated on the spot; no folder holds it
+        below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+        for folder in (root, *below):
+            try:
+                recordings = corpus_for(name).find(folder, CorpusOptions())
+            except PrbenchError:
+                continue
+            if recordings:
+                found.append(FoundCorpus(name, folder, recordings))
+                break
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -45,7 +78,7 @@ class InspectedDataset:
 
     @property
     def usable(self) -> int:
-        """How many recordings a build can use, as far as was looked."""
+        """Number of recordings that a build can use, as far as they were looked at."""
         return sum(recording.state == "complete" for recording in self.recordings)
 
 
@@ -59,7 +92,7 @@ class Inspection:
 
     @property
     def all_complete(self) -> bool:
-        """Whether nothing is missing, damaged, cut short or unreadable; recordings that are left out do not count."""
+        """Return True if nothing is missing, damaged, cut short or unreadable, apart from what is left out."""
         states = {recording.state for dataset in self.datasets for recording in dataset.recordings}
         return not self.broken and states <= {"complete", "left out"}
 
@@ -105,7 +138,7 @@ def _inspect_corpus(found: FoundCorpus) -> InspectedDataset:
     """Corpora tell while they are searched which of their recordings cannot be used."""
     recordings = tuple(
         InspectedRecording(
-            each.belonging.recording_id,
+            each.identity.recording_id,
             "left out" if each.skip_reason else "complete",
             each.cost.input_bytes,
             (each.skip_reason,) if each.skip_reason else (),

@@ -15,10 +15,10 @@ from prbench.recording.reaching_hand import LEAST_DIFFERENCE
 from prbench.sequences.sequence import EventRecord
 from prbench.synthetic.performance import TrueEvent
 
-LARGEST_DIFFERENCE = 0.5
+_LARGEST_DIFFERENCE = 0.5
 """Seconds between a found and a true event that may be the same."""
-NOT_AN_EVENT = "not_an_event"
-LOST = "lost"
+_NOT_AN_EVENT = "not_an_event"
+_LOST = "lost"
 _SEQUENCE = "sequence"
 PRIMED_STAGES = ("priming", "clipping", "body", "filters")
 """Stages at which it is known whether an event was primed."""
@@ -34,12 +34,12 @@ class Match:
 
     @property
     def expected(self) -> str:
-        """What curation should have made of it."""
-        return NOT_AN_EVENT if self.true is None else self.true.expected
+        """The outcome that curation should have reached."""
+        return _NOT_AN_EVENT if self.true is None else self.true.expected
 
     @property
     def outcome(self) -> str:
-        """What it made of it."""
+        """The outcome that curation reached."""
         return "not_found" if self.found is None else self.found.outcome
 
 
@@ -57,7 +57,7 @@ def match_events(true: Sequence[TrueEvent], found: Sequence[EventRecord]) -> lis
         return [Match(event, None) for event in true] + [Match(None, event) for event in found]
     difference = np.abs(np.subtract.outer([t.event_time for t in true], [f.event_time for f in found]))
     same = np.array([[t.object_id == f.object_id and t.action == f.action for f in found] for t in true])
-    rows, columns = np.nonzero(same & (difference <= LARGEST_DIFFERENCE))
+    rows, columns = np.nonzero(same & (difference <= _LARGEST_DIFFERENCE))
     partner: dict[int, int] = {}
     taken: set[int] = set()
     for index in np.argsort(difference[rows, columns], kind="stable"):
@@ -76,11 +76,11 @@ class Spread:
     n: int
     bias: float
     median: float
-    """Of the absolute values."""
+    """Median of the absolute values."""
     p95: float
-    """Of the absolute values."""
+    """95th percentile of the absolute values."""
     largest: float
-    """Absolute value."""
+    """Largest absolute value."""
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
@@ -96,7 +96,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class HandCounts:
-    """Whether located events name the hand that truly reached."""
+    """Counts of located events by the hand that they name, right, wrong or none."""
 
     right: int
     wrong: int
@@ -110,7 +110,7 @@ class Miss:
     """An event that should have become a sequence and did not: which stage said no, and by which number."""
 
     event_id: str
-    """Of the truth."""
+    """The true event that curation missed."""
     action: str
     outcome: str
     stage: str
@@ -128,7 +128,7 @@ class Miss:
 
 @dataclass(frozen=True)
 class Verification:
-    """How well curation found what was acted out.
+    """Comparison of what curation found with what was acted out.
 
     Events that are ``thin`` are left out of every number but their own count and the hands. Events that are tagged
     ``lost`` (not tracked around the event) are counted apart.
@@ -151,7 +151,7 @@ class Verification:
     false_primes: float
     """Share of the matched events without a true prime that were primed all the same."""
     unprimed: int
-    """How many events have no true prime."""
+    """Number of events without a true prime."""
     prime: Spread
     """Found minus true prime time (first look of at least 50 ms), seconds."""
     prime_quantiles: tuple[float, float, float]
@@ -163,7 +163,7 @@ class Verification:
     missed_sequences: tuple[Miss, ...]
     """Those of the expected ones that did not become sequences."""
     lost: dict[str, int]
-    """What became of events around which the object was not tracked: found, reported or missed."""
+    """Count events around which the object was not tracked: found, reported or missed."""
     confusion: dict[tuple[str, str], int]
     """Events by (expected, found) outcome, ``lost`` and ``thin`` ones left out."""
 
@@ -171,9 +171,9 @@ class Verification:
 def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
     """Summarise the matches of some recordings."""
     thin = [m for m in matches if m.true is not None and m.true.thin]
-    lost = [m for m in matches if m.true is not None and m.true.tag == LOST]
-    counted = [m for m in matches if m.true is None or not (m.true.thin or m.true.tag == LOST)]
-    real = [m for m in counted if m.expected != NOT_AN_EVENT]
+    lost = [m for m in matches if m.true is not None and m.true.tag == _LOST]
+    counted = [m for m in matches if m.true is None or not (m.true.thin or m.true.tag == _LOST)]
+    real = [m for m in counted if m.expected != _NOT_AN_EVENT]
     found = [m for m in counted if m.found is not None]
     pairs = [(m.true, m.found) for m in real if m.true is not None and m.found is not None]
     primed = [(t, f) for t, f in pairs if f.stage in PRIMED_STAGES and t.prime_time is not None]
@@ -186,7 +186,7 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
         found_events=len(found),
         matched=len(pairs),
         thin=len(thin),
-        thin_missed=sum(m.found is None and m.expected != NOT_AN_EVENT for m in thin),
+        thin_missed=sum(m.found is None and m.expected != _NOT_AN_EVENT for m in thin),
         recall=_share(len(pairs), len(real)),
         precision=_share(len(pairs), len(found)),
         timing=Spread.of(f.event_time - t.event_time for t, f in pairs),
@@ -206,7 +206,7 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
 
 
 def _hand_counts(matches: Sequence[Match]) -> HandCounts:
-    """Of all events of the wearer at a known place: being ``thin`` says nothing of the hand."""
+    """Count the hands of all the wearer's events at a known place: being ``thin`` says nothing of the hand."""
     pairs = [(m.true, m.found) for m in matches if m.true is not None and m.found is not None]
     located = [(t, f) for t, f in pairs if f.location is not None and f.outcome != "other_wearer"]
     return HandCounts(

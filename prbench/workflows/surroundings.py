@@ -1,4 +1,4 @@
-"""What stood around a sequence: meshes and point clouds of the user's own copy of the dataset, as points.
+"""Read the meshes and point clouds around a sequence from the user's own copy of the dataset, as points.
 
 Tables hold motion and goals alone, so ``prbench view --scene DIR`` reads the recordings again. Open3D (the extra
 ``open3d``) spreads points over the meshes and thins them out.
@@ -141,7 +141,7 @@ def _thinned(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]:
 
 
 def _placed(piece: _Piece, time: Float[np.ndarray, "1"]) -> Float[np.ndarray, "k 3"]:
-    """Where the points of a piece were in the world."""
+    """Place the points of a piece in the world."""
     if piece.track is None:
         return piece.points
     position, rotation = piece.track.pose_at(time)

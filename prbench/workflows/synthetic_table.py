@@ -1,4 +1,4 @@
-"""From invented people to a table, without native files: performances, sensors, ``Recording``, curation."""
+"""Build a table of synthetic people without native files: performances, sensors, ``Recording``, curation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.layouts import layout_for
+from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, assign
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.recordings import synthetic_recording
 
 Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""
@@ -31,7 +30,7 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True)
 class Staging:
-    """How recordings are acted out and sensed: everything that they depend on, apart from their index."""
+    """The settings of performances and sensors: everything that recordings depend on, apart from their index."""
 
     preset: str
     seed: int
@@ -54,7 +53,7 @@ class Staging:
         )
 
     def sense(self, performance: Performance) -> Recording:
-        """What the sensors say about it."""
+        """Return what the sensors measure of a performance."""
         return synthetic_recording(performance, noise=self.noise)
 
     def described(self) -> dict[str, str]:
@@ -88,7 +87,7 @@ class SyntheticSource:
         return f"{SYNTHETIC_PREFIX}{self.staging.preset}"
 
     def input_digest(self) -> str:
-        """Of what the recording is made from."""
+        """Digest of everything that the recording is made from."""
         described = [text for item in sorted(self.staging.described().items()) for text in item]
         return text_digest(self.staging.preset, str(self.index), *described)
 
@@ -152,5 +151,5 @@ def build_synthetic_table(
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
     """Recording ``index`` by name and split, not yet acted out."""
-    casting = cast(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
+    casting = assign(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
     return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), casting.split)

@@ -1,4 +1,4 @@
-"""Which table a run was made on: a run folder holds digests only, no paths."""
+"""Find the table that a run was made on: a run folder holds digests only, no paths."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from prbench.errors import RunError, TableError, UsageError
 from prbench.runs import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.viewing.replay.run_motions import RunMotions
+from prbench.viewing.replay.read import RunMotions
 from prbench.workflows.first_run import default_table_folder
 
 _SHOWN = 12  # characters of a digest

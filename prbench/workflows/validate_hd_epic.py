@@ -29,7 +29,7 @@ _IN_PROCESS = InProcess()
 
 PUBLISHED_OUTCOMES = ("primed", "not_primed", "excluded", "not in the file")
 RULE_OUTCOMES = ("primed", "not_primed", "no_location")
-ACTIONS = ("pick", "put")
+_ACTIONS = ("pick", "put")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class JudgedEvent:
     """One of :data:`PUBLISHED_OUTCOMES`."""
     published_prime: float | None
     outcome: str
-    """Where curation by the rule ended."""
+    """Outcome of curation by the rule."""
 
     @property
     def rule(self) -> str:
@@ -63,7 +63,7 @@ class Gaps:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far the dataset and the rule agree, for one action or both together."""
+    """Agreement of the dataset and the rule, for one action or both together."""
 
     action: str
     events: int
@@ -85,17 +85,17 @@ class Agreement:
 
     @property
     def tested_share(self) -> float:
-        """Of the published events, those that the dataset tested ("feasible")."""
+        """Share of the published events that the dataset tested ("feasible")."""
         return _share(self.published("primed", "not_primed"), self.published("primed", "not_primed", "excluded"))
 
     @property
     def primed_share(self) -> float:
-        """Of the tested events, those that the dataset found primed."""
+        """Share of the tested events that the dataset found primed."""
         return _share(self.published("primed"), self.published("primed", "not_primed"))
 
     @property
     def agreement(self) -> float:
-        """Of the events that both tested, those with the same answer."""
+        """Share of the events that both tested with the same answer."""
         both = [(p, r) for p in ("primed", "not_primed") for r in ("primed", "not_primed")]
         same = sum(self.counts.get((answer, answer), 0) for answer in ("primed", "not_primed"))
         return _share(same, sum(self.counts.get(pair, 0) for pair in both))
@@ -113,9 +113,9 @@ class Validation:
     agreements: tuple[Agreement, ...]
     """Picks, puts, both."""
     outcomes: dict[str, int]
-    """Where events ended by the rule."""
+    """Number of events by outcome of the rule."""
     published_outcomes: dict[str, int]
-    """Where they end with ``--priming published``; empty where that was not tried."""
+    """Number of events by outcome with ``--priming published``; empty where that was not tried."""
 
 
 def validate_root(root: Path, *, options: BuildOptions, engine: Engine = _IN_PROCESS) -> Validation:
@@ -241,7 +241,7 @@ def _validation(
     outcomes: Counter[str],
     published: Counter[str],
 ) -> Validation:
-    of_action = [agreement(action, [event for event in events if event.action == action]) for action in ACTIONS]
+    of_action = [agreement(action, [event for event in events if event.action == action]) for action in _ACTIONS]
     return Validation(
         recordings=recordings,
         synthetic=synthetic,

@@ -34,7 +34,7 @@ class SensorLevel:
     name: str
     noise: float
     provoked: bool
-    """Whether provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
+    """True if provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
 
 
 LEVELS = (
@@ -88,7 +88,7 @@ def verify_tree(root: Path, *, dataset: str = "adt", engine: Engine = _IN_PROCES
     Raises:
         InputFileError: if the tree holds no recordings or no truth.
     """
-    truth = read_true_events(root)
+    truth = _read_true_events(root)
     found = [recording for recording in reader_for(dataset).find(root) if recording.recording_id in truth]
     curated = engine.map(NativeCuration(dataset), found)
     matches = [
@@ -112,7 +112,7 @@ class NativeCuration:
         return curate_recording(reader.read(found), load_manifest(reader.dataset), load_protocol(), self.options).events
 
 
-def read_true_events(root: Path) -> dict[str, list[TrueEvent]]:
+def _read_true_events(root: Path) -> dict[str, list[TrueEvent]]:
     """The true events of a synthetic tree by recording, times on the clock of its native files.
 
     Raises:
@@ -178,7 +178,7 @@ class Limit:
 
     @property
     def holds(self) -> bool:
-        """Whether the number is on the right side; a number without sample is."""
+        """Return True if the number is on the right side of its bound; a number without sample counts as right."""
         return bool(np.isnan(self.value)) or (self.value >= self.bound if self.at_least else self.value <= self.bound)
 
 

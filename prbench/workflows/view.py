@@ -8,18 +8,15 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH
-from prbench.paths import turn_into_paths
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
-from prbench.sequences.lookup import find_sequence_id
-from prbench.sequences.table import smallest_by_hash
+from prbench.sequences.table import find_sequence_id, smallest_by_hash
+from prbench.storage import turn_into_paths
 from prbench.submitted.verification import RunChecker
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.file_kind import file_kind
-from prbench.viewing.replay.read import read_scenes
-from prbench.viewing.replay.run_motions import RunMotions, run_labels
+from prbench.viewing.replay.parts import METHOD_COLOURS
+from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene
-from prbench.viewing.replay.write import write_view
+from prbench.viewing.replay.write import file_kind, write_view
 from prbench.workflows.surroundings import Surroundings
 from prbench.workflows.tables_of_runs import require_in_run, tables_of_runs
 
@@ -35,7 +32,7 @@ def _silent(done: int, total: int, last: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewRequest:
-    """What a user wants to see.
+    """The sequences and runs that a user wants to see.
 
     Raises:
         UsageError: if parts of it do not fit together.
@@ -50,9 +47,9 @@ class ViewRequest:
     sequences: tuple[str, ...] = ()
     """Ids, or parts of ids that fit one sequence only."""
     limit: int | None = None
-    """At most so many sequences of each dataset, chosen as `prbench run --limit` does; by default four."""
+    """Largest number of sequences of each dataset, chosen as `prbench run --limit` does; by default four."""
     sample: int = 0
-    """Of runs that drew several motions."""
+    """Number of the shown motion, for runs that drew several."""
     permitted: Collection[str] = ()
     """Datasets for which the user has permission to pass recorded motion on."""
     scene: Path | None = None
@@ -64,22 +61,22 @@ class ViewRequest:
             raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
         if self.sequences and self.limit is not None:
             raise UsageError("--sequence names the sequences already; leave --limit out.")
-        if len(self.runs) > len(palette.METHODS):
-            raise UsageError(f"expected at most {len(palette.METHODS)} runs in one view, found {len(self.runs)}.")
+        if len(self.runs) > len(METHOD_COLOURS):
+            raise UsageError(f"expected at most {len(METHOD_COLOURS)} runs in one view, found {len(self.runs)}.")
         if len(set(self.runs)) < len(self.runs):
             raise UsageError("a run folder is named more than once.")
 
 
 @dataclass(frozen=True)
 class ViewReport:
-    """What was shown."""
+    """The sequences that were shown."""
 
     out: Path
     scenes: tuple[Scene, ...]
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the datasets' terms ask, as it stands in the view."""
+        """The notices that the datasets' terms ask for, as they stand in the view."""
         return tuple(dict.fromkeys(scene.notice for scene in self.scenes if scene.notice))
 
 
@@ -136,7 +133,7 @@ class Shown:
 
     @property
     def generated(self) -> list[RunMotions]:
-        """All but runs of the recorded motion itself, which every view shows anyway."""
+        """All runs but those of the recorded motion itself, which every view shows anyway."""
         return [
             run for run in self.runs if run.run.record.method.name != GROUND_TRUTH or run.run.record.control is not None
         ]

@@ -1,6 +1,7 @@
 """Every built-in method, with its bundled weights, passes the checks that methods of others are put through.
 
 Short sequences and short sampling keep this quick; ``prbench adapters check`` asks more (``docs/conformance.md``).
+Methods with networks are looked at by the gate, all but one of them.
 """
 
 from __future__ import annotations
@@ -40,25 +41,30 @@ class TestMDM(BuiltInConformance):
     options: ClassVar = {"sampler": "ddim", "steps": "5"}
 
 
+@pytest.mark.slow
 class TestGMD(BuiltInConformance):
     method = "gmd"
     options: ClassVar = {"steps": "2"}
 
 
+@pytest.mark.slow
 class TestDNO(BuiltInConformance):
     method = "dno"
     options: ClassVar = {"iterations": "2"}
 
 
+@pytest.mark.slow
 class TestDartControl(BuiltInConformance):
     method = "dart"
     options: ClassVar = {"iterations": "1", "ddim-steps": "2", "guidance": "1"}
 
 
+@pytest.mark.slow
 class TestWANDR(BuiltInConformance):
     method = "wandr"
 
 
+@pytest.mark.slow
 class TestPR(BuiltInConformance):
     method = "pr"
     options: ClassVar = {"iterations": "2"}

@@ -159,6 +159,7 @@ def without(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_without_it_the_others_are_listed_loaded_and_trained(without, method):
     assert (without / method / "status").read_text() == "0", (without / method / "failed").read_text()

@@ -15,7 +15,7 @@ import pytest
 from prbench.cli import main
 from prbench.storage import file_digest, read_json
 from prbench.training import installed
-from prbench.training.log import draw_curves
+from prbench.training.outputs import draw_curves
 from prbench.training.weights import read_weights
 from tests.fakes import fake_dataset
 from tests.training.toy import SIGNAL_VARIABLE, entry_points_of
@@ -37,7 +37,7 @@ sys.exit(main(sys.argv[1:]))
 def toy_is_installed(monkeypatch, tmp_path_factory):
     monkeypatch.setattr("prbench.training.installed.entry_points_of", entry_points_of)
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
-    monkeypatch.setattr("prbench.training.log.draw_curves", lambda *arguments: None)  # once is enough, in `trained`
+    monkeypatch.setattr("prbench.training.outputs.draw_curves", lambda *arguments: None)  # once is enough, in `trained`
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ NOT_THE_SAME = ("timing.json", "tensorboard/")
 
 
 def test_two_smoke_trainings_have_the_same_bytes_but_for_their_times(data, tmp_path, monkeypatch):
-    monkeypatch.setattr("prbench.training.log.draw_curves", draw_curves)
+    monkeypatch.setattr("prbench.training.outputs.draw_curves", draw_curves)
     monkeypatch.setattr("prbench.training.installed.entry_points_of", INSTALLED)
     folders = [tmp_path / "one", tmp_path / "other"]
     for out in folders:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.synthetic.corpus_tree import synthesize_corpus_tree
+from prbench.synthetic.corpus import synthesize_corpus_tree
 
 SEED = 5
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.sequences.corpus_schema import ANNOTATION_OUTCOMES, ANNOTATIONS, CLIPS, CORPUS_RECORDINGS
+from prbench.sequences.corpus import ANNOTATION_OUTCOMES, ANNOTATIONS, CLIPS, CORPUS_RECORDINGS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "corpus.md").read_text(encoding="utf-8")
 

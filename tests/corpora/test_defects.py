@@ -9,7 +9,7 @@ import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus
 from prbench.errors import UsageError
-from prbench.synthetic.corpus_tree import synthesize_corpus_tree
+from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.defects import Defect, defects_of
 
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus
-from prbench.corpora.humanml3d import format as layout
-from prbench.corpora.humanml3d.motion import read_joints
+from prbench.corpora.humanml3d import files as layout
+from prbench.corpora.humanml3d.files import read_joints, read_texts
 from prbench.corpora.humanml3d.source import HumanML3DSource
-from prbench.corpora.humanml3d.texts import read_texts
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
 from prbench.sequences import CorpusTable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.corpora.nymeria.narrations import read_narrations
+from prbench.corpora.nymeria.files import read_narrations
 from prbench.errors import InputFileError
 
 HEADER = "request_id,gaia_id,start_time,end_time,annotator,creation_time,"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus, plan_corpus
-from prbench.corpora.nymeria.find import find_sequences
+from prbench.corpora.nymeria.files import find_sequences
 from prbench.corpora.nymeria.format import participant_of
 from prbench.corpora.nymeria.source import CORPUS
 from prbench.corpora.splits import split_by_participant
@@ -109,8 +109,8 @@ def test_a_synthetic_tree_is_known_from_the_folder_above_and_not_mixed_with_othe
     shutil.copytree(nymeria_tree, tmp_path / "above" / "tree")
     marks = json.loads((nymeria_tree / "synthetic.json").read_text())["split"]
     sources = CORPUS.find(tmp_path / "above", CorpusOptions())
-    assert {source.belonging.dataset for source in sources} == {"synthetic-nymeria"}
-    assert {source.belonging.recording_id: source.belonging.split for source in sources} == marks
+    assert {source.identity.dataset for source in sources} == {"synthetic-nymeria"}
+    assert {source.identity.recording_id: source.identity.split for source in sources} == marks
     real = tmp_path / "above" / "20230607_s0_james_johnson_act0_e72nhq" / "body"
     shutil.copytree(next((nymeria_tree).glob("*/body")), real)
     with pytest.raises(InputFileError, match="nymeria and synthetic-nymeria together"):

@@ -10,13 +10,12 @@ from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import Narration
-from prbench.corpora.options import ClipLimits
-from prbench.corpora.sources import Belonging
+from prbench.corpora.sources import ClipLimits, RecordingIdentity
 from prbench.skeleton import Joint, transform_points
 from tests.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion
 
-BELONGING = Belonging("nymeria", "seq", "p", "train", "p")
+BELONGING = RecordingIdentity("nymeria", "seq", "p", "train", "p")
 LIMITS = ClipLimits(20.0, 20, 241)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.corpora import CorpusOptions, build_corpus
-from prbench.corpora.nymeria.smpl import read_smpl_fit
+from prbench.corpora.nymeria.body import read_smpl_fit
 from prbench.errors import InputFileError
 from prbench.sequences import CorpusTable
 from prbench.skeleton import PARENTS, Joint

@@ -15,7 +15,7 @@ from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo
 from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from tests.fakes import fake_info, fake_sequence
 
 ROWS = sorted((fake_sequence(index, recordings=2) for index in range(6)), key=lambda row: row.sequence_id)
@@ -34,9 +34,11 @@ def event_of(row, **changes) -> EventRecord:
     )  # fmt: skip
 
 
-def write(folder: Path, rows=ROWS, events=None, *, failed: str = "", recording: Mapping[str, Any] = {}) -> Path:
+def write(
+    folder: Path, rows=ROWS, events=None, *, failed: str = "", recording: Mapping[str, Any] = {}, lacks: str = ""
+) -> Path:
     events = [event_of(row) for row in rows] if events is None else events
-    names = sorted({row.recording_id for row in ROWS})
+    names = sorted({row.recording_id for row in ROWS} - {lacks})
     records = [
         RecordingRecord(
             recording_id=name, participant_id="P", split="train", split_group=name, duration=9.0, outcomes={},
@@ -144,6 +146,16 @@ def test_every_column_of_a_recording_is_compared(first, column, value) -> None:
     second = write(first.with_name("second"), **{"recording": {column: value}})
     found = [(c.kind, c.event, c.decided_by) for c in compare_builds(first, second).changes]
     assert found == [("values", "", column)]
+
+
+def test_a_recording_without_events_that_one_build_alone_has_is_seen(tmp_path) -> None:
+    idle = ROWS[-1].recording_id
+    rows = [row for row in ROWS if row.recording_id != idle]
+    both, fewer = write(tmp_path / "both", rows), write(tmp_path / "fewer", rows, lacks=idle)
+    (vanished,) = compare_builds(both, fewer).changes
+    (appeared,) = compare_builds(fewer, both).changes
+    assert (vanished.kind, vanished.recording_id, vanished.before, vanished.after) == ("vanished", idle, "read", "")
+    assert (appeared.kind, appeared.recording_id, appeared.before, appeared.after) == ("appeared", idle, "", "read")
 
 
 def test_a_sequence_that_no_event_names_is_seen(first) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.contact import contact_distance
 from prbench.curation.events import find_events
+from prbench.curation.rest import Departure, placed_in_gap
 from prbench.errors import RecordingUnusable
 from prbench.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, HandStream, Recording
@@ -166,6 +167,25 @@ def test_an_object_already_in_hand_has_no_pick_and_one_still_in_hand_no_put() ->
     early = scene(objects=(track(SLOW[SLOW < PUT - 1], cup_centre(SLOW)[SLOW < PUT - 1]),))
     assert [event.action for event in events(late)] == ["put"]
     assert [event.action for event in events(early)] == ["pick"]
+
+
+def test_an_object_that_is_held_still_when_the_recording_begins_has_no_pick() -> None:
+    """It rests in the hand before it moves, which is no place to be picked from."""
+    holding = cup_centre(FAST) - [0, 0, HALF[2] + 0.01]
+    leaving = minimum_jerk((FAST - PUT - 1) / 0.5)[:, None] * [0, 0, 0.8]
+    assert [event.action for event in events(scene(hands=(hand("left", FAST, holding - leaving),)))] == ["put"]
+
+
+def test_an_event_in_a_short_tracking_gap_is_placed_at_120_instants_a_second() -> None:
+    """The hand takes the object with it 0.1 s into a gap of 0.15 s: the seventh of 19 instants, from the end."""
+    path = 2.0 * np.clip(FAST[:61] - 0.1, 0, None)[:, None] * [1.0, 0, 0]
+    gap = Departure(
+        time=0.0, gap=(0.0, 0.15), first_away=np.array([0.1, 0, 0]),
+        centre=np.zeros(3), position=np.zeros(3), rotation=np.array([1.0, 0, 0, 0]),
+    )  # fmt: skip
+    found = placed_in_gap(gap, (hand("left", FAST[:61], path),), 0.05)
+    assert found.placed
+    assert found.time == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("event", ["pick", "put"])

@@ -73,6 +73,18 @@ def test_a_lost_sample_before_the_look_widens_the_uncertainty() -> None:
     assert found.uncertainty == pytest.approx(6 / 30)
 
 
+@pytest.mark.parametrize(("look", "uncertainty"), [(0, 0.2), (1, 0.2), (2, 0.5), (3, 0.1)])
+def test_the_uncertainty_is_the_time_since_the_sample_before_and_for_the_first_until_the_one_after(
+    look: int, uncertainty: float
+) -> None:
+    times = np.array([10.0, 10.2, 10.7, 10.8])
+    directions = np.tile([0.0, 1.0, 0.0], (4, 1))
+    directions[look] = [0.0, 0.0, 1.0]
+    found = find_prime(times, np.zeros((4, 3)), directions, BOX, 15.0, CONSTANTS)
+    assert isinstance(found, Prime)
+    assert (found.time, found.uncertainty) == (times[look], pytest.approx(uncertainty))
+
+
 def test_no_gaze_at_all_is_said_so() -> None:
     empty = np.empty((0, 3))
     assert find_prime(np.empty(0), empty, empty, BOX, 15.0, CONSTANTS) == Decision("not_primed", "priming", None, 0.05)

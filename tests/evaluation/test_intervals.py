@@ -246,6 +246,7 @@ def correlated_rates(rng: np.random.Generator, rate: float, correlation: float, 
     return (rng.random(len(ids)) < np.repeat(own_rate, sizes)).astype(float), ids
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "recordings"), [(0.1, 6), (0.5, 6), (0.05, 25), (0.5, 25), (0.9, 25)])
 @pytest.mark.parametrize("correlation", [0.001, 0.2])
 def test_rate_intervals_cover_the_true_rate(rate: float, recordings: int, correlation: float) -> None:
@@ -254,6 +255,7 @@ def test_rate_intervals_cover_the_true_rate(rate: float, recordings: int, correl
     assert np.mean([one.low <= rate <= one.high for one in found]) >= 0.90
 
 
+@pytest.mark.slow
 def test_a_plain_wilson_interval_would_not_cover() -> None:
     rng = np.random.default_rng(0)
     covered = 0
@@ -264,6 +266,7 @@ def test_a_plain_wilson_interval_would_not_cover() -> None:
     assert covered / 300 < 0.80  # the simulation can tell a wrong interval from a right one
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 @pytest.mark.parametrize("recordings", [3, 6, 10, 25])
 def test_mean_intervals_cover_the_true_mean(recordings: int) -> None:

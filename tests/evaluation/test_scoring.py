@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prbench.engine import InProcess
+from prbench.errors import PredictionsError
 from prbench.evaluation import planning
 from prbench.evaluation.conditions import derangement
 from prbench.evaluation.planning import select
 from prbench.evaluation.run import run_method
+from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import load_protocol
 from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets
 from prbench.metrics import score as score_by_hand
@@ -62,6 +65,16 @@ def test_recorded_motion_is_scored_against_the_goals_that_were_dealt(table, tmp_
     for row, other in zip(sequences, order):
         distance = np.linalg.norm(row.joints[:, [20, 21]] - sequences[other].goal_location, axis=-1).min()
         assert reached[row.sequence_id] == float(distance <= 0.1)
+
+
+def test_motions_at_the_tables_rate_are_not_scored_as_motions_at_half_of_it(table, tmp_path):
+    run_method(request(table, tmp_path / "out", "ground-truth"))
+    selection = select(table, split="test", limit=None)
+    fps = fake_sequence(0).fps
+    rules = ScoringRules(load_protocol().metrics, native_fps=fps / 2)
+    found = score_selection(selection, tmp_path / "out/predictions", samples=[0], rules=rules, engine=InProcess())
+    with pytest.raises(PredictionsError, match=f"motions at {fps:g} frames per second where {fps / 2:g} are asked for"):
+        list(found)
 
 
 def test_flags_of_single_sequences_reach_scores_and_summary(table, tmp_path):

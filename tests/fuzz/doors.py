@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from prbench.cli import main
-from prbench.corpora.options import CorpusOptions
-from prbench.corpora.sources import corpus_for, find_groups
+from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.methods.programs.description import read_description
 from prbench.submitted.offline import ConditionsFile, read_conditions, read_conditions_file
-from prbench.synthetic.corpus_tree import synthesize_corpus_tree
+from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.training.configuration import load_configuration
 from prbench.training.weights import read_weights
@@ -115,7 +114,7 @@ def _corpus(name: str) -> Door:
     def look(folder: Path) -> Seen:
         groups = find_groups(corpus_for(name), folder / "input", CorpusOptions())
         members = [member for group in groups for member in group.recordings]
-        told = [f"{member.belonging.recording_id} {member.skip_reason}" for member in members]
+        told = [f"{member.identity.recording_id} {member.skip_reason}" for member in members]
         made = [member.read() for member in members if not member.skip_reason]
         told += [f"{recording.message} {recording.clock_method}" for recording in made]
         values = [(recording.clips, recording.annotations, recording.duration) for recording in made]

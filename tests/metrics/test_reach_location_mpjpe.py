@@ -49,6 +49,22 @@ def test_a_distance_on_a_threshold_is_on_it_up_to_the_tolerance_of_the_protocol(
     assert location_error(batch(nearer), batch(standing(2)), strict) == 0
 
 
+def test_a_distance_exactly_on_a_threshold_is_reached_and_is_an_error() -> None:
+    """``<=`` for the one and ``>=`` for the other, in numbers that floating point holds exactly."""
+    exact = msgspec.structs.replace(
+        CONSTANTS, threshold_tolerance=0.0, reach_distance=0.125, location_error_distance=0.5
+    )
+    motion = standing(2)
+    motion[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] = [0.125, 0.0, 0.0]
+    assert reach_success(batch(motion), np.zeros((1, 3)), exact) == 1
+    recorded = standing(2)
+    recorded[:, Joint.PELVIS] = 0.0
+    predicted = recorded.copy()
+    predicted[:, Joint.PELVIS] = [0.0, 0.0, 0.5]
+    assert location_error(batch(predicted), batch(recorded), exact) == 1
+    assert location_error(batch(predicted), batch(recorded), exact, horizontal=True) == 1
+
+
 def test_either_wrist_succeeds() -> None:
     motions = batch(
         wrists_at([0.5, 0.05], [0.5, 0.5]), wrists_at([0.5, 0.5], [0.5, 0.05]), wrists_at([0.5] * 2, [0.5] * 2)

@@ -34,6 +34,7 @@ def reordered_targets(where: ScoringTargets, order) -> ScoringTargets:
 
 
 def test_the_metrics_stand_in_printed_order() -> None:
+    assert len({info.position for info in METRICS}) == len(METRICS), "two metrics share a place in printed tables"
     main = [info.id for info in METRICS if info.main]
     assert main == ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
     beside = {info.id for info in METRICS if not info.main}
@@ -106,6 +107,14 @@ def test_padding_never_reaches_the_score() -> None:
             target[i, :n] = motion.values[motion.offsets[i] : motion.offsets[i] + n]
     batches = [MotionBatch.from_padded(values, np.array(LENGTHS)) for values in padded]
     assert values(*batches, where) == values(predicted, recorded, where)
+
+
+@pytest.mark.parametrize("fps", [0.0, -20.0, np.nan, np.inf])
+def test_a_frame_rate_that_is_not_positive_is_refused(fps: float) -> None:
+    _, _, where = random_problem(0, [5, 6])
+    for rates in (fps, np.array([20.0, fps])):
+        with pytest.raises(ValueError, match="expected positive frame rates"):
+            ScoringTargets(where.goal_location, where.prime_time, where.hand, where.head_tilt_deg, rates)
 
 
 @pytest.mark.parametrize(("spoilt", "name"), [(0, "predicted"), (1, "recorded")])

@@ -19,12 +19,12 @@ from prbench.readers.egoallo import poses_folder
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
 from prbench.skeleton import Joint
+from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.layouts.adt import estimated_outputs, write
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.egoallo import invented_smplh
 from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 from prbench.timelines import interpolate
 from tests.comparing import differences
 
@@ -86,7 +86,7 @@ def test_bodies_come_back_into_the_scene(root, performance, readings):
 
 
 def test_files_and_memory_hold_the_same(root, performance, readings):
-    body = body_from_outputs(estimated_outputs(performance, readings), invented_smplh())
+    body = body_from_outputs(estimated_outputs(performance, readings), synthetic_smplh())
     in_memory = recording_from_adt(
         replace(readings, estimated_body=body), load_manifest("adt"), dataset="adt", poses="egoallo"
     )
@@ -123,7 +123,7 @@ def test_frames_over_a_gap_of_the_glasses_are_invalid(performance, readings):
         rotation=glasses.rotation[kept],
         quality=glasses.quality[kept],
     )
-    body = body_from_outputs(estimated_outputs(performance, readings), invented_smplh())
+    body = body_from_outputs(estimated_outputs(performance, readings), synthetic_smplh())
     recording = recording_from_adt(
         replace(readings, glasses=gap, estimated_body=body), load_manifest("adt"), dataset="adt", poses="egoallo"
     )

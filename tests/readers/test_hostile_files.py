@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from prbench.corpora.humanml3d.motion import read_joints
+from prbench.corpora.humanml3d.files import read_joints
 from prbench.curation import build_dataset
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.readers import reader_for

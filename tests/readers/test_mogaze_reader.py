@@ -16,6 +16,7 @@ from prbench.errors import InputFileError, RecordingUnusable, UsageError
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
+from prbench.readers.mogaze.ends import extents
 from prbench.readers.mogaze.scene import find_mesh, read_mesh, read_scene
 from prbench.recording import Recording
 from prbench.synthetic.layouts.mogaze import box_mesh, write
@@ -259,6 +260,14 @@ def test_streams_are_cut_to_the_shortest_with_a_word_beyond_two_frames(root) -> 
     recording = _read(root)
     assert len(recording.gaze.times) == len(recording.objects[0].times) == N - 3
     assert recording.messages[0] == f"cut to {N - 3} frames of object_data, body {CUP}; gaze_data has {N + 1}"
+
+
+def test_streams_end_with_their_last_frame(root) -> None:
+    (found,) = reader_for("mogaze").find(root)
+    with h5py.File(root / f"p1_1_{mogaze.PARTS[0]}.hdf5", "r") as file:
+        frames = len(file[mogaze.HUMAN_DATASET])
+    (body_extent,) = [extent for extent in extents(found, None) if extent.stream == "body"]
+    assert body_extent.last == pytest.approx((frames - 1) / mogaze.RATE)
 
 
 def _copy_as(root: Path, name: str) -> None:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from prbench.randomness import named_generator
 from prbench.sequences import EventRecord, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from tests.fakes import fake_info, fake_sequence
 

@@ -12,6 +12,7 @@ import pytest
 from prbench.errors import StorageError, TableError
 from prbench.sequences import CorpusTable
 from prbench.sequences.corpus import (
+    CLIPS,
     Annotation,
     Caption,
     Clip,
@@ -20,9 +21,8 @@ from prbench.sequences.corpus import (
     clip_batch,
     corpus_recording_batch,
 )
-from prbench.sequences.corpus_info import CorpusCounts, CorpusInfo
-from prbench.sequences.corpus_schema import CLIPS
 from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.dataset_info import CorpusCounts, CorpusInfo
 from prbench.sequences.schema import SEQUENCES
 from tests.fakes import smooth_motion
 

@@ -10,8 +10,7 @@ import pytest
 
 from prbench.errors import TableError
 from prbench.sequences import SequenceTable
-from prbench.sequences.digests import identity_digest
-from prbench.sequences.unchanged import UnverifiedTableWarning
+from prbench.sequences.digests import UnverifiedTableWarning, identity_digest
 from tests.fakes import fake_dataset
 
 LATER = {

@@ -11,9 +11,8 @@ import pytest
 from prbench.errors import RecordingsWouldBeLost
 from prbench.sequences import CorpusInfo, RecordingRecord
 from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch
-from prbench.sequences.corpus_info import CORPUS_FILE
 from prbench.sequences.corpus_table import write_corpus
-from prbench.sequences.dataset_info import FILE_NAME
+from prbench.sequences.dataset_info import CORPUS_FILE, FILE_NAME
 from prbench.sequences.parts import plain
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.sequence import recording_batch

@@ -7,11 +7,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.errors import StorageError, TableError
+from prbench.errors import StorageError, TableError, UsageError
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SEQUENCES, with_metadata
 from prbench.sequences.sequence import sequence_batch
-from prbench.sequences.table import smallest_by_hash
+from prbench.sequences.table import find_sequence_id, smallest_by_hash
 from prbench.sequences.write import write_table_in_parts
 from tests.fakes import fake_dataset, fake_sequence
 
@@ -166,3 +166,38 @@ def test_schema_metadata_says_units_and_joint_set():
     metadata = with_metadata(SEQUENCES, protocol_version=1).metadata
     assert metadata[b"joint_set"] == b"humanml3d-22"
     assert metadata[b"unit_length"] == b"m"
+
+
+IDS = ["adt/rec_1/cup/pick/10.5/suit", "adt/rec_1/cup/put/12.25/suit", "adt/rec_2/cup/pick/10.75/egoallo"]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found"),
+    [(IDS[1], 1), ("egoallo", 2), ("adt/rec_2", 2), ("12.25/suit", 1), ("put", 1), ("pick/10.5/", 0)],
+)
+def test_an_id_or_a_part_that_fits_one_only(wanted, found):
+    assert find_sequence_id(wanted, IDS, among="adt") == IDS[found]
+
+
+def test_a_beginning_or_end_goes_before_a_part_inside():
+    assert find_sequence_id("a", ["a/b", "c/a/d"], among="x") == "a/b"
+
+
+def test_parts_that_fit_several_are_listed():
+    with pytest.raises(UsageError, match=r"'suit' fits 2 sequences of adt(.|\n)*10\.5/suit(.|\n)*12\.25/suit"):
+        find_sequence_id("suit", IDS, among="adt")
+
+
+def test_many_that_fit_are_not_all_listed():
+    with pytest.raises(UsageError, match="and 12 more"):
+        find_sequence_id("a", [f"a{number}" for number in range(20)], among="x")
+
+
+def test_an_unknown_id_gets_the_nearest():
+    with pytest.raises(UsageError, match=r"no sequence 'put/12\.52'(.|\n)*Near it:\n  adt/rec_1/cup/put/12\.25/suit"):
+        find_sequence_id("put/12.52", IDS, among="adt")
+
+
+def test_nothing_typed_is_nothing_found():
+    with pytest.raises(UsageError, match="no sequence ''"):
+        find_sequence_id("", IDS, among="adt")

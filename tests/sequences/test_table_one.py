@@ -11,7 +11,7 @@ from prbench.published import QUANTITIES, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
 from prbench.sequences.table_one import table_statistics
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from tests.fakes import fake_dataset, fake_info, fake_sequence
 
 

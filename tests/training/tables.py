@@ -10,12 +10,18 @@ import msgspec
 import numpy as np
 
 from prbench.sequences import CorpusInfo, CorpusTable, Sequence, SequenceTable
-from prbench.sequences.corpus import Caption, Clip, CorpusRecord, clip_batch, corpus_recording_batch
-from prbench.sequences.corpus_info import CorpusCounts
-from prbench.sequences.corpus_schema import ANNOTATION_OUTCOMES
+from prbench.sequences.corpus import (
+    ANNOTATION_OUTCOMES,
+    Caption,
+    Clip,
+    CorpusRecord,
+    clip_batch,
+    corpus_recording_batch,
+)
 from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.dataset_info import CorpusCounts
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 from tests.fakes import fake_info, fake_sequence, smooth_motion
 
 CAPTIONS = ("a person turns left", "the left arm reaches", "walks on")

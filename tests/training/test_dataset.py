@@ -12,7 +12,7 @@ from prbench.errors import TableError, UsageError
 from prbench.representation import canonicalise, encode
 from prbench.skeleton import Joint, facing_yaw
 from prbench.training.dataset import SequenceDataset
-from prbench.training.motion import mirrored_text
+from prbench.training.motions import mirrored_text
 from tests.training.tables import CAPTIONS, corpus_table, sequence_table
 
 

@@ -9,10 +9,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from prbench.storage import read_json, write_json
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench.training.devices import make_fabric
+from prbench.training.items import MotionBatch
 from prbench.training.loop import fit
+from prbench.training.processes import make_fabric
 from prbench.training.task import TrainingModule
 from tests.training.toy import random_batch, rows_of
 
@@ -58,6 +58,7 @@ def train_half(fabric, out: Path) -> None:
     write_json(out / f"rank-{rank}.json", rows)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not torch.distributed.is_available(), reason="this build of torch has no process groups")
 def test_two_processes_end_with_the_weights_of_one_with_all_the_data(tmp_path):
     fabric = make_fabric("cpu", devices=2, spawn=True)

@@ -85,7 +85,7 @@ def test_losses_are_means_over_sequences_whatever_the_batches(table):
 
 
 def _batch(validation, places):
-    from prbench.training.batch import collate
+    from prbench.training.items import collate
 
     return collate([validation.data[place] for place in places])
 

@@ -16,7 +16,7 @@ from torch import nn
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import UsageError
-from prbench.training.batch import MotionBatch
+from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData, TrainingModule
 from prbench.training.weights import read_weights
 

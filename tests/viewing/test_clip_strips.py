@@ -1,4 +1,4 @@
-"""Filmstrips of clips are drawn, and every invented activity is among them."""
+"""Filmstrips of clips are drawn, and every activity of synthetic people is among them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from prbench.synthetic.activities.patterns import PATTERNS
 from prbench.viewing import clip_strips
-from prbench.viewing.clip_strips import Strip, invented_strips, render_strips
+from prbench.viewing.clip_strips import Strip, render_strips, strips_of_activities
 from tests.fakes import smooth_motion
 
 
@@ -19,7 +19,7 @@ def test_a_picture_is_written(tmp_path):
 
 def test_strips_show_one_clip_of_each_activity(monkeypatch):
     monkeypatch.setattr(clip_strips, "_RECORDINGS", 4)
-    names = [strip.text.split("]")[0].removeprefix("[") for strip in invented_strips(2)]
+    names = [strip.text.split("]")[0].removeprefix("[") for strip in strips_of_activities(2)]
     assert names == sorted(set(names))
     assert set(names) <= set(PATTERNS)
     assert len(names) > 10

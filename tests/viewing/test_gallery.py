@@ -11,10 +11,7 @@ import pytest
 from prbench.skeleton import Joint
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.viewing.curves import curves_of
-from prbench.viewing.gallery import Scene, render_gallery, sequences_of
-from prbench.viewing.histograms import render_histograms
-from prbench.viewing.stick_figure import flattened
+from prbench.viewing.gallery import Scene, curves_of, render_gallery, sequences_of
 
 
 @pytest.fixture(scope="module")
@@ -72,18 +69,3 @@ def test_gaze_that_looks_straight_at_the_goal_has_no_distance_and_away_the_full_
         curves = curves_of(replace(performance, gaze=sign * towards), event, 1.0, 2.0)
         frames = np.searchsorted(performance.times, curves.times + event.event_time - 1e-9)
         assert curves.gaze_distance == pytest.approx(expected[frames], abs=1e-6)
-
-
-def test_figures_keep_their_height_and_show_what_lies_in_the_picture_plane() -> None:
-    points = np.array([[1.0, 1.7, 2.0], [1.0, 0.0, 2.5]])
-    flat = flattened(points, np.array([1.0, 0.9, 2.0]), np.array([0.0, 0.0, 1.0]), 3.0)
-    assert flat == pytest.approx(np.array([[3.0, 1.7], [3.5, 0.0]]))
-
-
-def test_histograms_have_a_row_for_every_preset(performance: Performance, tmp_path: Path) -> None:
-    render_histograms({"mogaze": [performance]}, tmp_path / "one.png", dpi=30)
-    render_histograms({"mogaze": [performance], "adt": [performance]}, tmp_path / "two.png", dpi=30)
-    one, two = png_size(tmp_path / "one.png"), png_size(tmp_path / "two.png")
-    assert two == (one[0], 2 * one[1])
-    with pytest.raises(ValueError, match="at least one preset"):
-        render_histograms({}, tmp_path / "none.png")

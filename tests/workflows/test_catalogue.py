@@ -7,7 +7,7 @@ from prbench.corpora import build_corpus
 from prbench.errors import InputFileError, TableError, UsageError
 from prbench.manifests import dataset_names, load_manifest
 from prbench.sequences import SequenceTable
-from prbench.synthetic.corpus_tree import synthesize_corpus_tree
+from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.workflows.catalogue import catalogue, citation_text
 from prbench.workflows.inspection import inspect_folder
 from tests.fakes import fake_dataset

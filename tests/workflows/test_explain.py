@@ -12,8 +12,7 @@ import pytest
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.errors import UsageError
 from prbench.recording import Occluder
-from prbench.viewing.event_story import draw_event_story
-from prbench.viewing.story import EventStory
+from prbench.viewing.event_story import EventStory, draw_event_story
 from prbench.workflows.explain import explain_event
 from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
 from tests.curation.sources import SceneSource

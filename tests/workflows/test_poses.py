@@ -15,7 +15,7 @@ from prbench.cli.main import main
 from prbench.errors import InputFileError, UsageError
 from prbench.readers import reader_for
 from prbench.skeleton import Joint
-from prbench.synthetic.layouts.egoallo import write_smplh_model
+from prbench.synthetic.egoallo import write_smplh_model
 from prbench.workflows.poses import make_poses, pose_states, read_config
 from prbench.workflows.poses.inputs import find_inputs
 from prbench.workflows.poses.prepare import prepare

@@ -19,7 +19,7 @@ from prbench.errors import InputFileError, MissingExtraError, UsageError
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.skeleton import invert_rigid, transform_points
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.viewing.replay import palette
+from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import scene_of
 from prbench.viewing.replay.scene import ShownMotion
 from prbench.workflows.surroundings import Surroundings
@@ -131,5 +131,5 @@ def test_where_the_licence_keeps_recorded_motion_it_keeps_its_surroundings(tmp_p
     around = np.ones((4, 3))
     assert scene_of(chunk, table.info, around=lambda _: around).surroundings is around
     kept = msgspec.structs.replace(table.info, redistribution="none")
-    generated = ShownMotion("static", palette.METHODS[0], chunk.joints.astype(np.float64))
+    generated = ShownMotion("static", METHOD_COLOURS[0], chunk.joints.astype(np.float64))
     assert scene_of(chunk, kept, [generated], around=lambda _: around).surroundings is None

@@ -11,12 +11,13 @@ from prbench.sequences import SequenceTable
 from prbench.synthetic.statistics import TARGETS
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.synthetic_table import Staging, build_synthetic_table
-from prbench.workflows.verify_synthetic import LEVELS, limits, verify_level, verify_tree
+from prbench.workflows.verify_synthetic import limits, verify_level, verify_tree
+from tests.workflows.levels import MOSTLY_SLOW
 
 SEED = 301
 
 
-@pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+@pytest.mark.parametrize("level", MOSTLY_SLOW)
 @pytest.mark.unchecked_shapes
 def test_events_and_primes_are_found_within_the_limits(level) -> None:
     """All limits apply; events are annotated, so recall and precision say that no row is lost or invented."""

@@ -25,13 +25,14 @@ from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.matching import Verification, match_events, verification
 from prbench.workflows.synthetic_table import Staging, build_synthetic_table
 from prbench.workflows.verify_synthetic import LEVELS, SensorLevel, limits, on_clock, verify_level, verify_tree
+from tests.workflows.levels import MOSTLY_SLOW
 
 RECORDINGS, EVENTS, SEED = 3, 6, 0
 OF_PRIMING = ("priming recall", "false primes", "median prime time error, s")
 """Limits that a handful of events with noise cannot show."""
 
 
-@pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+@pytest.mark.parametrize("level", MOSTLY_SLOW)
 def test_events_are_found_within_the_limits(level: SensorLevel) -> None:
     result = verify_level(level, preset="hd-epic", recordings=RECORDINGS, n_events=EVENTS, seed=SEED)
     assert result.true_events >= 8

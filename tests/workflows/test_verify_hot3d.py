@@ -6,6 +6,7 @@ docs/specification/synthetic-recordings.md#truth-record.
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,12 @@ from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.synthetic_table import Staging, build_synthetic_table
 from prbench.workflows.verify_synthetic import LEVELS, SensorLevel, limits, verify_level, verify_tree
+from tests.workflows.levels import MOSTLY_SLOW
 
 RECORDINGS, SEED = 3, 301
 
 
-@pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+@pytest.mark.parametrize("level", MOSTLY_SLOW)
 def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> None:
     result = verify_level(level, preset="hot3d", recordings=RECORDINGS, seed=SEED)
     assert result.true_events >= 15
@@ -43,6 +45,7 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path: Path) -> None
     assert native.info.content_digest == direct.info.content_digest
 
 
+@pytest.mark.skipif(importlib.util.find_spec("open3d") is None, reason="needs the extra open3d")
 def test_the_surface_rule_builds_where_meshes_are_read(tmp_path: Path) -> None:
     synthesize_tree("hot3d", tmp_path / "tree", recordings=1, seed=SEED, n_events=2)
     curation = CurationOptions(in_hand="surface")
@@ -55,6 +58,7 @@ def test_the_surface_rule_builds_where_meshes_are_read(tmp_path: Path) -> None:
     assert report.records[0].outcomes == plain.records[0].outcomes
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_statistics_are_within_a_third_of_the_spread_of_table_1() -> None:
     manifest, protocol = load_manifest("hot3d"), load_protocol()

@@ -21,12 +21,13 @@ from prbench.workflows.verify_synthetic import (
     verify_level,
     verify_tree,
 )
+from tests.workflows.levels import MOSTLY_SLOW
 
 RECORDINGS, EVENTS, SEED = 2, 6, 301
 TABLE_SEED = 1
 
 
-@pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+@pytest.mark.parametrize("level", MOSTLY_SLOW)
 def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> None:
     result = verify_level(level, preset="mogaze", recordings=RECORDINGS, n_events=EVENTS, seed=SEED)
     assert result.true_events >= 8

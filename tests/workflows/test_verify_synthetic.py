@@ -22,6 +22,7 @@ from prbench.workflows.verify_synthetic import (
     verify_level,
     verify_tree,
 )
+from tests.workflows.levels import MOSTLY_SLOW
 
 RECORDINGS, SEED = 3, 301
 
@@ -30,7 +31,7 @@ def broken(level: SensorLevel, result: Verification) -> list[str]:
     return [f"{limit.name}: {limit.value}" for limit in limits(level, result) if not limit.holds]
 
 
-@pytest.mark.parametrize("level", LEVELS, ids=[level.name for level in LEVELS])
+@pytest.mark.parametrize("level", MOSTLY_SLOW)
 def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> None:
     result = verify_level(level, recordings=RECORDINGS, seed=SEED)
     assert result.true_events >= 20

@@ -14,7 +14,7 @@ from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.runs import Predictions, RunFolder, read_scores
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.viewing.replay.captions import score_row
+from prbench.viewing.replay.measures import score_row
 from prbench.viewing.replay.scene import RECORDED
 from prbench.workflows.first_run import default_table_folder
 from prbench.workflows.view import ViewRequest, scenes_of, view

@@ -41,18 +41,22 @@ from prbench_adapters.diffusion.noise_optimisation.comparison import (
 )
 from prbench_adapters.diffusion.noise_optimisation.generation import optimise_batch
 from prbench_adapters.diffusion.noise_optimisation.objective import keyframes, prime_and_reach
-from prbench_adapters.diffusion.noise_optimisation.options import optimisation_settings
-from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings, fast, paper
+from prbench_adapters.diffusion.noise_optimisation.optimise import OptimisedMotions
+from prbench_adapters.diffusion.noise_optimisation.settings import (
+    OptimisationSettings,
+    fast,
+    optimisation_settings,
+    paper,
+)
 
-MODES = {"fast": fast, "paper": paper}
+_MODES = {"fast": fast, "paper": paper}
 _SIDES = {"left": 0, "right": 1}
 _DEFAULT_WEIGHTS = {"goal-loc": "pr-small-goal-loc", "goal-pose": "pr-small-goal-pose"}
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What both modes are run on."""
+class _Trial:
+    """Sequences and model that both modes are run on."""
 
     model: MotionModel
     selection: Selection
@@ -68,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         trial = _trial(given)
         for mode in given.modes.split(","):
             _run(mode, trial, _settings(mode, given, trial.model), given.out)
-        if all((given.out / f"{mode}.json").is_file() for mode in MODES):
+        if all((given.out / f"{mode}.json").is_file() for mode in _MODES):
             _conclude(trial, given.out)
     except PrbenchError as error:
         print(f"compare: {error}", file=sys.stderr)  # noqa: T201 - a command
@@ -86,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--method", choices=["pr", "dno"], default="pr", help="whose objective and conditions")
     parser.add_argument("--weights", type=Path, help="file, folder or bundled name")
     parser.add_argument("--modes", default="fast,paper", help="which to run now")
-    for mode in MODES:
+    for mode in _MODES:
         parser.add_argument(f"--{mode}-option", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
@@ -94,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _trial(given: argparse.Namespace) -> Trial:
+def _trial(given: argparse.Namespace) -> _Trial:
     default = "mdm-small" if given.method == "dno" else _DEFAULT_WEIGHTS[given.condition]
     model = MotionModel.load(resolve(given.weights, default), given.device)
     configuration = model.configuration
@@ -103,25 +107,26 @@ def _trial(given: argparse.Namespace) -> Trial:
     selection = supported(everything, max_frames=configuration.max_frames, native_fps=None)
     if selection.fps != configuration.fps:
         raise UsageError(f"the table has {selection.fps:g} fps, the model {configuration.fps:g}")
-    source, salt = ConditionSource.read(selection), run_salt(given.seed, table.identity)
+    source = ConditionSource.read(selection)
+    salt = run_salt(given.seed, table.identity)
     condition = Condition(given.condition)
     batch = source.batch(np.arange(len(selection)), condition, seed=given.seed, salt=salt, sample=0)
-    return Trial(model, selection, batch, given.method)
+    return _Trial(model, selection, batch, given.method)
 
 
 def _settings(mode: str, given: argparse.Namespace, model: MotionModel) -> OptimisationSettings:
-    if mode not in MODES:
-        raise UsageError(f"unknown mode '{mode}'; there are {', '.join(MODES)}.")
+    if mode not in _MODES:
+        raise UsageError(f"unknown mode '{mode}'; there are {', '.join(_MODES)}.")
     steps = model.configuration.diffusion_steps
     pairs = [option.partition("=") for option in getattr(given, f"{mode}_option")]
     try:
         options = {key: value for key, _, value in pairs}
-        return optimisation_settings(options, MODES[mode](steps), diffusion_steps=steps)
+        return optimisation_settings(options, _MODES[mode](steps), diffusion_steps=steps)
     except ValueError as error:
         raise UsageError(f"--{mode}-option: {error}") from error
 
 
-def _run(mode: str, trial: Trial, settings: OptimisationSettings, out: Path) -> None:
+def _run(mode: str, trial: _Trial, settings: OptimisationSettings, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     made_of = {
         "settings": settings.record(),
@@ -150,7 +155,7 @@ def _made_of(record: Path) -> object:
     return content.get("made_of") if isinstance(content, dict) else None
 
 
-def _result(trial: Trial, found: OptimisedMotions) -> ModeResult:
+def _result(trial: _Trial, found: OptimisedMotions) -> ModeResult:
     """Losses with the two success rates of the protocol."""
     joints = found.joints.cpu().numpy()
     predicted = MotionBatch.from_padded(joints, trial.selection.n_frames)
@@ -182,11 +187,11 @@ def _recorded(selection: Selection) -> tuple[MotionBatch, ScoringTargets]:
     )
 
 
-def _conclude(trial: Trial, out: Path) -> None:
-    results = {mode: ModeResult.read(out / f"{mode}.csv") for mode in MODES}
+def _conclude(trial: _Trial, out: Path) -> None:
+    results = {mode: ModeResult.read(out / f"{mode}.csv") for mode in _MODES}
     found = verdict(results["fast"], results["paper"], trial.selection.recording_ids)
     write_json(out / "verdict.json", found)
-    draw_curves(out / "curves.png", {mode: read_curve(out / f"{mode}_curve.csv") for mode in MODES})
+    draw_curves(out / "curves.png", {mode: read_curve(out / f"{mode}_curve.csv") for mode in _MODES})
     for key, value in found.items():
         print(f"{key}: {value}")  # noqa: T201 - a command
 

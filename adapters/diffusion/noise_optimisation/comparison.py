@@ -14,11 +14,19 @@ from jaxtyping import Float
 
 from prbench.evaluation.intervals import mean_interval
 from prbench.storage import atomic_path
-from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
+from prbench_adapters.diffusion.noise_optimisation.optimise import OptimisedMotions
 
-TERMS = ("initial", "goal", "jerk")
+_TERMS = ("initial", "goal", "jerk")
 MARGIN = 0.10
 """Largest difference in Prime Success that counts as none, as a fraction."""
+SEQUENCE_COLUMNS = (
+    "sequence_id",
+    *_TERMS,
+    "prime_success",
+    "reach_success",
+    "network_passes",
+)
+CURVE_COLUMNS = ("network_passes", *_TERMS)
 
 
 @dataclass(frozen=True)
@@ -40,21 +48,11 @@ class ModeResult:
 
     @classmethod
     def read(cls, path: Path) -> ModeResult:
-        """What :func:`write_csv` has written of :meth:`rows`."""
+        """Read what :func:`write_csv` has written of :meth:`rows`."""
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         numbers = {name: np.array([float(row[name]) for row in rows]) for name in SEQUENCE_COLUMNS[1:]}
         return cls(tuple(row["sequence_id"] for row in rows), **numbers)
-
-
-SEQUENCE_COLUMNS = (
-    "sequence_id",
-    *TERMS,
-    "prime_success",
-    "reach_success",
-    "network_passes",
-)
-CURVE_COLUMNS = ("network_passes", *TERMS)
 
 
 def curve(found: OptimisedMotions) -> list[list[float]]:
@@ -66,8 +64,9 @@ def curve(found: OptimisedMotions) -> list[list[float]]:
     chains = found.iterations.numpy() + _decoded_again(found)
     each = float((found.network_passes.numpy() / chains).max())
     medians = []
-    for name in TERMS:
-        values, final = getattr(found.history, name), getattr(found, name).cpu().numpy()
+    for name in _TERMS:
+        values = getattr(found.history, name)
+        final = getattr(found, name).cpu().numpy()
         medians.append(np.median(np.where(np.isnan(values), final, values), axis=1))
     return [[each * (i + 1), *(float(column[i]) for column in medians)] for i in range(iterations)]
 
@@ -95,7 +94,7 @@ def read_curve(path: Path) -> Float[np.ndarray, "iterations 4"]:
 
 
 def verdict(fast: ModeResult, paper: ModeResult, recording_ids: Sequence[str]) -> dict[str, object]:
-    """Whether the fast mode is as good: medians of final losses, and the paired interval of Prime Success.
+    """Compare the fast mode with the paper's: medians of final losses, and the paired interval of Prime Success.
 
     Args:
         fast: The mode in question.
@@ -106,7 +105,7 @@ def verdict(fast: ModeResult, paper: ModeResult, recording_ids: Sequence[str]) -
         raise ValueError("the two modes were not run on the same sequences")
     medians = {
         name: {"fast": float(np.median(getattr(fast, name))), "paper": float(np.median(getattr(paper, name)))}
-        for name in TERMS
+        for name in _TERMS
     }
     low, high = prime_difference_interval(fast.prime_success - paper.prime_success, recording_ids)
     shown = low is not None and high is not None and low > -MARGIN and high < MARGIN
@@ -129,11 +128,13 @@ def prime_difference_interval(
 ) -> tuple[float | None, float | None]:
     """95 % interval of the mean paired difference of a rate; None for a bound that the data cannot give.
 
-    The wider of the house's interval over recordings and Agresti and Min's adjusted Wald interval (half a sequence
+    The wider of the benchmark's interval over recordings and Agresti and Min's adjusted Wald interval (half a sequence
     added to each cell of the paired table): the first alone would be a point where no sequence differs.
     """
     own = mean_interval(differences, list(recording_ids))
-    n, gained, lost = len(differences), float((differences > 0).sum()), float((differences < 0).sum())
+    n = len(differences)
+    gained = float((differences > 0).sum())
+    lost = float((differences < 0).sum())
     centre = (gained - lost) / (n + 2)
     spread = math.sqrt(gained + lost + 1.0 - (gained - lost) ** 2 / (n + 2)) / (n + 2)
     reach = NormalDist().inv_cdf(0.975) * spread
@@ -154,8 +155,8 @@ def draw_curves(path: Path, curves: Mapping[str, Float[np.ndarray, "iterations 4
     units = {"initial": "m²", "goal": "m²", "jerk": "m / frame³"}
     figure = Figure(figsize=(12.0, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
-    for place, name in enumerate(TERMS, start=1):
-        axes = figure.add_subplot(1, len(TERMS), place)
+    for place, name in enumerate(_TERMS, start=1):
+        axes = figure.add_subplot(1, len(_TERMS), place)
         for mode, rows in curves.items():
             axes.plot(rows[:, 0], rows[:, place], label=mode, linewidth=1)
         axes.set(xscale="log", yscale="log", title=f"median {name} loss", ylabel=units[name])

@@ -10,22 +10,22 @@ from typing import Protocol, runtime_checkable
 import torch
 from jaxtyping import Float, Int
 
-from prbench_adapters.diffusion.bones import with_bone_lengths
+from prbench_adapters.diffusion.batches import with_bone_lengths
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.guidance import guided
+from prbench_adapters.diffusion.generation import Guided
 from prbench_adapters.diffusion.noise_optimisation.objective import Joints
 from prbench_adapters.diffusion.noise_optimisation.optimise import NoiseDecoder
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
-from prbench_adapters.diffusion.sampling import sample_ddim
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
+_COMPILED: weakref.WeakKeyDictionary[Denoiser, Denoiser] = weakref.WeakKeyDictionary()
 
 
 @runtime_checkable
 class FrozenModel(Protocol):
-    """What of a ``MotionModel`` the optimisation needs."""
+    """The part of a ``MotionModel`` that the optimisation needs."""
 
     @property
     def denoiser(self) -> Denoiser:
@@ -68,7 +68,7 @@ class UnrolledChain:
         self._settings, self._counter = settings, counter or _Counter()
         self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
         denoiser = compiled(model.denoiser) if settings.compiled else model.denoiser
-        self._guided = guided(
+        self._guided = Guided(
             denoiser, condition, n_frames, settings.guidance, reuse=True, precision=settings.precision
         )
 
@@ -106,7 +106,7 @@ class UnrolledChain:
 
 
 class OnOwnBones:
-    """A decoder whose motions keep bone lengths that are given (:mod:`prbench_adapters.diffusion.bones`).
+    """A decoder whose motions keep bone lengths that are given (:mod:`prbench_adapters.diffusion.batches`).
 
     Args:
         decoder: Whose motions.
@@ -118,7 +118,7 @@ class OnOwnBones:
 
     @property
     def network_passes(self) -> int:
-        """Those of the decoder."""
+        """Passes of the decoder."""
         return self._decoder.network_passes
 
     def __call__(self, noise: Noise) -> Joints:
@@ -131,7 +131,7 @@ class OnOwnBones:
 
 
 def compiled(denoiser: Denoiser) -> Denoiser:
-    """The same network whose passes go through ``torch.compile``, for any batch and length; compiled at most once.
+    """Send the passes of a network through ``torch.compile``, for any batch and length; compiled at most once.
 
     Weights are shared. The first pass takes a minute or more, and on a processor needs a C++ compiler.
     """
@@ -140,6 +140,3 @@ def compiled(denoiser: Denoiser) -> Denoiser:
         object.__setattr__(twin, "denoise", torch.compile(denoiser.denoise, dynamic=True))
         _COMPILED[denoiser] = twin
     return _COMPILED[denoiser]
-
-
-_COMPILED: weakref.WeakKeyDictionary[Denoiser, Denoiser] = weakref.WeakKeyDictionary()

@@ -1,19 +1,101 @@
-"""From a batch of conditions to motions by noise optimisation: the way of DNO, and of P&R."""
+"""Motions for a batch of conditions by noise optimisation: the way of DNO, and of P&R."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 
 from prbench.contract import ConditionBatch, Cost, Motions
+from prbench_adapters.diffusion.batches import ModelBodies, bone_lengths, parts_of_similar_length, start_noise
+from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.generation import require_lengths
 from prbench_adapters.diffusion.model import MotionModel
-from prbench_adapters.diffusion.noise import start_noise
-from prbench_adapters.diffusion.noise_optimisation.entry import optimise_noise
+from prbench_adapters.diffusion.noise_optimisation.decoder import FrozenModel, OnOwnBones, UnrolledChain
 from prbench_adapters.diffusion.noise_optimisation.objective import ObjectiveFromSettings, Targets, prime_and_reach
-from prbench_adapters.diffusion.noise_optimisation.result import OptimisedMotions
+from prbench_adapters.diffusion.noise_optimisation.optimise import History, NoiseDecoder, OptimisedMotions, optimise
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
-from prbench_adapters.diffusion.skeletons import ModelBodies
+
+
+def optimise_noise(
+    model: FrozenModel,
+    condition: EncodedCondition,
+    targets: Targets,
+    n_frames: Int[torch.Tensor, " batch"],
+    noise: Float[torch.Tensor, "batch frames 263"],
+    settings: OptimisationSettings,
+    *,
+    seeds: Sequence[int],
+    objective: ObjectiveFromSettings = prime_and_reach,
+) -> OptimisedMotions:
+    """Optimise the noise of B sequences, in parts of similar length.
+
+    Args:
+        model: The frozen model.
+        condition: What the network is conditioned on.
+        targets: What the motions are asked for, on the device of ``noise``.
+        n_frames: Frames of each sequence; on the CPU, so that the host never waits for them.
+        noise: Start noise of each sequence, normally distributed.
+        settings: A preset of :mod:`~prbench_adapters.diffusion.noise_optimisation.settings`, changed or not.
+        seeds: One per sequence, usually its ``noise_seed``.
+        objective: What is minimised: the paper's losses, or DNO's ``keyframes``.
+    """
+    parts = [
+        (rows, _part(model, condition, targets, n_frames, noise, settings, seeds, objective, rows))
+        for rows in parts_of_similar_length(n_frames.numpy(), settings.batch_size)
+    ]
+    return _together(parts, noise, n_frames, settings)
+
+
+def _part(
+    model: FrozenModel,
+    condition: EncodedCondition,
+    targets: Targets,
+    n_frames: torch.Tensor,
+    noise: torch.Tensor,
+    settings: OptimisationSettings,
+    seeds: Sequence[int],
+    objective: ObjectiveFromSettings,
+    rows: np.ndarray,
+) -> OptimisedMotions:
+    lengths = n_frames[torch.as_tensor(rows)]
+    index = torch.as_tensor(rows, device=noise.device)
+    wanted = targets.rows(index)
+    decoder: NoiseDecoder = UnrolledChain(model, condition.rows(index), lengths, settings)
+    if settings.bones == "initial":
+        decoder = OnOwnBones(decoder, bone_lengths(wanted.initial_joints))
+    return optimise(
+        decoder,
+        objective(settings),
+        wanted,
+        noise[index, : int(lengths.max())],
+        lengths.to(noise.device),
+        [seeds[row] for row in rows],
+        settings,
+    )
+
+
+def _together(
+    parts: list[tuple[np.ndarray, OptimisedMotions]],
+    noise: torch.Tensor,
+    n_frames: torch.Tensor,
+    settings: OptimisationSettings,
+) -> OptimisedMotions:
+    batch, frames = noise.shape[:2]
+    joints = noise.new_zeros((batch, frames, 22, 3))
+    found = noise.clone()
+    initial, goal, jerk = (noise.new_zeros(batch) for _ in range(3))
+    passes, iterations = (torch.zeros(batch, dtype=torch.int64) for _ in range(2))
+    history = History.empty(settings.iterations, batch)
+    for rows, part in parts:
+        own = part.joints.shape[1]
+        joints[rows, :own], found[rows, :own] = part.joints, part.noise
+        initial[rows], goal[rows], jerk[rows] = part.initial, part.goal, part.jerk
+        passes[rows], iterations[rows] = part.network_passes.cpu(), part.iterations.cpu()
+        history.put_rows(rows, part.history)
+    return OptimisedMotions(joints, found, n_frames, initial, goal, jerk, passes, iterations, history, settings)
 
 
 def generate_optimised(
@@ -36,7 +118,7 @@ def generate_optimised(
     Raises:
         AdapterError: if a sequence is longer than the model knows.
     """
-    require_lengths(batch, model)
+    require_lengths(batch, model.configuration.max_frames)
     bodies = ModelBodies.of(batch, model.configuration)
     found = optimise_batch(model, bodies.batch, settings, objective=objective, texts=texts)
     cost = Cost(network_passes=int(found.network_passes.sum()))

@@ -1,4 +1,4 @@
-"""What optimised motions are measured by: initial state, goal and jerk, and DNO's keyframes.
+"""Objectives of optimised motions: initial state, goal and jerk, and DNO's keyframes.
 
 Every objective reports the same three losses in the same units, so that methods can be compared, beside the sum that
 it minimises. Frames behind a sequence's end are never looked at.
@@ -38,7 +38,7 @@ class Losses:
 
 @dataclass(frozen=True, kw_only=True)
 class Targets:
-    """What B motions are asked for, canonical frame, metres; exactly one of the two goals is given."""
+    """Initial states and goals of B motions, canonical frame, metres; exactly one of the two goals is given."""
 
     initial_joints: Float[torch.Tensor, "batch 22 3"]
     previous_joints: Float[torch.Tensor, "batch 22 3"]
@@ -79,13 +79,13 @@ class PrimeAndReach:
 
     def __call__(self, joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets) -> Losses:
         """Losses of each sequence; squared distances are averaged over joints, so that 1 joint weighs as much as 22."""
-        initial = squared_distance(joints[:, 0], targets.initial_joints)
-        goal, pursued = goal_losses(joints, n_frames, targets, self.hand)
+        initial = _squared_distance(joints[:, 0], targets.initial_joints)
+        goal, pursued = _goal_losses(joints, n_frames, targets, self.hand)
         jerk = largest_jerk(joints, n_frames)
         smooth = jerk if self.jerk_power is None else jerk_norm(joints, n_frames, self.jerk_power)
         minimised = initial + pursued + self.jerk_weight * smooth
         if self.initial_velocity_weight:
-            velocity = squared_distance(joints[:, 1] - joints[:, 0], targets.initial_joints - targets.previous_joints)
+            velocity = _squared_distance(joints[:, 1] - joints[:, 0], targets.initial_joints - targets.previous_joints)
             minimised = minimised + self.initial_velocity_weight * velocity
         return Losses(minimised, initial, goal, jerk)
 
@@ -117,8 +117,8 @@ class Keyframes:
             errors.append((wrist - _location(targets)).abs())
         return Losses(
             minimised=torch.cat(errors, dim=1).mean(dim=1),
-            initial=squared_distance(joints[:, 0], targets.initial_joints).detach(),
-            goal=goal_losses(joints, n_frames, targets, self.hand)[0].detach(),
+            initial=_squared_distance(joints[:, 0], targets.initial_joints).detach(),
+            goal=_goal_losses(joints, n_frames, targets, self.hand)[0].detach(),
             jerk=largest_jerk(joints.detach(), n_frames),
         )
 
@@ -136,7 +136,7 @@ def keyframes(settings: OptimisationSettings) -> Objective:
     return Keyframes(settings.hand, settings.initial_frames)
 
 
-def goal_losses(
+def _goal_losses(
     joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets, hand: Hand
 ) -> tuple[PerSequence, PerSequence]:
     """The goal loss as reported and as minimised, m²; they differ for ``hand="nearest"`` only.
@@ -146,7 +146,7 @@ def goal_losses(
     """
     last = last_frame(joints, n_frames)
     if targets.goal_joints is not None:
-        loss = squared_distance(last, targets.goal_joints)
+        loss = _squared_distance(last, targets.goal_joints)
         return loss, loss
     location = _location(targets)
     if hand != "nearest":
@@ -168,7 +168,7 @@ def chosen_wrist(
     return torch.where(left_nearer[:, None], left, right)
 
 
-def squared_distance(
+def _squared_distance(
     predicted: Float[torch.Tensor, "batch 22 3"], wanted: Float[torch.Tensor, "batch 22 3"]
 ) -> PerSequence:
     """Mean over joints of the squared distance, m²."""
@@ -180,7 +180,7 @@ def last_frame(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[t
     return joints[torch.arange(len(joints), device=joints.device), n_frames - 1]
 
 
-def jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch windows 22"]:
+def _jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch windows 22"]:
     """Lengths of x(n+3) - 3 x(n+2) + 3 x(n+1) - x(n), metres per frame³; 0 where a window leaves the sequence.
 
     The gradient of a length 0 is 0, not NaN.
@@ -193,11 +193,11 @@ def jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float
 
 
 def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> PerSequence:
-    """The largest of :func:`jerk_lengths`, 0 for fewer than four frames.
+    """The largest of :func:`_jerk_lengths`, 0 for fewer than four frames.
 
     Source: docs/specification/pr-model.md#latent-noise-optimisation.
     """
-    lengths = jerk_lengths(joints, n_frames).flatten(1)
+    lengths = _jerk_lengths(joints, n_frames).flatten(1)
     return lengths.amax(dim=1) if lengths.shape[1] else joints.new_zeros(len(joints))
 
 
@@ -206,7 +206,7 @@ def jerk_norm(joints: Joints, n_frames: Int[torch.Tensor, " batch"], power: floa
 
     Its gradient reaches every place that is about as jerky as the worst one, where the maximum reaches one place only.
     """
-    lengths = jerk_lengths(joints, n_frames).flatten(1)
+    lengths = _jerk_lengths(joints, n_frames).flatten(1)
     largest = largest_jerk(joints, n_frames).detach().clamp_min(1e-12)
     return largest * (lengths / largest[:, None]).pow(power).sum(dim=1).clamp_min(1e-12).pow(1.0 / power)
 

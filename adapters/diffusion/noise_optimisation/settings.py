@@ -1,15 +1,17 @@
-"""All that decides an optimisation, as one record, and its published and fast presets.
+"""All that decides an optimisation, as one record: its published and fast presets, and the options that change them.
 
-Nothing here needs torch, so that options are checked before anything heavy is loaded.
+The options (``--option key=value``) are shared by the methods that optimise noise.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from typing import Literal, cast, get_args
 
-from prbench_adapters.diffusion.schedule import Spacing
+from prbench_adapters.diffusion.options import choice, number, whole_number
+from prbench_adapters.diffusion.sampling import Spacing
 
 Hand = Literal["right", "left", "nearest"]
 Keep = Literal["last", "best"]
@@ -17,6 +19,25 @@ Bones = Literal["predicted", "initial"]
 Precision = Literal["float32", "bfloat16"]
 
 _FAST_PASSES, _FAST_STEPS = 400, 4
+_SHARED = (
+    "ddim-steps",
+    "spacing",
+    "iterations",
+    "learning-rate",
+    "decorrelation",
+    "hand",
+    "bones",
+    "keep",
+    "stop-below",
+    "checkpointing",
+    "precision",
+    "compile",
+)
+PRIME_AND_REACH_OPTIONS = (*_SHARED, "alpha", "initial-velocity-weight")
+"""Options that go with the objective ``prime_and_reach``."""
+KEYFRAME_OPTIONS = (*_SHARED, "initial-frames")
+"""Options that go with the objective ``keyframes``."""
+_MOST_ITERATIONS = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +51,13 @@ class OptimisationSettings:
     ddim_steps: int = 50
     """Steps of the deterministic chain from noise to motion, of equal stride, in every iteration and at the end."""
     spacing: Spacing = "leading"
-    """Whether they are counted from the cleanest step, as DNO does, or back from the noisiest."""
+    """End from which they are counted: the cleanest step, as DNO does, or the noisiest."""
     iterations: int = 400
     learning_rate: float = 0.05
     warmup: int = 50
     """Iterations over which the learning rate grows from 0."""
     unit_gradient: bool = True
-    """Whether each sequence's gradient is brought to length 1 before Adam."""
+    """Bring each sequence's gradient to length 1 before Adam."""
     jerk_weight: float = 0.5
     """The paper's alpha."""
     jerk_power: float | None = None
@@ -53,15 +74,15 @@ class OptimisationSettings:
     guidance: float = 1.0
     """Scale of classifier-free guidance; anything but 1 doubles the network passes."""
     keep: Keep = "last"
-    """Whether the last iterate is the result, or the one with the lowest initial plus goal loss."""
+    """Iterate that is the result: the last, or the one with the lowest initial plus goal loss."""
     stop_below: float | None = None
     """Initial and goal loss, m², below which a sequence is finished; None runs all iterations."""
     checkpointing: int = 0
     """Steps a block whose activations are computed again instead of kept; 0 keeps all."""
     precision: Precision = "float32"
-    """Of the network; schedule, integration and losses are float32 always."""
+    """Precision of the network; schedule, integration and losses are float32 always."""
     compiled: bool = False
-    """Whether the network goes through ``torch.compile``."""
+    """Send the network through ``torch.compile``."""
     batch_size: int = 16
     """Most sequences that are optimised side by side; no result depends on it beyond rounding."""
 
@@ -94,7 +115,7 @@ def dno_paper(diffusion_steps: int) -> OptimisationSettings:
 
 
 def fast(diffusion_steps: int) -> OptimisationSettings:
-    """At most 400 network passes a sequence, the last decoding included.
+    """Spend at most 400 network passes a sequence, the last decoding included.
 
     Found on small models of synthetic data: with a fixed number of passes, fewer steps and more iterations lower all
     losses; so do twice the learning rate, a decorrelation term that does not outweigh the others, and a power norm of
@@ -115,3 +136,43 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
         keep="best",
         stop_below=1e-6,
     )
+
+
+def optimisation_settings(
+    options: Mapping[str, str], preset: OptimisationSettings, *, diffusion_steps: int
+) -> OptimisationSettings:
+    """A preset with the options that were given; the warm-up keeps its share of the iterations.
+
+    Args:
+        options: As given; keys that are in neither list above are not looked at.
+        preset: What holds for options that are not given.
+        diffusion_steps: Steps that the model was trained with.
+
+    Raises:
+        ValueError: naming the option with a value that is not possible.
+    """
+    iterations = whole_number(options, "iterations", most=_MOST_ITERATIONS) or preset.iterations
+    blocks = whole_number(options, "checkpointing", most=diffusion_steps) if options.get("checkpointing") != "0" else 0
+    return replace(
+        preset,
+        ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps) or preset.ddim_steps,
+        spacing=cast(Spacing, _one_of(options, "spacing", preset.spacing, get_args(Spacing))),
+        iterations=iterations,
+        warmup=round(preset.warmup * iterations / preset.iterations),
+        learning_rate=number(options, "learning-rate", preset.learning_rate),
+        jerk_weight=number(options, "alpha", preset.jerk_weight),
+        decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
+        initial_velocity_weight=number(options, "initial-velocity-weight", preset.initial_velocity_weight),
+        initial_frames=whole_number(options, "initial-frames", most=2) or preset.initial_frames,
+        hand=cast(Hand, _one_of(options, "hand", preset.hand, get_args(Hand))),
+        bones=cast(Bones, _one_of(options, "bones", preset.bones, get_args(Bones))),
+        keep=cast(Keep, _one_of(options, "keep", preset.keep, get_args(Keep))),
+        stop_below=number(options, "stop-below", 0.0) if "stop-below" in options else preset.stop_below,
+        checkpointing=preset.checkpointing if blocks is None else blocks,
+        precision=cast(Precision, _one_of(options, "precision", preset.precision, get_args(Precision))),
+        compiled=_one_of(options, "compile", "true" if preset.compiled else "false", ("false", "true")) == "true",
+    )
+
+
+def _one_of(options: Mapping[str, str], key: str, default: str, values: tuple[str, ...]) -> str:
+    return choice(options, key, values) if key in options else default

@@ -18,7 +18,7 @@ from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTa
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import recording_batch, sequence_batch
-from prbench.sequences.write_dataset import write_dataset
+from prbench.sequences.write import write_dataset
 
 Conditions = TypeVar("Conditions", ConditionSource, ConditionBatch)
 SEQUENCES = 12

@@ -15,9 +15,9 @@ from prbench.manifests import load_protocol
 from prbench.sequences import Sequence
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, assign
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.true_clips import FPS, PREROLL, TrueClip, sample_joints, true_clips
+from prbench.synthetic.statistics import FPS, PREROLL, TrueClip, sample_joints, true_clips
 
 DATASET = "synthetic-conformance"
 _PRESET = "adt"
@@ -39,7 +39,7 @@ def synthetic_sequences(split: str, number: int) -> list[Sequence]:
 def _sequences(split: str) -> Iterator[Sequence]:
     source = Source(_SEED, _PRESET, "default")
     for index in count():
-        if cast(source, index, "person_and_room").split != split:
+        if assign(source, index, "person_and_room").split != split:
             continue
         performance = perform(_PRESET, seed=_SEED, index=index, rate=_RATE, provocations={})
         for clip in true_clips(performance)[:_CLIPS_OF_ONE]:

@@ -13,8 +13,8 @@ from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expecte
 from prbench.checking.doctor.reading import NamedMotion, read_motions
 from prbench.errors import UsageError
 from prbench.evaluation.conditions import opaque_ids, run_salt
-from prbench.paths import turn_into_paths
 from prbench.sequences import SequenceTable
+from prbench.storage import turn_into_paths
 from prbench.submitted.offline import read_conditions_file
 from prbench.submitted.offline.conditions_file import ConditionsFile
 

@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.corpora.cutting import cut_motion
-from prbench.corpora.humanml3d import format as layout
-from prbench.corpora.humanml3d.texts import TextLine
-from prbench.corpora.options import ClipLimits
-from prbench.corpora.sources import Belonging
+from prbench.corpora.humanml3d import files as layout
+from prbench.corpora.humanml3d.files import TextLine
+from prbench.corpora.sources import ClipLimits, RecordingIdentity
 from prbench.manifests import Manifest
 from prbench.sequences.corpus import Annotation, Caption, Clip
 
@@ -19,7 +18,7 @@ _WHOLE, _PART = "caption", "sub_caption"
 
 
 def clips_of(
-    belonging: Belonging,
+    identity: RecordingIdentity,
     joints: Float[np.ndarray, "frames 22 3"],
     lines: Sequence[TextLine],
     limits: ClipLimits,
@@ -31,7 +30,7 @@ def clips_of(
     does, ``motion[int(from * 20) : int(to * 20)]``.
 
     Args:
-        belonging: Whose clips they are.
+        identity: Whose clips they are.
         joints: Of the whole motion, metres, Y up.
         lines: Captions in file order.
         limits: Lengths of clips.
@@ -40,7 +39,7 @@ def clips_of(
     clips, annotations = [], []
     for (start, end), members in _by_span(lines, len(joints) / layout.RATE).items():
         kind = _WHOLE if members[0][1].is_whole else _PART
-        name = f"{belonging.dataset}/{belonging.recording_id}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}"
+        name = f"{identity.dataset}/{identity.recording_id}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}"
         sequence_id = f"{name}/{manifest.body.pose_source}"
         captions = tuple(dict.fromkeys(Caption(line.text, kind, line.tokens) for _, line in members if line.text))
         first = int(start * layout.RATE)
@@ -48,9 +47,7 @@ def clips_of(
         outcome, value, threshold = _fate(captions, start, end, available, limits)
         if outcome == "clip":
             n_frames = min(available, limits.longest)
-            clip = _clip(
-                sequence_id, belonging, kind, captions, joints, first, n_frames, (start, end), limits, manifest
-            )
+            clip = _clip(sequence_id, identity, kind, captions, joints, first, n_frames, (start, end), limits, manifest)
             outcome = "no_heading" if clip is None else "clip"
             clips += [] if clip is None else [clip]
         seen: set[str] = set()
@@ -60,8 +57,8 @@ def clips_of(
             decided = own == outcome
             annotations.append(
                 Annotation(
-                    annotation_id=f"{belonging.dataset}/{belonging.recording_id}/{number}",
-                    recording_id=belonging.recording_id,
+                    annotation_id=f"{identity.dataset}/{identity.recording_id}/{number}",
+                    recording_id=identity.recording_id,
                     sequence_id=sequence_id if own == "clip" else None,
                     kind=kind,
                     text=line.text,
@@ -99,7 +96,7 @@ def _fate(
 
 def _clip(
     sequence_id: str,
-    belonging: Belonging,
+    identity: RecordingIdentity,
     kind: str,
     captions: tuple[Caption, ...],
     joints: np.ndarray,
@@ -116,11 +113,11 @@ def _clip(
     start = first / layout.RATE
     return Clip(
         sequence_id=sequence_id,
-        dataset=belonging.dataset,
-        recording_id=belonging.recording_id,
-        participant_id=belonging.participant_id,
-        split=belonging.split,
-        split_group=belonging.split_group,
+        dataset=identity.dataset,
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
+        split_group=identity.split_group,
         kind=kind,
         captions=captions,
         fps=limits.fps,
@@ -130,7 +127,7 @@ def _clip(
         text_start=span[0],
         text_end=span[1],
         cut=span[1] * layout.RATE - first >= n_frames + 1,
-        mirrored=belonging.recording_id.startswith(layout.MIRROR_PREFIX),
+        mirrored=identity.recording_id.startswith(layout.MIRROR_PREFIX),
         clock_method="same",
         clock_offset=0.0,
         clock_quality=None,

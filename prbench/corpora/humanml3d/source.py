@@ -10,12 +10,10 @@ from typing import Literal
 
 from prbench.boundary import foreign_input
 from prbench.bounded import read_text
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.corpora.humanml3d.clips import clips_of
-from prbench.corpora.humanml3d.motion import read_joints
-from prbench.corpora.humanml3d.texts import read_texts
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.humanml3d.files import read_joints, read_texts
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.errors import InputFileError, UsageError
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -25,6 +23,11 @@ from prbench.storage import file_digest, text_digest
 _BYTES_A_SECOND, _TABLE_SHARE = 3.6e6, 2.7
 _UNKNOWN_PERSON = "unknown"
 _FILES_OF_A_GROUP = 2  # last digits that the names of a group do not share: a hundred motions
+_MAKE_JOINTS = (
+    "The notebooks of the dataset's repository write new_joints beside new_joint_vecs; run them again."
+    " Turning features into joints is no part of this command."
+)
+Split = Literal["train", "validation", "test"]
 
 
 @dataclass(frozen=True)
@@ -48,13 +51,13 @@ class HumanML3DSource:
 
     root: Path
     files: MotionFiles
-    belonging: Belonging
+    identity: RecordingIdentity
     skip_reason: str | None
     limits: ClipLimits
 
     @property
     def cost(self) -> Cost:
-        """By the bytes of all input files."""
+        """Estimate from the bytes of all input files."""
         size = sum(path.stat().st_size for path in self.files.used)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
@@ -88,14 +91,8 @@ class HumanML3DSource:
             )
         joints = read_joints(files.joints)
         lines = read_texts(files.texts or self.root / layout.TEXTS_FOLDER / f"{files.name}.txt")
-        clips, annotations = clips_of(self.belonging, joints, lines, self.limits, load_manifest("humanml3d"))
+        clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
         return ReadRecording(clips, annotations, len(joints) / layout.RATE)
-
-
-_MAKE_JOINTS = (
-    "The notebooks of the dataset's repository write new_joints beside new_joint_vecs; run them again."
-    " Turning features into joints is no part of this command."
-)
 
 
 class HumanML3DCorpus:
@@ -103,7 +100,7 @@ class HumanML3DCorpus:
 
     @property
     def manifest(self) -> Manifest:
-        """Of HumanML3D."""
+        """HumanML3D's manifest."""
         return load_manifest("humanml3d")
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
@@ -113,7 +110,7 @@ class HumanML3DCorpus:
 
     @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[HumanML3DSource, ...]:
-        """All motions of which joints, features or texts were found."""
+        """Find all motions with joints, features or texts."""
         if root is None:
             raise UsageError("--root DIR is needed: the folder HumanML3D with new_joints, texts and train.txt.")
         root, limits = root.expanduser().resolve(), self._limits(options)
@@ -125,8 +122,8 @@ class HumanML3DCorpus:
             group = name.removeprefix(layout.MIRROR_PREFIX)
             split = splits.get(name)
             reason = None if split else "not listed in train.txt, val.txt or test.txt"
-            belonging = Belonging(dataset, name, _UNKNOWN_PERSON, split or "train", group)
-            sources.append(HumanML3DSource(root, files, belonging, reason, limits))
+            identity = RecordingIdentity(dataset, name, _UNKNOWN_PERSON, split or "train", group)
+            sources.append(HumanML3DSource(root, files, identity, reason, limits))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
@@ -174,9 +171,6 @@ def _by_stem(folder: Path, suffix: str) -> Mapping[str, Path]:
     if not folder.is_dir():
         return {}
     return {path.stem: path for path in folder.iterdir() if path.suffix == suffix and not path.name.startswith(".")}
-
-
-Split = Literal["train", "validation", "test"]
 
 
 def _splits(root: Path) -> dict[str, Split]:

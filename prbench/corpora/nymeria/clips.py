@@ -11,8 +11,7 @@ from prbench.corpora.cutting import CutMotion, cut_motion
 from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import Narration
-from prbench.corpora.options import ClipLimits
-from prbench.corpora.sources import Belonging
+from prbench.corpora.sources import ClipLimits, RecordingIdentity
 from prbench.sequences.corpus import Annotation, Caption, Clip
 
 _ROUNDING = 1e-6
@@ -20,7 +19,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class _Span:
-    """All texts of one kind for one stretch of time."""
+    """The texts of one kind for one stretch of time."""
 
     kind: str
     start: float
@@ -30,7 +29,7 @@ class _Span:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Where a span lies in a piece of the motion, or why it does not."""
+    """The place of a span in a piece of the motion, or the reason why it has none."""
 
     outcome: str
     value: float | None = None
@@ -42,7 +41,7 @@ class _Fit:
 
 
 def clips_of(
-    belonging: Belonging,
+    identity: RecordingIdentity,
     body: BodyMotion,
     narrations: Sequence[Narration],
     offset: ClockOffset | None,
@@ -54,7 +53,7 @@ def clips_of(
     Texts of one kind for exactly the same span (several annotators, several answers) share a clip.
 
     Args:
-        belonging: Whose clips they are.
+        identity: Whose clips they are.
         body: The motion.
         narrations: Any order.
         offset: From text to motion clock; None where none was found.
@@ -63,14 +62,14 @@ def clips_of(
     """
     clips, annotations = [], []
     for span in _spans(narrations):
-        name = f"{belonging.dataset}/{belonging.recording_id}/{span.kind}/{_micros(span.start)}-{_micros(span.end)}"
+        name = f"{identity.dataset}/{identity.recording_id}/{span.kind}/{_micros(span.start)}-{_micros(span.end)}"
         sequence_id = f"{name}/{body.pose_source}"
         captions, outcomes = _captions(span)
         fit = _Fit("no_text")
         if captions:
             fit = _fit(span, body.pieces, offset, limits, thresholds["smallest_coverage"])
         if fit.outcome == "clip" and offset is not None and fit.piece is not None:
-            clip = _clip(sequence_id, belonging, body, span, captions, offset, fit, limits.fps)
+            clip = _clip(sequence_id, identity, body, span, captions, offset, fit, limits.fps)
             fit = fit if clip is not None else _Fit("no_heading")
             clips += [] if clip is None else [clip]
         for number, (kind, text, outcome) in enumerate(outcomes):
@@ -78,7 +77,7 @@ def clips_of(
             annotations.append(
                 Annotation(
                     annotation_id=f"{name}/{number}",
-                    recording_id=belonging.recording_id,
+                    recording_id=identity.recording_id,
                     sequence_id=sequence_id if decided.outcome == "clip" else None,
                     kind=kind,
                     text=text,
@@ -97,7 +96,7 @@ def _micros(seconds: float) -> int:
 
 
 def _spans(narrations: Sequence[Narration]) -> list[_Span]:
-    """By kind and time; the order of rows in the file leaves no trace."""
+    """Group narrations by kind and time; the order of rows in the file leaves no trace."""
     groups: dict[tuple[str, int, int], list[Narration]] = {}
     for row in narrations:
         groups.setdefault((row.kind, _micros(row.start), _micros(row.end)), []).append(row)
@@ -162,7 +161,7 @@ def _place(piece: MotionPiece, start: float, end: float, fps: float) -> tuple[in
 
 def _clip(
     sequence_id: str,
-    belonging: Belonging,
+    identity: RecordingIdentity,
     body: BodyMotion,
     span: _Span,
     captions: tuple[Caption, ...],
@@ -179,11 +178,11 @@ def _clip(
     start = piece.start + fit.first / piece.rate
     return Clip(
         sequence_id=sequence_id,
-        dataset=belonging.dataset,
-        recording_id=belonging.recording_id,
-        participant_id=belonging.participant_id,
-        split=belonging.split,
-        split_group=belonging.split_group,
+        dataset=identity.dataset,
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
+        split_group=identity.split_group,
         kind=span.kind,
         captions=captions,
         fps=fps,

@@ -1,4 +1,4 @@
-"""From the glasses' clock, on which texts are timed, to the suit's: three ways, the first that works.
+"""Find the offset from the glasses' clock, on which texts are timed, to the suit's: three ways, the first that works.
 
 The offset is constant within a recording and differs between recordings (docs/specification/nymeria.md#narrations).
 """
@@ -30,23 +30,23 @@ _LONGEST_OF_CORRELATION = 1e7  # samples; a broken clock must not ask for all me
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How text times become suit times: ``TIME_CODE = device time + seconds``."""
+    """The offset that turns text times into suit times: ``TIME_CODE = device time + seconds``."""
 
     method: Literal["file", "correlation", "start_alignment", "known"]
-    """``known``: invented people, whose clocks nobody has to find."""
+    """``known``: synthetic people, whose clocks nobody has to find."""
     seconds: float
     quality: float | None = None
     """Height of the correlation's peak."""
 
     @property
     def approximate(self) -> bool:
-        """Whether only the starts were aligned."""
+        """Return True if only the starts were aligned."""
         return self.method == "start_alignment"
 
 
 @dataclass(frozen=True)
-class AngularSpeed:
-    """How fast something turns, on a uniform grid."""
+class _AngularSpeed:
+    """The angular speed of something on a uniform grid."""
 
     start: float
     """Seconds, of the first sample."""
@@ -137,7 +137,7 @@ def offset_by_starts(
 
 def angular_speed(
     times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"], rate: float
-) -> AngularSpeed | None:
+) -> _AngularSpeed | None:
     """Angular speed on a uniform grid; samples next to a gap in the poses are invalid. None below a second."""
     grid = np.arange(times[0], times[-1], 1.0 / rate)
     if len(grid) < rate or len(grid) > _LONGEST_OF_CORRELATION:
@@ -147,12 +147,12 @@ def angular_speed(
     right = np.clip(np.searchsorted(times, grid, side="right"), 1, len(times) - 1)
     steady = times[right] - times[right - 1] <= LONGEST_POSE_STEP
     valid = steady[:-1] & steady[1:]
-    return AngularSpeed(
+    return _AngularSpeed(
         float(grid[0]) + 0.5 / rate, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * rate), valid
     )
 
 
-def best_agreement(first: AngularSpeed, second: AngularSpeed, rate: float) -> Peak:
+def best_agreement(first: _AngularSpeed, second: _AngularSpeed, rate: float) -> Peak:
     """Normalised correlation over every lag at which at least half of the shorter signal overlaps.
 
     Mean and spread are those of the overlap itself, so that a lag at which the quiet ends meet is not preferred.
@@ -182,7 +182,7 @@ def best_agreement(first: AngularSpeed, second: AngularSpeed, rate: float) -> Pe
 
 
 def _parabola(score: np.ndarray, best: int) -> float:
-    """How far the top lies from the highest sample, in samples."""
+    """Return the distance of the top from the highest sample, in samples."""
     if best in (0, len(score) - 1):
         return 0.0
     before, top, after = score[best - 1 : best + 2]

@@ -76,7 +76,7 @@ class Narration:
 
 @dataclass(frozen=True)
 class NymeriaRecording:
-    """What the files of one sequence hold, and what a synthetic sequence is before it is written."""
+    """The content of one sequence's files, real or before a synthetic one is written."""
 
     name: str
     suit: Suit

@@ -13,16 +13,13 @@ from jaxtyping import Int
 
 from prbench.boundary import foreign_input
 from prbench.corpora.nymeria import format as nymeria
-from prbench.corpora.nymeria.body import BodyMotion, suit_motion
+from prbench.corpora.nymeria.body import BodyMotion, read_smpl_fit, smpl_motion, suit_motion
 from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_by_starts, offset_from_file
-from prbench.corpora.nymeria.find import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences
+from prbench.corpora.nymeria.files import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench.corpora.nymeria.format import Narration, NymeriaRecording
-from prbench.corpora.nymeria.narrations import read_narrations
-from prbench.corpora.nymeria.smpl import read_smpl_fit, smpl_motion
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
-from prbench.corpora.options import ClipLimits, CorpusOptions
-from prbench.corpora.sources import Belonging, Cost, ReadRecording
+from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
@@ -35,21 +32,22 @@ from prbench.storage import file_digest, read_json, text_digest
 
 _BYTES_A_SECOND, _TABLE_SHARE = 50e6, 0.06
 _NO_GAZE = np.empty(0, dtype=np.int64)
+__all__ = ["CORPUS", "NymeriaOptions", "NymeriaRecording", "NymeriaSource", "recording_clips"]
 
 
 class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Choices about Nymeria."""
 
     mapping: str = "anatomical"
-    """Which suit segment becomes which joint: ``anatomical``, or one of the manifest's other mappings (``named``)."""
+    """Mapping of suit segments to joints: ``anatomical``, or one of the manifest's other mappings (``named``)."""
     body: Literal["xsens", "smpl"] = "xsens"
     """The suit, or the fit of the Plus release (needs ``smpl_model``)."""
     smpl_model: Path | None = None
     """The user's SMPL neutral model as ``.npz``."""
     kinds: str = "atomic_action,motion_narration"
-    """Which texts become clips."""
+    """Kinds of texts that become clips."""
     start_alignment: bool = True
-    """Whether texts may be placed by aligning starts where nothing better works; such clips are marked."""
+    """True if texts may be placed by aligning starts where nothing better works; such clips are marked."""
 
     @property
     def chosen_kinds(self) -> tuple[str, ...]:
@@ -75,14 +73,14 @@ class NymeriaSource:
 
     root: Path
     found: RecordingFiles
-    belonging: Belonging
+    identity: RecordingIdentity
     skip_reason: str | None
     options: NymeriaOptions
     limits: ClipLimits
 
     @property
     def cost(self) -> Cost:
-        """By the bytes of all input files."""
+        """Estimate from the bytes of all input files."""
         size = sum(file.size for file in self.found.files)
         return Cost(size, size / _BYTES_A_SECOND, size * _TABLE_SHARE)
 
@@ -113,7 +111,7 @@ class NymeriaSource:
         clean = clean_suit(read_suit(path), self._manifest.thresholds, path=path)
         offset, messages = self._offset(clean, narrations)
         read = recording_clips(
-            self.belonging, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
+            self.identity, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
         )
         message = "; ".join(part for part in (*self._without_texts(narrations), *messages, read.message) if part)
         return ReadRecording(
@@ -200,7 +198,7 @@ def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, off
 
 
 def recording_clips(
-    belonging: Belonging,
+    identity: RecordingIdentity,
     body: BodyMotion,
     narrations: tuple[Narration, ...],
     offset: ClockOffset | None,
@@ -208,7 +206,7 @@ def recording_clips(
     thresholds: dict[str, float],
 ) -> ReadRecording:
     """Clips and the fate of every text; used for files and for recordings that were never written."""
-    clips, annotations = clips_of(belonging, body, narrations, offset, limits, thresholds)
+    clips, annotations = clips_of(identity, body, narrations, offset, limits, thresholds)
     duration = sum(len(piece.joints) / piece.rate for piece in body.pieces)
     return ReadRecording(
         clips,
@@ -226,7 +224,7 @@ class NymeriaCorpus:
 
     @property
     def manifest(self) -> Manifest:
-        """Of Nymeria."""
+        """Nymeria's manifest."""
         return load_manifest("nymeria")
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
@@ -241,7 +239,7 @@ class NymeriaCorpus:
 
     @foreign_input()
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[NymeriaSource, ...]:
-        """All sequences below a folder."""
+        """Find all sequences below a folder."""
         if root is None:
             raise UsageError("--root DIR is needed: your copy of Nymeria.")
         chosen, limits = self._options(options), ClipLimits.of(options, self.manifest.thresholds)
@@ -250,9 +248,9 @@ class NymeriaCorpus:
             name, dataset = found.recording_id, found.dataset
             participant = _participant(found)
             split = found.split or split_by_participant(self.manifest, participant)
-            belonging = Belonging(dataset, name, participant, split, participant)
-            sources.append(NymeriaSource(root, found, belonging, self.manifest.why_bad(name), chosen, limits))
-        require_one_origin(root, (source.belonging.dataset for source in sources))
+            identity = RecordingIdentity(dataset, name, participant, split, participant)
+            sources.append(NymeriaSource(root, found, identity, self.manifest.why_bad(name), chosen, limits))
+        require_one_origin(root, (source.identity.dataset for source in sources))
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
@@ -288,6 +286,3 @@ def _participant(found: RecordingFiles) -> str:
         if isinstance(metadata, dict) and isinstance(metadata.get("fake_name"), str) and metadata["fake_name"]:
             return metadata["fake_name"]
     return nymeria.participant_of(found.recording_id)
-
-
-__all__ = ["CORPUS", "NymeriaOptions", "NymeriaRecording", "NymeriaSource", "recording_clips"]

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import prbench
-from prbench.text.clip import VARIABLE as CLIP
-from prbench.text.distilbert import VARIABLE as DISTILBERT
+from prbench.text.pretrained import CLIP_VARIABLE, DISTILBERT_VARIABLE
 
 _ALLOWED = frozenset(
     {
@@ -26,7 +25,7 @@ _ALLOWED_BEGINNINGS = (
     "LC_", "CUDA_", "CUDNN_", "CUBLAS_", "NVIDIA_", "PYTORCH_", "OMP_", "KMP_", "GOMP_", "MKL_", "OPENBLAS_",
     "NUMEXPR_", "VECLIB_", "HIP_", "HSA_", "ROCR_",
 )  # fmt: skip
-_TEXT_ENCODERS = (DISTILBERT, CLIP)
+_TEXT_ENCODERS = (DISTILBERT_VARIABLE, CLIP_VARIABLE)
 _MODEL_CACHES = {"HF_HOME": "huggingface", "TORCH_HOME": "torch"}
 
 

@@ -1,4 +1,4 @@
-"""What models put out, as the 22 joints in the canonical frame (``docs/wrapping.md``).
+"""Converters from what models put out to the 22 joints in the canonical frame (``docs/wrapping.md``).
 
 Three sources: HumanML3D features, SMPL parameters, joints of another skeleton. Every step is a small pure function in
 NumPy; nothing here imports torch except :class:`SmplxModel`.
@@ -6,7 +6,7 @@ NumPy; nothing here imports torch except :class:`SmplxModel`.
 
 from __future__ import annotations
 
-from prbench.representation.converters.axes import to_y_up
+from prbench.representation.converters.axes import at_rate, at_times, frames_needed, to_y_up
 from prbench.representation.converters.feature_checks import FeatureWarning, check_features
 from prbench.representation.converters.features import (
     feature_rows,
@@ -15,6 +15,8 @@ from prbench.representation.converters.features import (
     read_feature_statistics,
     relative_root,
 )
+from prbench.representation.converters.joint_map import JointMap
+from prbench.representation.converters.named_skeletons import JOINT_MAPS, joint_map, joint_map_by_names
 from prbench.representation.converters.placement import (
     in_frame_of,
     on_body_of,
@@ -24,14 +26,10 @@ from prbench.representation.converters.placement import (
     to_canonical,
 )
 from prbench.representation.converters.plausibility import check_limbs, check_sides, front_of_legs
-from prbench.representation.converters.skeletons.joint_map import JointMap
-from prbench.representation.converters.skeletons.named import JOINT_MAPS, joint_map, joint_map_by_names
-from prbench.representation.converters.smpl.body_model import RestJoints, read_rest_joints
-from prbench.representation.converters.smpl.joints import smpl_joints
-from prbench.representation.converters.smpl.parameters import SmplParameters, read_amass
-from prbench.representation.converters.smpl.rotations import RotationForm, quaternions_of
-from prbench.representation.converters.smpl.through_smplx import SmplxModel
-from prbench.representation.converters.timing import at_rate, at_times, frames_needed
+from prbench.representation.converters.smpl_joints import RestJoints, read_rest_joints, smpl_joints
+from prbench.representation.converters.smpl_parameters import SmplParameters, read_amass
+from prbench.representation.converters.smpl_rotations import RotationForm, quaternions_of
+from prbench.representation.converters.smplx_package import SmplxModel
 
 __all__ = [
     "JOINT_MAPS",

@@ -1,4 +1,4 @@
-"""Whether features were restored with the statistics of their own model, judged over all motions of a batch."""
+"""Checks that features were restored with the statistics of their own model, judged over all motions of a batch."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.decoding import decode
+from prbench.representation.encoding import decode
 from prbench.representation.features import FOOT_CONTACTS, JOINT_VELOCITIES, ROOT_LINEAR_VELOCITY
 
 FEATURES = "features"
-"""What messages call an array that comes from no file and no named method."""
+"""Name in messages of an array that comes from no file and no named method."""
 
 _WALKS = 0.005  # metres a frame; slower pelvises say nothing about their scale
 _SAME_SCALE = 3.0  # factor between the two ways in which the step of the pelvis is written
@@ -42,7 +42,7 @@ class FeatureWarning(UserWarning):
 
 @dataclass(frozen=True)
 class _Doubt:
-    """What is odd about one motion."""
+    """Doubt about one motion."""
 
     row: int
     where: str

@@ -1,4 +1,4 @@
-"""What a HumanML3D model puts out, as joints: statistics, layout, rows and frames.
+"""Joints from what a HumanML3D model puts out: statistics, layout, rows and frames.
 
 Sources: docs/specification/humanml3d.md#inverse and docs/specification/humanml3d.md#normalisation.
 
@@ -19,8 +19,7 @@ from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.numpy_files import load_array
 from prbench.representation.converters.feature_checks import FEATURES, check_features
-from prbench.representation.decoding import decode, decode_rotations
-from prbench.representation.encoding import yaw_matrices
+from prbench.representation.encoding import decode, decode_rotations, yaw_matrices
 from prbench.representation.features import (
     JOINT_VELOCITIES,
     N_FEATURES,
@@ -51,7 +50,8 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     Raises:
         InputFileError: if a file is missing, no ``.npy`` of plain numbers, or holds other than 263 finite numbers.
     """
-    means, stds = _vector(mean), _vector(std)
+    means = _vector(mean)
+    stds = _vector(std)
     if (stds < 0).any():
         column = int(np.flatnonzero(stds < 0)[0])
         raise InputFileError(

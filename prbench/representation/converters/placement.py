@@ -1,4 +1,4 @@
-"""Where a generated motion stands: in the canonical frame, on the initial pose, on the body of the person."""
+"""Placement of a generated motion: in the canonical frame, on the initial pose, on the body of the person."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.checks import IN_MEMORY, check_joints
-from prbench.representation.clips import canonicalise
-from prbench.representation.converters.axes import to_y_up
+from prbench.representation.clips import IN_MEMORY, canonicalise, check_joints
+from prbench.representation.converters.axes import at_rate, to_y_up
 from prbench.representation.converters.plausibility import check_limbs, check_sides
-from prbench.representation.converters.timing import at_rate
 from prbench.representation.features import FRAME_RATE
 from prbench.representation.uniform_skeleton import rest_offsets, retarget
 from prbench.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points
@@ -95,7 +93,8 @@ def placed_on(
     motion = joints.astype(np.float64)
     turn = _yaw(initial_joints, "initial_joints") - _yaw(motion[0], source)
     placed_from_given = np.eye(4)
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     placed_from_given[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
     placed = transform_points(placed_from_given, motion)
     placed += initial_joints[Joint.PELVIS].astype(np.float64) - placed[0, Joint.PELVIS]

@@ -1,4 +1,4 @@
-"""Whether 22 joints can be a person's: left where left should be, limbs of human length.
+"""Checks that 22 joints can be a person's: left where left should be, limbs of human length.
 
 Wrong units, exchanged sides and a wrong order of joints pass every check of shapes; these numbers show them. They are
 refused here, before they become a score; ``prbench doctor`` looks at more.
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.representation.checks import IN_MEMORY, check_finite
+from prbench.representation.clips import IN_MEMORY, check_finite
 from prbench.representation.converters.axes import UNITS
 from prbench.skeleton import PARENTS, Joint
 
@@ -91,7 +91,7 @@ def _no_limb(source: Path | str, end: Joint, expected: str, length: float) -> In
 
 
 def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True) -> float | None:
-    """How far feet and bent knees point to where hips and shoulders say that the front is.
+    """Measure how far feet and bent knees point to the front that hips and shoulders give.
 
     Args:
         joints: Y up, right-handed, metres.
@@ -111,11 +111,11 @@ def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True
     pointing = np.stack(pointers)[..., ::2]  # (pointers, frames, 2)
     length = np.linalg.norm(pointing, axis=-1)
     size = length * np.linalg.norm(front, axis=-1)
-    told = length > _BEND
-    if not told.any():
+    decisive = length > _BEND
+    if not decisive.any():
         return None
     cosine = (pointing * front).sum(axis=-1) / np.where(size > 0, size, 1.0)
-    return float((cosine * length)[told].sum() / length[told].sum())
+    return float((cosine * length)[decisive].sum() / length[decisive].sum())
 
 
 def check_sides(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True, source: Path | str = IN_MEMORY) -> None:

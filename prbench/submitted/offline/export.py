@@ -18,10 +18,9 @@ from prbench.evaluation.preparation import supported
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.methods.native_rate import at_native_rate
-from prbench.paths import turn_into_paths
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
-from prbench.storage import write_text
+from prbench.storage import turn_into_paths, write_text
 from prbench.submitted.offline.conditions_file import (
     ConditionsFile,
     ConditionsInfo,

@@ -10,8 +10,8 @@ import pyarrow as pa
 from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.methods.names import SHUFFLED_GOAL, name_problem
-from prbench.paths import turn_into_paths
 from prbench.runs.summary import DatasetSummary
+from prbench.storage import turn_into_paths
 
 
 @dataclass(frozen=True, kw_only=True)

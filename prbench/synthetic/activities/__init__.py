@@ -1,9 +1,9 @@
-"""Everyday activities of procedural people, with true descriptions: what pre-training corpora are invented from.
+"""Everyday activities of procedural people, with true descriptions: the source of synthetic pre-training corpora.
 
 Source: docs/specification/synthetic-recordings.md#text.
 """
 
-from prbench.synthetic.activities.narrated import NarratedMotion, TrueNarration
-from prbench.synthetic.activities.recordings import Cast, cast_of, narrated_recording
+from prbench.synthetic.activities.narrate import NarratedMotion, TrueNarration
+from prbench.synthetic.activities.recordings import Identity, identity_of, narrated_recording
 
-__all__ = ["Cast", "NarratedMotion", "TrueNarration", "cast_of", "narrated_recording"]
+__all__ = ["Identity", "NarratedMotion", "TrueNarration", "identity_of", "narrated_recording"]

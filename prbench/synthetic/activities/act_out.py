@@ -7,22 +7,83 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.activities.hands import move_hands
-from prbench.synthetic.activities.script import Arc, Script
-from prbench.synthetic.people.arms import pose_arms
+from prbench.synthetic.activities.script import Arc, Hand, Loop, Script
+from prbench.synthetic.people.arms import elbow_poles, move_wrists, pose_arms
 from prbench.synthetic.people.base import BasePath, BasePose, sample_base
-from prbench.synthetic.people.channels import blend, bump, eased_trapezoid
+from prbench.synthetic.people.channels import add_bump, blend, bump, eased_trapezoid, minimum_jerk
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
-from prbench.synthetic.people.geometry import direction
-from prbench.synthetic.people.head_eye import move_head
-from prbench.synthetic.people.legs import pose_legs
+from prbench.synthetic.people.geometry import direction, turn
+from prbench.synthetic.people.head_eye import Head, move_head
+from prbench.synthetic.people.legs import Legs, place_feet, plan_steps, pose_legs
 from prbench.synthetic.people.motion import Motion, assemble
+from prbench.synthetic.people.person import Trunk, seated_pelvis_height, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan
-from prbench.synthetic.people.posture import Bending, draw_sway, move_trunk
+from prbench.synthetic.people.posture import Bending, Sway, draw_sway, move_trunk
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.steps import place_feet, plan_steps
-from prbench.synthetic.people.trunk import seated_pelvis_height, standing_pelvis_height
 from prbench.synthetic.people.world import Room
+
+_ALONG_THIGH, _ABOVE_THIGH = 0.62, 0.055
+_LOOP_EASE = 0.35  # s in which a loop begins and ends
+
+
+def _move_hands(
+    plan: Plan, script: Script, trunk: Trunk, legs: Legs, sway: Sway, head: Head, times: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3"]]:
+    """Return wanted wrists, and directions of the elbows in the chest's frame. Commands act in time order."""
+    rest = move_wrists(plan, trunk, sway, times)
+    wrists = rest.copy()
+    commands = sorted(script.hands, key=lambda command: command.begin)
+    for command in commands:
+        target = _target(plan, command, trunk, legs, rest, head, times)
+        blend(wrists[:, command.hand], times, command.begin, command.duration, target)
+        if command.bulge:
+            forward = turn(trunk.yaws[3], 0.0, np.array([0.0, 0.0, command.bulge]))
+            first, last = np.searchsorted(times, [command.begin, command.begin + command.duration])
+            add_bump(wrists[:, command.hand], times, command.begin, command.duration, forward[first:last])
+    usual = elbow_poles(plan.person.habits.elbow_flare, trunk, wrists)
+    poles = usual.copy()
+    for command in commands:
+        pole = usual[:, command.hand]
+        if command.pole is not None:
+            outwards, up, forward = command.pole
+            pole = np.array([outwards if command.hand == 0 else -outwards, up, forward])
+        blend(poles[:, command.hand], times, command.begin, command.duration, pole)
+    return wrists, poles
+
+
+def _target(
+    plan: Plan, command: Hand, trunk: Trunk, legs: Legs, rest: np.ndarray, head: Head, times: np.ndarray
+) -> np.ndarray:
+    hand = command.hand
+    side = 1.0 if command.hand == 0 else -1.0
+    stature = plan.person.body.stature
+    offset = np.array([side * command.offset[0], command.offset[1], command.offset[2]]) * stature
+    if command.place == "rest":
+        return rest[:, hand]
+    if command.place == "world":
+        return np.array(command.offset)
+    if command.place == "thigh":
+        hip = trunk.hips[hand]
+        knee = legs.knee[:, hand]
+        return hip + _ALONG_THIGH * (knee - hip) + np.array([0.0, _ABOVE_THIGH, 0.0])
+    if command.place == "head":
+        middle = trunk.neck + turn(head.yaw, 0.0, np.array([0.0, 0.06 * stature, 0.02 * stature]))
+        return middle + turn(head.yaw, 0.0, offset) + _loop(command.loop, trunk, times)
+    shoulder = trunk.shoulders[hand]
+    if command.place == "middle":
+        shoulder = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
+    return shoulder + turn(trunk.yaws[3], 0.0, offset) + _loop(command.loop, trunk, times)
+
+
+def _loop(loop: Loop | None, trunk: Trunk, times: np.ndarray) -> np.ndarray:
+    """Return the ellipse in the chest's frame, growing at its beginning and shrinking at its end."""
+    if loop is None:
+        return np.zeros(3)
+    size = minimum_jerk((times - loop.begin) / _LOOP_EASE) * minimum_jerk((loop.end - times) / _LOOP_EASE)
+    phase = 2.0 * np.pi * loop.frequency * (times - loop.begin)
+    way = np.sin(phase)[:, None] * loop.first + np.cos(phase)[:, None] * loop.second
+    return turn(trunk.yaws[3], 0.0, size[:, None] * way)
+
 
 _SEAT_BACK = 0.22  # of the stature, behind the feet
 _SITTING_LEAN = np.deg2rad(35.0)
@@ -31,7 +92,7 @@ _NOWHERE = Room("", (0.0, 0.0), (), ())
 
 
 def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generator) -> Motion:
-    """The whole body at every frame.
+    """Return the whole body at every frame.
 
     Args:
         preset: Gains of the head.
@@ -42,7 +103,7 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     person = script.person
     times = np.arange(round(script.end * rate) + 1) / rate
     plan = Plan(preset, person, _NOWHERE, False, script.start, (), script.segments, ())
-    feet_base = sample_moves(script, times)
+    feet_base = _sample_moves(script, times)
     seated = _seated(script, times)
     base = _sat_back(feet_base, seated, person.body.stature)
     steps = plan_steps(person, script.segments)
@@ -56,15 +117,17 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     head = move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
     trunk = move_trunk(plan, base, bending, sway, feet, steps, times, head)
     legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
-    wrists, poles = move_hands(plan, script, trunk, legs, sway, head, times)
+    wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
     arms = pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
 
 
-def sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
-    """Where the feet carry the person, at every frame."""
+def _sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
+    """Return where the feet carry the person, at every frame."""
     path = sample_base(script.start, (), times)
-    x, z, heading = path.x.copy(), path.z.copy(), path.heading.copy()
+    x = path.x.copy()
+    z = path.z.copy()
+    heading = path.heading.copy()
     for move in script.moves:
         first = int(np.searchsorted(times, move.begin))
         if isinstance(move, Arc):
@@ -83,7 +146,7 @@ def sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
 
 
 def _seated(script: Script, times: np.ndarray) -> Float[np.ndarray, " n"]:
-    """0 standing to 1 sitting."""
+    """Return 0 where the person stands to 1 where they sit."""
     seated = np.zeros(times.size)
     for sit in script.sits:
         blend(seated, times, sit.begin, sit.duration, float(sit.down))
@@ -91,7 +154,7 @@ def _seated(script: Script, times: np.ndarray) -> Float[np.ndarray, " n"]:
 
 
 def _sat_back(base: BasePath, seated: np.ndarray, stature: float) -> BasePath:
-    """The pelvis moves back onto the seat; the feet stay."""
+    """Move the pelvis back onto the seat; the feet stay."""
     back = _SEAT_BACK * stature * seated
     return replace(base, x=base.x - back * np.sin(base.heading), z=base.z - back * np.cos(base.heading))
 
@@ -101,7 +164,8 @@ def _bending(script: Script, seated: np.ndarray, times: np.ndarray) -> Bending:
     channels = np.zeros((times.size, 3))
     for bend in sorted(script.bends, key=lambda bend: bend.begin):
         blend(channels, times, bend.begin, bend.duration, np.array([bend.lean, bend.crouch, bend.chest_turn]))
-    lean, crouch = channels[:, 0], channels[:, 1]
+    lean = channels[:, 0]
+    crouch = channels[:, 1]
     for sit in script.sits:
         lean += _SITTING_LEAN * bump((times - sit.begin) / sit.duration)
     body = script.person.body
@@ -112,7 +176,7 @@ def _bending(script: Script, seated: np.ndarray, times: np.ndarray) -> Bending:
 def _all_looks(
     script: Script, base: BasePath, seated: np.ndarray, times: np.ndarray, rng: np.random.Generator
 ) -> tuple[Look, ...]:
-    """The looks of the activities, and looks ahead in between."""
+    """Return the looks of the activities, and looks ahead in between."""
     looks: list[Look] = []
     now = 0.0
     last = Look(float(times[-1]), float(times[-1]), np.zeros(3), False, None)
@@ -130,9 +194,10 @@ def _all_looks(
 def _ahead(
     script: Script, base: BasePath, seated: np.ndarray, times: np.ndarray, now: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A point some metres ahead of where the person will soon be and face."""
+    """Return a point some metres ahead of where the person will soon be and face."""
     index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
     pose: BasePose = base.pose(index)
     height = script.person.body.stature * (0.93 - 0.22 * float(seated[index]))
-    yaw, pitch = pose.heading + rng.normal(0.0, 0.22), rng.normal(0.16, 0.08)
+    yaw = pose.heading + rng.normal(0.0, 0.22)
+    pitch = rng.normal(0.16, 0.08)
     return pose.point + np.array([0.0, height, 0.0]) + rng.uniform(2.0, 3.5) * direction(yaw, pitch)

@@ -17,17 +17,14 @@ from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities.act_out import act_out
 from prbench.synthetic.activities.acts import PAUSE, SHORT, SITTING, STANDING, stand
-from prbench.synthetic.activities.goals import narrate_events
-from prbench.synthetic.activities.narrate import narrate
-from prbench.synthetic.activities.narrated import NarratedMotion
-from prbench.synthetic.activities.script import Script
-from prbench.synthetic.activities.stage import Stage
+from prbench.synthetic.activities.narrate import NarratedMotion, narrate, narrate_events
+from prbench.synthetic.activities.script import Script, ScriptWriter
 from prbench.synthetic.people import PRESETS, Preset, perform
 from prbench.synthetic.people.person import Person, draw_person
-from prbench.synthetic.people.population import Source, cast
+from prbench.synthetic.people.world import Source, assign
 
 RATE = 240.0
-N_ACTIVITIES = 14
+_N_ACTIVITIES = 14
 N_EVENTS = 8
 _EVERY = 4
 """Each so many-th recording shows picks and puts."""
@@ -40,7 +37,7 @@ _CLOSING = 0.8
 
 
 @dataclass(frozen=True)
-class Cast:
+class Identity:
     """Name, person and split of one recording, known before it is acted out."""
 
     recording_id: str
@@ -51,30 +48,30 @@ class Cast:
     person: int
 
 
-def cast_of(seed: int, index: int) -> Cast:
-    """Who acts in recording ``index`` of the corpus of a seed."""
+def identity_of(seed: int, index: int) -> Identity:
+    """Return who acts in recording ``index`` of the corpus of a seed."""
     preset = _GOAL_PRESETS[(index // _EVERY) % len(_GOAL_PRESETS)] if index % _EVERY == _EVERY - 1 else None
     source = _source(seed, "activities") if preset is None else Source(_goal_seed(seed), preset, "default")
-    casting = cast(source, index, "person_and_room")
-    participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{casting.person:03d}"
+    assigned = assign(source, index, "person_and_room")
+    participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{assigned.person:03d}"
     name = f"20000101_s0_{participant}_act{seed}_n{index:05d}"
-    return Cast(name, participant, casting.split, preset, casting.person)
+    return Identity(name, participant, assigned.split, preset, assigned.person)
 
 
 def narrated_recording(seed: int, index: int) -> NarratedMotion:
     """Act out recording ``index``; it depends on nothing but the two numbers."""
-    casting = cast_of(seed, index)
-    if casting.goal_preset is not None:
-        return _goal_recording(seed, index, casting, casting.goal_preset)
+    identity = identity_of(seed, index)
+    if identity.goal_preset is not None:
+        return _goal_recording(seed, index, identity, identity.goal_preset)
     source = _source(seed, "activities")
-    person = draw_person(_preset(), casting.participant_id, source.generator("person", casting.person, "body"))
-    script = write_script(person, source.generator("recording", index, "plan"), N_ACTIVITIES)
+    person = draw_person(_preset(), identity.participant_id, source.generator("person", identity.person, "body"))
+    script = _write_script(person, source.generator("recording", index, "plan"), _N_ACTIVITIES)
     motion = act_out(_preset(), script, RATE, source.generator("recording", index, "motion"))
     words = source.generator("recording", index, "narration")
     return NarratedMotion(
-        recording_id=casting.recording_id,
-        participant_id=casting.participant_id,
-        split=casting.split,
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
         rate=RATE,
         joints=motion.joints,
         rotations=motion.rotations,
@@ -86,20 +83,20 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
     )
 
 
-def write_script(person: Person, rng: np.random.Generator, n_activities: int) -> Script:
+def _write_script(person: Person, rng: np.random.Generator, n_activities: int) -> Script:
     """Draw one activity after the other; people stand up before they walk on."""
-    stage = Stage(person, rng)
-    stage.now = stage.draw(*_FIRST_TEXT)
-    stand(stage)
+    writer = ScriptWriter(person, rng)
+    writer.now = writer.draw(*_FIRST_TEXT)
+    stand(writer)
     for _ in range(n_activities):
-        last = stage.script.acts[-1]
-        waits = last.name in SHORT and stage.rng.random() < _WAITS
-        stage.now = max(stage.now + stage.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
-        choices = SITTING if stage.is_seated else STANDING
+        last = writer.script.acts[-1]
+        waits = last.name in SHORT and writer.rng.random() < _WAITS
+        writer.now = max(writer.now + writer.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
+        choices = SITTING if writer.is_seated else STANDING
         weights = np.array(list(choices.values()))
-        list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](stage)
-    stage.script.end = stage.now + _CLOSING
-    return stage.script
+        list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](writer)
+    writer.script.end = writer.now + _CLOSING
+    return writer.script
 
 
 def _preset() -> Preset:
@@ -111,18 +108,18 @@ def _source(seed: int, preset: str) -> Source:
 
 
 def _goal_seed(seed: int) -> int:
-    """Of the prime-and-reach recordings: no seed that anybody gives to a benchmark table."""
+    """Return the seed of the prime-and-reach recordings, which nobody gives to a benchmark table."""
     drawn = named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", "goals").integers(2**40, 2**60)
     return int(drawn)
 
 
-def _goal_recording(seed: int, index: int, casting: Cast, preset: str) -> NarratedMotion:
+def _goal_recording(seed: int, index: int, identity: Identity, preset: str) -> NarratedMotion:
     performance = perform(preset, seed=_goal_seed(seed), index=index, n_events=N_EVENTS, rate=RATE, provocations={})
     words = Source(seed, "corpus", "default").generator("recording", index, "narration")
     return NarratedMotion(
-        recording_id=casting.recording_id,
-        participant_id=casting.participant_id,
-        split=casting.split,
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
         rate=RATE,
         joints=performance.joints,
         rotations=performance.rotations,

@@ -16,7 +16,7 @@ SLOW, BRISK = 0.7, 1.25
 """Metres a second: below it somebody walks slowly, above it briskly."""
 SLIGHT, AROUND = 60.0, 135.0
 """Degrees: below it somebody turns slightly, above it around."""
-CURVED = 25.0
+_CURVED = 25.0
 """Degrees of heading that make a walk a walk to one side."""
 
 _HANDS = {0: "the left hand", 1: "the right hand", 2: "both hands"}
@@ -60,7 +60,7 @@ def facts_of(name: str, hand: int | None, span: Span) -> Facts:
         slots |= {"speed": speed_word(walking_speed(span)), "steps": _COUNTS[min(span.steps, len(_COUNTS) - 1)]}
         slots["steps"] = "several" if span.steps >= len(_COUNTS) or span.steps < 2 else slots["steps"]
     if name == "walk":
-        name = "walk straight" if abs(turned) < CURVED else "walk turning"
+        name = "walk straight" if abs(turned) < _CURVED else "walk turning"
     if name in ("walk turning", "curve", "turn"):
         slots |= _sides(turned > 0.0) | {"amount": amount_word(abs(turned))}
     elif name == "sidestep":
@@ -81,20 +81,20 @@ def facts_of(name: str, hand: int | None, span: Span) -> Facts:
 
 
 def clause(facts: Facts, rng: np.random.Generator) -> str:
-    """One of the patterns of an activity with its slots filled."""
+    """Draw one of the patterns of an activity and fill its slots."""
     patterns = PATTERNS[facts.name]
     filled = patterns[int(rng.integers(len(patterns)))].format_map(facts.slots)
     return re.sub(r"\s+([,.])", r"\1", re.sub(r"\s+", " ", filled)).strip()
 
 
 def sentence(clauses: list[str], rng: np.random.Generator) -> str:
-    """Clauses with a subject; two activities are joined by "then"."""
+    """Put a subject before the clauses; two activities are joined by "then"."""
     subject = _SUBJECTS[int(rng.random() < _OTHER_SUBJECT)]
     return f"{subject} {', then '.join(clauses)}."
 
 
 def walking_speed(span: Span) -> float:
-    """Median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s."""
+    """Return the median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s."""
     tenth = max(1, round(span.rate / 10.0))
     way = np.diff(span.joints[::tenth, Joint.PELVIS][:, [0, 2]], axis=0)
     speed = np.linalg.norm(way, axis=1) * span.rate / tenth
@@ -102,13 +102,17 @@ def walking_speed(span: Span) -> float:
 
 
 def speed_word(speed: float) -> str:
-    """``slowly``, ``briskly`` or nothing."""
-    return "slowly" if speed < SLOW else "briskly" if speed > BRISK else ""
+    """Return ``slowly``, ``briskly`` or nothing."""
+    if speed < SLOW:
+        return "slowly"
+    return "briskly" if speed > BRISK else ""
 
 
 def amount_word(degrees: float) -> str:
-    """How far somebody turns."""
-    return "slightly" if degrees < SLIGHT else "around" if degrees > AROUND else ""
+    """Return the word for how far somebody turns."""
+    if degrees < SLIGHT:
+        return "slightly"
+    return "around" if degrees > AROUND else ""
 
 
 def _sides(left: bool) -> dict[str, str]:
@@ -117,12 +121,15 @@ def _sides(left: bool) -> dict[str, str]:
 
 
 def _distance_word(metres: float) -> str:
-    return "a small" if metres < 0.35 else "a" if metres < 0.5 else "a big"
+    if metres < 0.35:
+        return "a small"
+    return "a" if metres < 0.5 else "a big"
 
 
 def _reach_height(joints: np.ndarray, hand: int) -> str:
-    """Where the wrist is when it is farthest from the shoulder's vertical."""
-    wrist, shoulder = joints[:, WRISTS[hand]], joints[:, Joint.LEFT_SHOULDER + hand]
+    """Return in words where the wrist is when it is farthest from the shoulder's vertical."""
+    wrist = joints[:, WRISTS[hand]]
+    shoulder = joints[:, Joint.LEFT_SHOULDER + hand]
     out = np.linalg.norm((wrist - joints[:, Joint.PELVIS])[:, [0, 2]], axis=1)
     frame = int(out.argmax())
     height = float(wrist[frame, 1])

@@ -6,12 +6,19 @@ A new layout's defects are a new module with a ``DEFECTS`` and one line in :data
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from prbench.errors import UsageError, did_you_mean
+from prbench.storage import write_json
+
+Damage = Callable[[Path, str], None]
+"""Damages the recording of that id below the tree's root; deterministic."""
+Row = dict[str, str]
+"""One line of a CSV file by column."""
 
 DEFECT_MODULES: dict[str, str] = {
     "adt": "prbench.synthetic.defects.adt",
@@ -33,8 +40,7 @@ class Defect:
     """Lower case with dashes, for example ``missing-gaze``."""
     what: str
     """One line for the help page."""
-    apply: Callable[[Path, str], None]
-    """Damages the recording of that id below the tree's root; deterministic."""
+    apply: Damage
     outcome: Literal["failed", "skipped", "read"]
     """What a build must make of the recording: leave it out with a message, or read what is left of it."""
     says: str
@@ -42,14 +48,14 @@ class Defect:
 
 
 def defects_of(preset: str) -> tuple[Defect, ...]:
-    """All defects of a preset's layout."""
+    """Return all defects of a preset's layout."""
     if preset not in DEFECT_MODULES:
         return ()
     return importlib.import_module(DEFECT_MODULES[preset]).DEFECTS
 
 
 def defect(preset: str, name: str) -> Defect:
-    """One defect by name.
+    """Return one defect by name.
 
     Raises:
         UsageError: for an unknown one, naming those there are.
@@ -59,3 +65,36 @@ def defect(preset: str, name: str) -> Defect:
         hint = did_you_mean(name, known)
         raise UsageError(f"{preset} has no defect '{name}'.{hint} It has: {', '.join(known) or 'none'}.")
     return known[name]
+
+
+def missing(name: str) -> Damage:
+    """Return a damage that removes one file of the recording's folder."""
+    return lambda root, recording: (root / recording / name).unlink()
+
+
+def cut_in_half(path: Path) -> None:
+    """Drop the second half of a file, as a copy that stopped."""
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def change_json(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the content of a JSON file in place."""
+    content = json.loads(path.read_text())
+    change(content)
+    write_json(path, content)
+
+
+def change_cells(path: Path, change: Callable[[list[list[str]]], Iterable[Iterable[str]]]) -> None:
+    """Change the lines below the header of a CSV file, each a list of cells."""
+    header, *lines = path.read_text(encoding="utf-8").splitlines()
+    rows = change([line.split(",") for line in lines])
+    path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+
+
+def changed_rows(text: str, change: Callable[[list[Row]], Iterable[Row]]) -> str:
+    """Return the text of a CSV file with other rows below its header."""
+    first, *lines = text.splitlines()
+    header = first.split(",")
+    rows = change([dict(zip(header, line.split(","), strict=True)) for line in lines])
+    return "\n".join([first, *(",".join(row[column] for column in header) for row in rows)]) + "\n"

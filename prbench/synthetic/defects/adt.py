@@ -6,7 +6,6 @@ and docs/specification/adt.md#pitfalls-and-bad-input.
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -15,21 +14,11 @@ from typing import Any
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import format as mps
 from prbench.storage import write_json
-from prbench.synthetic.defects import Defect
-
-_Row = dict[str, str]
-_Damage = Callable[[Path, str], None]
+from prbench.synthetic.defects import Damage, Defect, Row, change_json, changed_rows, cut_in_half, missing
 
 
-def _missing(name: str) -> _Damage:
-    def remove(root: Path, recording: str) -> None:
-        (root / recording / name).unlink()
-
-    return remove
-
-
-def _truncated(name: str) -> _Damage:
-    """As a copy that stopped: the file ends in the middle of a number."""
+def _truncated(name: str) -> Damage:
+    """Cut a file in the middle of a number, as a copy that stopped."""
 
     def cut(root: Path, recording: str) -> None:
         path = root / recording / name
@@ -40,88 +29,76 @@ def _truncated(name: str) -> _Damage:
     return cut
 
 
-def _rows(name: str, change: Callable[[list[_Row]], Iterable[_Row]]) -> _Damage:
+def _rows(name: str, change: Callable[[list[Row]], Iterable[Row]]) -> Damage:
     """Change the rows of a CSV file."""
 
     def rewrite(root: Path, recording: str) -> None:
         path = root / recording / name
-        with open(path, newline="") as file:
-            reader = csv.DictReader(file)
-            columns, rows = list(reader.fieldnames or ()), list(reader)
-        with open(path, "w", newline="") as file:
-            writer = csv.DictWriter(file, columns, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(change(rows))
+        path.write_text(changed_rows(path.read_text(), change))
 
     return rewrite
 
 
-def _content(name: str, change: Callable[[Any], None]) -> _Damage:
+def _content(name: str, change: Callable[[Any], None]) -> Damage:
     """Change the content of a JSON file in place."""
-
-    def rewrite(root: Path, recording: str) -> None:
-        path = root / recording / name
-        content = json.loads(path.read_text())
-        change(content)
-        write_json(path, content)
-
-    return rewrite
+    return lambda root, recording: change_json(root / recording / name, change)
 
 
-def _middle_third(rows: list[_Row]) -> slice:
+def _middle_third(rows: list[Row]) -> slice:
     return slice(len(rows) // 3, 2 * len(rows) // 3)
 
 
-def _without_middle(rows: list[_Row]) -> list[_Row]:
+def _without_middle(rows: list[Row]) -> list[Row]:
     middle = _middle_third(rows)
     return rows[: middle.start] + rows[middle.stop :]
 
 
-def _with_middle(values: dict[str, str]) -> Callable[[list[_Row]], list[_Row]]:
+def _with_middle(values: dict[str, str]) -> Callable[[list[Row]], list[Row]]:
     """Overwrite columns in the middle third."""
 
-    def change(rows: list[_Row]) -> list[_Row]:
+    def change(rows: list[Row]) -> list[Row]:
         middle = range(len(rows))[_middle_third(rows)]
         return [row | values if number in middle else row for number, row in enumerate(rows)]
 
     return change
 
 
-def _scaled(columns: tuple[str, ...], factor: float) -> Callable[[list[_Row]], list[_Row]]:
-    def change(rows: list[_Row]) -> list[_Row]:
+def _scaled(columns: tuple[str, ...], factor: float) -> Callable[[list[Row]], list[Row]]:
+    def change(rows: list[Row]) -> list[Row]:
         return [row | {name: repr(float(row[name]) * factor) for name in columns if row[name]} for row in rows]
 
     return change
 
 
-def _integers_scaled(column: str, factor: int) -> Callable[[list[_Row]], list[_Row]]:
+def _integers_scaled(column: str, factor: int) -> Callable[[list[Row]], list[Row]]:
     return lambda rows: [row | {column: str(int(row[column]) * factor)} for row in rows]
 
 
-def _one_twice(rows: list[_Row]) -> list[_Row]:
+def _one_twice(rows: list[Row]) -> list[Row]:
     return [*rows[: len(rows) // 2], *rows[len(rows) // 2 - 1 :]]
 
 
-def _two_swapped(rows: list[_Row]) -> list[_Row]:
+def _two_swapped(rows: list[Row]) -> list[Row]:
     middle = len(rows) // 2
     return [*rows[:middle], rows[middle + 1], rows[middle], *rows[middle + 2 :]]
 
 
-def _one_object_lost(rows: list[_Row]) -> list[_Row]:
-    """All poses of one tracked object are gone."""
+def _one_object_lost(rows: list[Row]) -> list[Row]:
+    """Remove all poses of one tracked object."""
     lost = min(row[adt.OBJECT_ID] for row in rows if row[adt.OBJECT_TIME] != str(adt.STATIC_TIME))
     return [row for row in rows if row[adt.OBJECT_ID] != lost]
 
 
-def _objects_untracked(rows: list[_Row]) -> list[_Row]:
-    """No object is tracked in the middle third of the recording."""
+def _objects_untracked(rows: list[Row]) -> list[Row]:
+    """Remove all poses of objects in the middle third of the recording."""
     times = sorted({int(row[adt.OBJECT_TIME]) for row in rows} - {adt.STATIC_TIME})
-    first, last = times[len(times) // 3], times[2 * len(times) // 3]
+    first = times[len(times) // 3]
+    last = times[2 * len(times) // 3]
     return [row for row in rows if not first <= int(row[adt.OBJECT_TIME]) < last]
 
 
 def _skeleton(root: Path, recording: str) -> Path:
-    """The wearer's skeleton file."""
+    """Return the wearer's skeleton file."""
     folder = root / recording
     serial = json.loads((folder / adt.METADATA_FILE).read_text())["serial"]
     people = json.loads((folder / adt.ASSOCIATION_FILE).read_text())["SkeletonMetadata"]
@@ -134,18 +111,16 @@ def _missing_skeleton(root: Path, recording: str) -> None:
 
 
 def _no_skeleton(root: Path, recording: str) -> None:
-    """More than half of the dataset: nobody wore the suit."""
+    """Remove the suit, which nobody wore in more than half of the dataset."""
     _missing_skeleton(root, recording)
     write_json(root / recording / adt.ASSOCIATION_FILE, {"SkeletonMetadata": []})
 
 
 def _truncated_skeleton(root: Path, recording: str) -> None:
-    path = _skeleton(root, recording)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+    cut_in_half(_skeleton(root, recording))
 
 
-def _frames(change: Callable[[list[Any]], None]) -> _Damage:
+def _frames(change: Callable[[list[Any]], None]) -> Damage:
     def rewrite(root: Path, recording: str) -> None:
         path = _skeleton(root, recording)
         content = json.loads(path.read_text())
@@ -156,7 +131,7 @@ def _frames(change: Callable[[list[Any]], None]) -> _Damage:
 
 
 def _lost_markers(frames: list[Any]) -> None:
-    """The suit is out of sight for a second: all joints at the origin."""
+    """Move all joints to the origin for a second, as a suit out of sight does."""
     for frame in frames[len(frames) // 2 : len(frames) // 2 + 120]:
         frame["joints"] = [[0, 0, 0]] * adt.N_NATIVE_JOINTS
 
@@ -176,7 +151,7 @@ def _other_clock(content: dict[str, Any]) -> None:
 
 
 def _mps_gaze(root: Path, recording: str) -> None:
-    """The release's gaze is not there, but that of the services is: schema and places of another version."""
+    """Replace the release's gaze by that of the services: schema and places of another version."""
     folder = root / recording / adt.MPS_FOLDER / "eye_gaze"
     folder.mkdir(parents=True)
     (root / recording / adt.GAZE_FILE).rename(folder / mps.GAZE_FILES[2])
@@ -188,12 +163,12 @@ _TIME = mps.TIME_COLUMN
 _BACKWARDS = "The clock runs backwards or a row is repeated"
 
 DEFECTS = (
-    Defect("missing-metadata", "metadata.json is not there", _missing(adt.METADATA_FILE), "failed", adt.METADATA_FILE),
-    Defect("missing-instances", "names of objects are not there", _missing(adt.INSTANCES_FILE), "failed", "instances"),
-    Defect("missing-trajectory", "poses of the glasses are not there", _missing(_TRAJECTORY), "failed", _TRAJECTORY),
-    Defect("missing-objects", "poses of objects are not there", _missing(_OBJECTS), "failed", _OBJECTS),
-    Defect("missing-boxes", "boxes of objects are not there", _missing(adt.BOXES_FILE), "failed", adt.BOXES_FILE),
-    Defect("missing-gaze", "gaze is not there", _missing(_GAZE), "failed", _GAZE),
+    Defect("missing-metadata", "metadata.json is not there", missing(adt.METADATA_FILE), "failed", adt.METADATA_FILE),
+    Defect("missing-instances", "names of objects are not there", missing(adt.INSTANCES_FILE), "failed", "instances"),
+    Defect("missing-trajectory", "poses of the glasses are not there", missing(_TRAJECTORY), "failed", _TRAJECTORY),
+    Defect("missing-objects", "poses of objects are not there", missing(_OBJECTS), "failed", _OBJECTS),
+    Defect("missing-boxes", "boxes of objects are not there", missing(adt.BOXES_FILE), "failed", adt.BOXES_FILE),
+    Defect("missing-gaze", "gaze is not there", missing(_GAZE), "failed", _GAZE),
     Defect("mps-gaze", "gaze of the services in place of the release's", _mps_gaze, "read", ""),
     Defect("missing-skeleton", "the wearer's skeleton is not there", _missing_skeleton, "failed", "Skeleton_"),
     Defect("no-skeleton", "nobody wore the suit", _no_skeleton, "read", "no skeleton belongs to the wearer"),

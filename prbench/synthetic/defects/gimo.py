@@ -9,14 +9,14 @@ from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
 from prbench.synthetic.defects import Defect
-from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
+from prbench.synthetic.layouts.file_forms import pickled_tensors
 
 _SHORT_GAP, _LONG_GAP = 3, 15  # frames
 _FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."
 
 
 def _sequence(root: Path, name: str) -> Path:
-    """The sequence's folder, in whichever scene it lies."""
+    """Return the sequence's folder, in whichever scene it lies."""
     return next(path for path in sorted(root.glob(f"*/{name}")) if path.is_dir())
 
 
@@ -93,7 +93,7 @@ def _renamed_joints(root: Path, name: str) -> None:
 
 
 def _other_skeleton(root: Path, name: str) -> None:
-    """The hips of another walk: the same, played backwards."""
+    """Give the suit the hips of another walk: the same one, played backwards."""
     path = _sequence(root, name) / gimo.SKELETON_FILE
     head, _, motion = path.read_text("utf-8").partition("Frame Time:")
     seconds, *rows = motion.strip().splitlines()

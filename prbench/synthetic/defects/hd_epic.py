@@ -12,11 +12,9 @@ from typing import Any
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.storage import write_json
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Defect, Row, change_cells, change_json, changed_rows, cut_in_half
 
 _GAZE_FILE = "general_eye_gaze.csv"
-_Rows = list[dict[str, str]]
 
 
 def _only(root: Path, pattern: str) -> Path:
@@ -34,7 +32,7 @@ def _gaze_archive(root: Path, video: str) -> Path:
 
 
 def _slam_archive(root: Path, video: str) -> Path:
-    """The archive that the participant's map names."""
+    """Return the archive that the participant's map names."""
     for path in sorted((root / hd_epic.DATA_FOLDER).glob(f"{hd_epic.MPS_FOLDER}/*/*/*/{hd_epic.SLAM_MAP_FILE}")):
         for key, number in json.loads(path.read_text()).items():
             if key.endswith(f"/{video}.vrs"):
@@ -46,21 +44,12 @@ def _annotations(root: Path, name: str) -> Path:
     return root / hd_epic.ANNOTATIONS_FOLDER / hd_epic.MOVEMENTS_FOLDER / name
 
 
-def _change_json(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    content = json.loads(path.read_text())
-    change(content)
-    write_json(path, content)
-
-
-def _change_member(archive: Path, name: str, change: Callable[[_Rows], _Rows]) -> None:
+def _change_member(archive: Path, name: str, change: Callable[[list[Row]], list[Row]]) -> None:
     """Change the rows of one CSV file inside an archive."""
     with zipfile.ZipFile(archive) as opened:
         contents = {entry: opened.read(entry) for entry in opened.namelist()}
     member = next(entry for entry in contents if entry.endswith(f"/{name}"))
-    lines = contents[member].decode().splitlines()
-    header = lines[0].split(",")
-    rows = change([dict(zip(header, line.split(","), strict=True)) for line in lines[1:]])
-    text = "\n".join([lines[0], *(",".join(row[column] for column in header) for row in rows)]) + "\n"
+    text = changed_rows(contents[member].decode(), change)
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as written:
         for entry, content in contents.items():
             written.writestr(entry, text.encode() if entry == member else content)
@@ -79,23 +68,16 @@ def _missing_gaze(root: Path, video: str) -> None:
 
 
 def _truncated_archive(root: Path, video: str) -> None:
-    path = _slam_archive(root, video)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+    cut_in_half(_slam_archive(root, video))
 
 
 def _truncated_time(root: Path, video: str) -> None:
-    path = _time_file(root, video)
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join(lines[: len(lines) // 2]) + "\n")
+    change_cells(_time_file(root, video), lambda rows: rows[: (len(rows) + 1) // 2 - 1])  # half of the lines
 
 
 def _swapped_clock(root: Path, video: str) -> None:
-    """Microseconds where the column says nanoseconds."""
-    path = _time_file(root, video)
-    header, *lines = path.read_text().splitlines()
-    cells = [line.split(",") for line in lines]
-    path.write_text("\n".join([header, *(f"{a},{b},{int(c) // 1000}" for a, b, c in cells)]) + "\n")
+    """Write microseconds where the column says nanoseconds."""
+    change_cells(_time_file(root, video), lambda rows: [[a, b, str(int(c) // 1000)] for a, b, c in rows])
 
 
 def _nan_gaze(root: Path, video: str) -> None:
@@ -136,11 +118,11 @@ def _duplicated_rows(root: Path, video: str) -> None:
 
 
 def _missing_association(root: Path, video: str) -> None:
-    _change_json(_annotations(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(video))
+    change_json(_annotations(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(video))
 
 
 def _missing_masks(root: Path, video: str) -> None:
-    _change_json(_annotations(root, hd_epic.MASKS_FILE), lambda content: content.pop(video))
+    change_json(_annotations(root, hd_epic.MASKS_FILE), lambda content: content.pop(video))
 
 
 def _null_points(root: Path, video: str) -> None:
@@ -148,7 +130,7 @@ def _null_points(root: Path, video: str) -> None:
         for mask in content[video].values():
             mask["3d_location"] = None
 
-    _change_json(_annotations(root, hd_epic.MASKS_FILE), forget)
+    change_json(_annotations(root, hd_epic.MASKS_FILE), forget)
 
 
 def _missing_bodies(root: Path, video: str) -> None:
@@ -156,27 +138,27 @@ def _missing_bodies(root: Path, video: str) -> None:
 
 
 def _foreign_bodies(root: Path, video: str) -> None:
-    """Another video's outputs, copied here."""
+    """Copy another video's outputs here."""
     others = [path for path in sorted((root / ego.POSES_FOLDER).iterdir()) if path.name != video]
     _missing_bodies(root, video)
     shutil.copytree(others[0], root / ego.POSES_FOLDER / video)
 
 
 def _other_alignment(root: Path, video: str) -> None:
-    """No multi-recording SLAM, but an archive of an unknown layout."""
+    """Replace the multi-recording SLAM by an archive of an unknown layout."""
     path = _slam_archive(root, video)
     target = path.parents[2] / hd_epic.OTHER_SLAM_FOLDER / f"{video}.zip"
     target.parent.mkdir(parents=True, exist_ok=True)
     path.unlink()
     with zipfile.ZipFile(target, "w") as archive:
         archive.writestr(f"{video}/images.txt", "# Image list with two lines of data per image\n")
-    _change_json(
+    change_json(
         path.with_name(hd_epic.SLAM_MAP_FILE), lambda content: content.pop(f"{path.parents[2].name}/{video}.vrs")
     )
 
 
 def _unpacked(root: Path, video: str) -> None:
-    """What users do with archives."""
+    """Unpack the archives, as users do."""
     for path in (_slam_archive(root, video), _gaze_archive(root, video)):
         with zipfile.ZipFile(path) as archive:
             archive.extractall(path.parent)

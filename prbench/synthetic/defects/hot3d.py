@@ -11,21 +11,13 @@ import msgspec
 from prbench.readers.aria_mps.format import GAZE_FOLDER, SLAM_FOLDER, TRAJECTORY_FILE
 from prbench.readers.egoallo.format import OUTPUT_FOLDER
 from prbench.readers.hot3d import format as hot3d
-from prbench.storage import read_json, write_json
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Damage, Defect, change_cells, change_json, missing
 from prbench.synthetic.layouts.hot3d import LIBRARY
 
 _TRAJECTORY = f"{hot3d.MPS_FOLDER}/{SLAM_FOLDER}/{TRAJECTORY_FILE}"
 _BROKEN_LINES = slice(100, 130)
 
 Rows = list[list[str]]
-
-
-def _remove(name: str) -> Callable[[Path, str], None]:
-    def apply(root: Path, recording: str) -> None:
-        (root / recording / name).unlink()
-
-    return apply
 
 
 def _remove_gaze(root: Path, recording: str) -> None:
@@ -43,7 +35,7 @@ def _remove_models(root: Path, _recording: str) -> None:
         path.unlink()
 
 
-def _cut_in_half(name: str) -> Callable[[Path, str], None]:
+def _cut_in_half(name: str) -> Damage:
     def apply(root: Path, recording: str) -> None:
         path = root / recording / name
         content = path.read_bytes()
@@ -58,15 +50,8 @@ def _cut_a_model(root: Path, recording: str) -> None:
     path.write_bytes(path.read_bytes()[:60])
 
 
-def _metadata(change: Callable[[dict], None]) -> Callable[[Path, str], None]:
-    def apply(root: Path, recording: str) -> None:
-        path = root / recording / hot3d.METADATA_FILE
-        content = read_json(path)
-        assert isinstance(content, dict), "we have just written it"
-        change(content)
-        write_json(path, content)
-
-    return apply
+def _metadata(change: Callable[[dict], None]) -> Damage:
+    return lambda root, recording: change_json(root / recording / hot3d.METADATA_FILE, change)
 
 
 def _withhold(content: dict) -> None:
@@ -81,16 +66,9 @@ def _forget_status(content: dict) -> None:
     del content["gt_available_status"]
 
 
-def _with_rows(name: str, change: Callable[[Rows], Rows]) -> Callable[[Path, str], None]:
-    """A defect that changes the lines of a table below its header."""
-
-    def apply(root: Path, recording: str) -> None:
-        path = root / recording / name
-        header, *lines = path.read_text(encoding="utf-8").splitlines()
-        rows = change([line.split(",") for line in lines])
-        path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
-
-    return apply
+def _with_rows(name: str, change: Callable[[Rows], Rows]) -> Damage:
+    """Return a damage that changes the lines of a table below its header."""
+    return lambda root, recording: change_cells(root / recording / name, change)
 
 
 def _repeat_a_row(rows: Rows) -> Rows:
@@ -114,14 +92,15 @@ def _move_elsewhere(rows: Rows) -> Rows:
 
 
 def _shift_a_third(rows: Rows) -> Rows:
-    """The clock jumps by 3 ms in the middle: neither an offset nor a drift fits all rows."""
+    """Let the clock jump by 3 ms in the middle: neither an offset nor a drift fits all rows."""
     later = 2 * len(rows) // 3
     return [[row[0], str(int(row[1]) + 3_000_000), *row[2:]] if n > later else row for n, row in enumerate(rows)]
 
 
 def _lose_an_object(rows: Rows) -> Rows:
-    """A quarter of one object's instants is missing, RGB and SLAM rows alike."""
-    uid, seen = rows[0][0], 0
+    """Remove a quarter of one object's instants, RGB and SLAM rows alike."""
+    uid = rows[0][0]
+    seen = 0
     kept = []
     for row in rows:
         seen += row[0] == uid
@@ -131,21 +110,19 @@ def _lose_an_object(rows: Rows) -> Rows:
 
 
 def _lose_slam(rows: Rows) -> Rows:
-    """A second in the middle was not tracked."""
+    """Remove a second in the middle."""
     middle = len(rows) // 2
     return [*rows[:middle], *rows[middle + 1000 :]]
 
 
 def _lose_gaze_angles(root: Path, recording: str) -> None:
-    """No row holds an angle, as while eyes are closed."""
+    """Empty the angles of every row, as while eyes are closed."""
     for path in (root / recording / hot3d.MPS_FOLDER / GAZE_FOLDER).glob("*_eye_gaze.csv"):
-        header, *lines = path.read_text(encoding="utf-8").splitlines()
-        rows = [[time, "", "", "", *rest] for time, _, _, _, *rest in (line.split(",") for line in lines)]
-        path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+        change_cells(path, lambda rows: [[row[0], "", "", "", *row[4:]] for row in rows])
 
 
 def _fail_the_start(root: Path, recording: str) -> None:
-    """Newer releases say which frames are wrong: here the first second."""
+    """Mark the first second as wrong, as newer releases do."""
     header, *lines = (
         (root / recording / hot3d.MASK_FOLDER / "mask_hand_pose_available.csv").read_text(encoding="utf-8").splitlines()
     )
@@ -169,12 +146,12 @@ def _lose_hands(root: Path, recording: str) -> None:
 
 
 DEFECTS: tuple[Defect, ...] = (
-    Defect("missing-objects", "dynamic_objects.csv is not there", _remove(hot3d.OBJECTS_FILE), "failed", "this file"),
-    Defect("missing-headset", "no headset trajectory", _remove(hot3d.HEADSET_FILE), "failed", hot3d.HEADSET_FILE),
-    Defect("missing-hands", "no hand poses", _remove(hot3d.UMETRACK_FILE), "failed", hot3d.UMETRACK_FILE),
-    Defect("missing-slam", "no trajectory of the services", _remove(_TRAJECTORY), "failed", TRAJECTORY_FILE),
+    Defect("missing-objects", "dynamic_objects.csv is not there", missing(hot3d.OBJECTS_FILE), "failed", "this file"),
+    Defect("missing-headset", "no headset trajectory", missing(hot3d.HEADSET_FILE), "failed", hot3d.HEADSET_FILE),
+    Defect("missing-hands", "no hand poses", missing(hot3d.UMETRACK_FILE), "failed", hot3d.UMETRACK_FILE),
+    Defect("missing-slam", "no trajectory of the services", missing(_TRAJECTORY), "failed", TRAJECTORY_FILE),
     Defect("missing-gaze", "no gaze file", _remove_gaze, "failed", "gaze"),
-    Defect("missing-profile", "no hand model: wrists only", _remove(hot3d.PROFILE_FILE), "read", "wrists only"),
+    Defect("missing-profile", "no hand model: wrists only", missing(hot3d.PROFILE_FILE), "read", "wrists only"),
     Defect("missing-bodies", "no outputs of EgoAllo", _remove_bodies, "read", "no EgoAllo outputs"),
     Defect("missing-models", "no object models", _remove_models, "read", "objects without a model"),
     Defect("cut-objects", "dynamic_objects.csv ends early", _cut_in_half(hot3d.OBJECTS_FILE), "failed", "truncated"),

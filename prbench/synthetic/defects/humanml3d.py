@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.storage import atomic_path
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Damage, Defect
 
 
 def _joints(root: Path, name: str) -> Path:
@@ -20,7 +20,7 @@ def _texts(root: Path, name: str) -> Path:
     return root / layout.TEXTS_FOLDER / f"{name}.txt"
 
 
-def _on_joints(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path, str], None]:
+def _on_joints(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
     def apply(root: Path, name: str) -> None:
         joints = change(np.load(_joints(root, name), allow_pickle=False))
         with atomic_path(_joints(root, name)) as temporary:
@@ -35,7 +35,7 @@ def _with_nan(joints: np.ndarray) -> np.ndarray:
 
 
 def _features_only(root: Path, name: str) -> None:
-    """The joints were never made, or deleted to save space."""
+    """Remove the joints, which were never made or deleted to save space, and leave features."""
     n = len(np.load(_joints(root, name), allow_pickle=False))
     _joints(root, name).unlink()
     with atomic_path(root / layout.FEATURES_FOLDER / f"{name}.npy") as temporary:
@@ -54,7 +54,7 @@ def _not_listed(root: Path, name: str) -> None:
 
 
 def _nan_times(root: Path, name: str) -> None:
-    """Older text files hold nan where newer ones hold 0.0."""
+    """Write nan where newer text files hold 0.0."""
     path = _texts(root, name)
     path.write_text(path.read_text().replace("#0.0#0.0", "#nan#nan"))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Damage, Defect, cut_in_half
 from prbench.synthetic.sensors.mogaze import GOGGLES_ID
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
@@ -24,14 +24,12 @@ def _file(root: Path, recording: str, part: str) -> Path:
     return root / f"{recording}_{part}.hdf5"
 
 
-def _remove(part: str) -> Callable[[Path, str], None]:
+def _remove(part: str) -> Damage:
     return lambda root, recording: _file(root, recording, part).unlink()
 
 
-def _cut_in_half(root: Path, recording: str) -> None:
-    path = _file(root, recording, OBJECTS)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+def _cut_objects(root: Path, recording: str) -> None:
+    cut_in_half(_file(root, recording, OBJECTS))
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
@@ -40,13 +38,14 @@ def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
     return entry
 
 
-def _with_rows(part: str, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path, str], None]:
-    """A defect that writes other rows under the same name, with the same attributes."""
+def _with_rows(part: str, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    """Return a damage that writes other rows under the same name, with the same attributes."""
 
     def apply(root: Path, recording: str) -> None:
         with h5py.File(_file(root, recording, part), "r+") as file:
             entry = _dataset(file, name)
-            rows, attributes = np.array(entry), dict(entry.attrs)
+            rows = np.array(entry)
+            attributes = dict(entry.attrs)
             del file[name]
             file.create_dataset(name, data=change(rows)).attrs.update(attributes)
 
@@ -98,7 +97,7 @@ def _write_metres(rows: np.ndarray) -> np.ndarray:
 
 
 def _disorder_segments(rows: np.ndarray) -> np.ndarray:
-    """Out of order, repeated, ending before they begin, outside of the recording, and of unknown things."""
+    """Add segments out of order, repeated, ending before they begin, beyond the recording, and of unknown things."""
     bad = [(70, 60, b"null"), (10_000_000, 10_000_100, b"null"), (5, 20, b"spoon")]
     return np.concatenate([rows[::-1], rows[:1], np.array(bad, dtype=rows.dtype)])
 
@@ -121,7 +120,7 @@ def _add_stray_files(root: Path, _recording: str) -> None:
 
 DEFECTS: tuple[Defect, ...] = (
     Defect("missing-gaze", "no gaze file, as for p3_1", _remove(GAZE), "failed", "gaze_data.hdf5"),
-    Defect("truncated-objects", "half of the object file", _cut_in_half, "failed", "truncated"),
+    Defect("truncated-objects", "half of the object file", _cut_objects, "failed", "truncated"),
     Defect(
         "foreign-gaze",
         "a gaze file much too short",

@@ -12,7 +12,7 @@ import numpy as np
 from prbench.corpora.nymeria import format as nymeria
 from prbench.joint_names import XSENS_SEGMENTS
 from prbench.storage import atomic_path
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.defects import Damage, Defect, change_cells, cut_in_half
 
 _ATOMIC = nymeria.NARRATION_FILES["atomic_action"]
 Arrays = dict[str, np.ndarray]
@@ -26,8 +26,8 @@ def _narration(root: Path, recording: str, name: str = _ATOMIC) -> Path:
     return root / recording / "narration" / name
 
 
-def _on_arrays(change: Callable[[Arrays], None]) -> Callable[[Path, str], None]:
-    """A defect that changes arrays of the suit's file."""
+def _on_arrays(change: Callable[[Arrays], None]) -> Damage:
+    """Return a damage that changes arrays of the suit's file."""
 
     def apply(root: Path, recording: str) -> None:
         path = _suit(root, recording)
@@ -40,8 +40,8 @@ def _on_arrays(change: Callable[[Arrays], None]) -> Callable[[Path, str], None]:
     return apply
 
 
-def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Callable[[Path, str], None]:
-    """A defect that changes the rows below the header of the atomic actions."""
+def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Damage:
+    """Return a damage that changes the rows below the header of the atomic actions."""
 
     def apply(root: Path, recording: str) -> None:
         path = _narration(root, recording)
@@ -58,7 +58,7 @@ def _jump(arrays: Arrays) -> None:
 
 
 def _back_and_forth(arrays: Arrays) -> None:
-    """Jumps that cancel each other, which a test of the end point alone lets pass."""
+    """Let the clock jump there and back, which a test of the end point alone lets pass."""
     third = len(arrays["timestamps_us"]) // 3
     arrays["timestamps_us"][third : 2 * third] -= 61_400
 
@@ -88,7 +88,7 @@ def _fewer_frames(arrays: Arrays) -> None:
 
 
 def _y_up(arrays: Arrays) -> None:
-    """Exported with another axis up, the head where the suit has the feet."""
+    """Turn another axis up, with the head where the suit has the feet."""
     position = arrays["segment_tXYZ"].reshape(-1, nymeria.N_SEGMENTS, 3)
     arrays["segment_tXYZ"] = position[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
     arrays["segment_tXYZ"][..., 2] -= position[..., 2]
@@ -105,10 +105,8 @@ def _swapped(arrays: Arrays) -> None:
         arrays[key] = turned.reshape(len(values), -1)
 
 
-def _cut_in_half(root: Path, recording: str) -> None:
-    path = _suit(root, recording)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+def _cut_suit(root: Path, recording: str) -> None:
+    cut_in_half(_suit(root, recording))
 
 
 def _empty_texts(root: Path, recording: str) -> None:
@@ -146,12 +144,9 @@ def _no_mark(root: Path, recording: str) -> None:
 
 
 def _another_head(root: Path, recording: str) -> None:
-    """The trajectory of another recording: the same poses backwards in time."""
+    """Replace the trajectory by one of another recording: the same poses backwards in time."""
     path = root / recording / nymeria.HEAD_FOLDER / "mps" / "slam" / nymeria.TRAJECTORY_FILE
-    header, *lines = path.read_text().splitlines()
-    cells = [line.split(",") for line in lines]
-    turned = [[row[0], row[1], *other[2:]] for row, other in zip(cells, reversed(cells), strict=True)]
-    path.write_text("\n".join([header, *(",".join(row) for row in turned)]) + "\n")
+    change_cells(path, lambda rows: [[*row[:2], *other[2:]] for row, other in zip(rows, reversed(rows), strict=True)])
 
 
 DEFECTS = (
@@ -171,7 +166,7 @@ DEFECTS = (
     Defect("wrong-rate", "the suit ran at 60 Hz", _on_arrays(_another_rate), "failed", "frameRate"),
     Defect("upside-down", "another axis is up", _on_arrays(_y_up), "failed", "Z up"),
     Defect("swapped-sides", "left and right are exchanged", _on_arrays(_swapped), "failed", "Left and right"),
-    Defect("cut-archive", "the suit's file is cut in half", _cut_in_half, "failed", "xdata.npz"),
+    Defect("cut-archive", "the suit's file is cut in half", _cut_suit, "failed", "xdata.npz"),
     Defect("empty-narrations", "text files without a byte", _empty_texts, "read", "no texts of the chosen kinds"),
     Defect(
         "no-narrations",

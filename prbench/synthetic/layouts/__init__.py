@@ -6,10 +6,14 @@ A new layout is a new module with a ``LAYOUT`` and one line in :data:`LAYOUT_MOD
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from prbench.errors import UsageError
+from prbench.manifests import load_manifest
+from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches
@@ -28,11 +32,11 @@ SHARED_PARTS = ".shared-parts"
 
 
 @runtime_checkable
-class Layout(Protocol):
-    """The sensors and the native files of one dataset."""
+class Sense(Protocol):
+    """What a dataset's sensors make of a performance: the native content, before any text is made of it."""
 
-    def sense(self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Any:
-        """What the sensors say: the native content, before any text is made of it.
+    def __call__(self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Any:
+        """Sense a performance.
 
         Args:
             performance: The truth.
@@ -41,58 +45,44 @@ class Layout(Protocol):
         """
         ...
 
+
+@dataclass(frozen=True)
+class Layout:
+    """The sensors and the native files of one dataset.
+
+    Functions that write raise ``StorageError`` if the disk is full or the folder cannot be written.
+    """
+
+    dataset: str
+    """Name of the imitated dataset."""
+    sense: Sense
+    to_recording: Callable[..., Recording]
+    """The reader's own function from native content to streams."""
+    write: Callable[[Any, Path], None]
+    """Writes the native files of one recording below the dataset's folder."""
+    events: Callable[[Performance], tuple[TrueEvent, ...]]
+    """Returns the performance's events as this dataset can know them, times still those of the performance."""
+    clock_start: Callable[[Performance], float]
+    """Returns the native time of the performance's first instant, seconds."""
+    object_id: Callable[[str], str]
+    """Returns the id under which the native files know an object of the performance."""
+    gaze_bias: Callable[..., tuple[float, float]]
+    """Returns the recording's constant gaze error, yaw and pitch, radians; takes noise and switches."""
+    finish: Callable[[Path], None] = lambda _: None
+    """Writes the files that all recordings of a tree share (tables of contents, annotations), after the last one. What
+    :attr:`write` must hand over lies in ``root / SHARED_PARTS``, one file a recording; the folder is removed
+    afterwards."""
+    write_estimates: Callable[..., None] | None = None
+    """Writes bodies as EgoAllo would estimate them where readers look for them; None where the layout has no bodies of
+    its own beside which estimates could stand."""
+
     def recording(self, readings: Any) -> Recording:
-        """The streams that a reader would find in the files of :meth:`write`, bit for bit."""
-        ...
-
-    def write(self, readings: Any, root: Path) -> None:
-        """Write the native files of one recording below the dataset's folder.
-
-        Raises:
-            StorageError: if the disk is full or the folder cannot be written.
-        """
-        ...
-
-    def finish(self, root: Path) -> None:
-        """Write the files that all recordings of a tree share (tables of contents, annotations), after the last one.
-
-        What :meth:`write` must hand over lies in ``root / SHARED_PARTS``, one file a recording; the folder is removed
-        afterwards.
-        """
-        ...
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """The performance's events as this dataset can know them, times still those of the performance."""
-        ...
-
-    def clock_start(self, performance: Performance) -> float:
-        """Native time of the performance's first instant, seconds."""
-        ...
-
-    def object_id(self, object_id: str) -> str:
-        """The id under which the native files know an object of the performance."""
-        ...
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """The recording's constant gaze error, yaw and pitch, radians."""
-        ...
-
-
-@runtime_checkable
-class EstimatedBodies(Protocol):
-    """A layout with bodies of its own, beside which EgoAllo's estimates can stand."""
-
-    def write_estimates(self, performance: Performance, readings: Any, root: Path, *, noise: float = 1.0) -> None:
-        """Write what EgoAllo would make of one recording where readers look for it.
-
-        Raises:
-            StorageError: if the disk is full or the folder cannot be written.
-        """
-        ...
+        """Return the streams that a reader would find in the files of :attr:`write`, bit for bit."""
+        return self.to_recording(readings, load_manifest(self.dataset), dataset=f"{SYNTHETIC_PREFIX}{self.dataset}")
 
 
 def layout_for(preset: str) -> Layout:
-    """The layout of a preset.
+    """Return the layout of a preset.
 
     Raises:
         UsageError: for a preset of which there is motion only, naming those that have a layout.
@@ -101,3 +91,18 @@ def layout_for(preset: str) -> Layout:
         known = ", ".join(LAYOUT_MODULES)
         raise UsageError(f"there are no native files of '{preset}'; use one of: {known}.")
     return importlib.import_module(LAYOUT_MODULES[preset]).LAYOUT
+
+
+def synthetic_recording(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Recording:
+    """Sense a performance and turn it into a recording.
+
+    Args:
+        performance: Of a preset that has sensors.
+        noise: Multiplies every sensor error; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+
+    Raises:
+        UsageError: for a preset without sensors.
+    """
+    layout = layout_for(performance.preset)
+    return layout.recording(layout.sense(performance, noise=noise, switches=switches))

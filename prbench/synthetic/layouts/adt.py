@@ -8,19 +8,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.manifests import load_manifest
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.for_egoallo import prepared_trajectory
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
-from prbench.recording import Recording
 from prbench.storage import atomic_folder, write_bytes, write_json
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
-from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.egoallo import sense_egoallo, write_outputs, write_smplh_model
+from prbench.synthetic.layouts import Layout
+from prbench.synthetic.layouts.file_forms import split_columns, write_csv
+from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import adt as sensors
-from prbench.synthetic.sensors.egoallo import sense_egoallo
+from prbench.synthetic.sensors.aria_mps import gaze_bias
 from prbench.synthetic.sensors.errors import Switches
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
@@ -32,59 +31,10 @@ _CREATED = "01/01/2000-00:00:00"
 _QUATERNION_SCALAR_LAST = (1, 2, 3, 0)
 
 
-class AdtLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> adt.AdtReadings:
-        """Glasses, gaze, objects and suits."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: adt.AdtReadings) -> Recording:
-        """The streams of one synthetic recording."""
-        return recording_from_adt(readings, load_manifest("adt"), dataset="synthetic-adt")
-
-    def write(self, readings: adt.AdtReadings, root: Path) -> None:
-        """One folder a recording, layout v2.0."""
-        write(readings, root / readings.recording_id)
-
-    def write_estimates(
-        self, performance: Performance, readings: adt.AdtReadings, root: Path, *, noise: float = 1.0
-    ) -> None:
-        """Bodies as EgoAllo estimates them from the glasses, and the body model that reading them needs."""
-        outputs = estimated_outputs(performance, readings, noise=noise)
-        write_outputs(outputs, root / ego.POSES_FOLDER / readings.recording_id / ego.OUTPUT_FOLDER)
-        if not (root / ego.MODEL_FILE).is_file():
-            write_smplh_model(root / ego.MODEL_FILE)
-
-    def finish(self, root: Path) -> None:
-        """Recordings share no file."""
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """All of them."""
-        return performance.events
-
-    def clock_start(self, performance: Performance) -> float:
-        """Device time of the first instant, seconds."""
-        return sensors.clock_start_us(performance) / 1e6
-
-    def object_id(self, object_id: str) -> str:
-        """Sixteen digits."""
-        return str(sensors.native_object_id(object_id))
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return sensors.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = AdtLayout()
-
-
 def estimated_outputs(
     performance: Performance, readings: adt.AdtReadings, *, noise: float = 1.0, switches: Switches | None = None
 ) -> tuple[ego.EgoAlloOutput, ...]:
-    """What EgoAllo would make of the glasses of one recording, in the scene turned to Z up."""
+    """Return what EgoAllo would make of the glasses of one recording, in the scene turned to Z up."""
     return sense_egoallo(
         performance,
         prepared_trajectory(readings.glasses),
@@ -262,3 +212,24 @@ def _write_skeleton(path: Path, person: adt.AdtSkeleton) -> None:
     ]
     content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
     write_bytes(path, msgspec.json.encode(content))
+
+
+def _write_estimates(performance: Performance, readings: adt.AdtReadings, root: Path, *, noise: float = 1.0) -> None:
+    """Write bodies as EgoAllo estimates them from the glasses, and the body model that reading them needs."""
+    outputs = estimated_outputs(performance, readings, noise=noise)
+    write_outputs(outputs, root / ego.POSES_FOLDER / readings.recording_id / ego.OUTPUT_FOLDER)
+    if not (root / ego.MODEL_FILE).is_file():
+        write_smplh_model(root / ego.MODEL_FILE)
+
+
+LAYOUT = Layout(
+    dataset="adt",
+    sense=sensors.sense,
+    to_recording=recording_from_adt,
+    write=lambda readings, root: write(readings, root / readings.recording_id),
+    events=lambda performance: performance.events,
+    clock_start=lambda performance: sensors.clock_start_us(performance) / 1e6,
+    object_id=lambda object_id: str(sensors.native_object_id(object_id)),
+    gaze_bias=gaze_bias,
+    write_estimates=_write_estimates,
+)

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
 from prbench.storage import atomic_path, write_json
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
+from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.sensors.aria_mps import GRAVITY
 
-ROLES = (
+_ROLES = (
     mps.TRAJECTORY,
     mps.GAZE,
     mps.CALIBRATION,
@@ -42,12 +42,12 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     Args:
         readings: All that the files say; whole, not thinned.
         folder: The root of one recording's outputs.
-        only: Roles (:data:`ROLES`) to write; all if None.
+        only: Roles (:data:`_ROLES`) to write; all if None.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    wanted = set(ROLES if only is None else only)
+    wanted = set(_ROLES if only is None else only)
     slam, gaze, hands = (folder / name for name in (mps.SLAM_FOLDER, mps.GAZE_FOLDER, mps.HAND_FOLDER))
     if mps.TRAJECTORY in wanted:
         write_csv(slam / mps.TRAJECTORY_FILE, _trajectory_columns(readings.trajectory))
@@ -85,7 +85,7 @@ def _trajectory_columns(trajectory: mps.AriaTrajectory) -> dict[str, object]:
 
 
 def _velocities(trajectory: mps.AriaTrajectory) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Linear (m/s) and angular (rad/s) velocity in the device frame, between neighbouring rows; not to be used."""
+    """Return linear (m/s) and angular (rad/s) velocity in the device frame, between neighbouring rows."""
     rotation = Rotation.from_quat(trajectory.rotation, scalar_first=True)
     if len(rotation) < 2:
         return np.zeros((len(rotation), 3)), np.zeros((len(rotation), 3))
@@ -96,8 +96,9 @@ def _velocities(trajectory: mps.AriaTrajectory) -> tuple[Float[np.ndarray, "n 3"
 
 
 def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:
-    """The schema of two eyes, which here look in parallel."""
-    yaw, yaw_range = np.round(gaze.yaw, 6), np.round(gaze.yaw_range, 6)
+    """Return columns in the schema of two eyes, which here look in parallel."""
+    yaw = np.round(gaze.yaw, 6)
+    yaw_range = np.round(gaze.yaw_range, 6)
     n = len(yaw)
     return {
         mps.TIME_COLUMN: gaze.time_us,
@@ -169,7 +170,7 @@ def _from_translation(place: np.ndarray) -> np.ndarray:
 
 
 def _intrinsics(label: str) -> tuple[float, float, float]:
-    """Focal length and principal point, pixels: 2880 x 2880 for RGB, 640 x 480 for SLAM."""
+    """Return the focal length and principal point, pixels: 2880 x 2880 for RGB, 640 x 480 for SLAM."""
     return (1220.0, 1440.0, 1440.0) if label == "camera-rgb" else (242.0, 320.0, 240.0)
 
 

@@ -14,81 +14,21 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import load_manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import BvhMotion
 from prbench.readers.gimo.to_recording import recording_from_gimo
-from prbench.recording import Recording
 from prbench.skeleton import WRISTS, Joint
 from prbench.storage import atomic_folder, atomic_path, write_json, write_text
-from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.layouts.tensor_pickles import pickled_tensors
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
+from prbench.synthetic.layouts.file_forms import pickled_tensors
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import gimo as sensors
-from prbench.synthetic.sensors.errors import Switches
 from prbench.timelines import interpolate
 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8
 _UNNAMED_COLUMNS = 3
-
-
-class GimoLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> gimo.GimoReadings:
-        """Fitted body, suit, gaze, and an annotator who sees every pick."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: gimo.GimoReadings) -> Recording:
-        """The streams of one synthetic segment."""
-        return recording_from_gimo(readings, load_manifest("gimo"), dataset="synthetic-gimo")
-
-    def write(self, readings: gimo.GimoReadings, root: Path) -> None:
-        """One folder a sequence, in the folder of its scene."""
-        segment = readings.segment
-        write_sequence(readings, root / segment.scene / segment.sequence)
-        norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
-        write_text(norm, _matrix_text(readings.transform.room_from_scene))
-        events = [[event.frame, event.hand] for event in readings.events]
-        write_json(
-            root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events}
-        )
-
-    def finish(self, root: Path) -> None:
-        """``dataset.csv`` (with byte-order mark, unnamed columns and one repeated row) and the table of events."""
-        parts = [json.loads(path.read_text("utf-8")) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
-        segments = [gimo.Segment(**part["segment"]) for part in parts]
-        write_table(root / gimo.TABLE_FILE, [*segments, segments[-1]])
-        events = [
-            (segment, gimo.EventFrame(frame, hand))
-            for segment, part in zip(segments, parts, strict=True)
-            for frame, hand in part["events"]
-        ]
-        write_events(root / gimo.EVENTS_FILE, events)
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """Picks alone, with the wrist as their goal, and primes as rays from the head joint to the scan show them."""
-        shown = _as_shown(performance)
-        return tuple(_as_known(shown, event) for event in sensors.picks(performance))
-
-    def clock_start(self, performance: Performance) -> float:
-        """Video time of the first instant, seconds."""
-        return sensors.first_frame(performance) / gimo.FRAME_RATE
-
-    def object_id(self, object_id: str) -> str:  # noqa: ARG002 (one target for all)
-        """The dataset knows no objects."""
-        return gimo.OBJECT_ID
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return sensors.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = GimoLayout()
 
 
 def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
@@ -104,13 +44,13 @@ def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
             target / readings.segment.transformation,
             {"scale": transform.scale, "transformation": transform.scene_from_body.tolist()},
         )
-        write_poses(readings.body.poses, target / gimo.POSE_FOLDER)
-        write_gaze(readings.gaze, target / gimo.GAZE_FOLDER)
+        _write_poses(readings.body.poses, target / gimo.POSE_FOLDER)
+        _write_gaze(readings.gaze, target / gimo.GAZE_FOLDER)
         write_bvh(readings.body.motion, target / gimo.SKELETON_FILE)
 
 
-def write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
-    """One pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them."""
+def _write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
+    """Write one pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them."""
     folder.mkdir(parents=True)
     zeros = {name: np.zeros(size, dtype=np.float32) for name, size in _UNUSED_KEYS.items()}
     for row, frame in enumerate(poses.frames):
@@ -118,8 +58,8 @@ def write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
         (folder / f"{frame}.pkl").write_bytes(pickled_tensors(pose, requires_grad=("orient",)))
 
 
-def write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
-    """Two PLY files a frame: the point with copies of it beside it, and some points of the cone around it."""
+def _write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
+    """Write two PLY files a frame: the point with copies of it beside it, and some points of the cone around it."""
     folder.mkdir(parents=True)
     around = np.linspace(-0.05, 0.05, _CONE_POINTS)[:, None] * np.ones(3)
     for frame, point in zip(gaze.frames, gaze.points, strict=True):
@@ -128,7 +68,7 @@ def write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
 
 
 def ply_bytes(vertices: Float[np.ndarray, "v 3"]) -> bytes:
-    """A binary PLY file of points with normals, as the dataset has them."""
+    """Return a binary PLY file of points with normals, as the dataset has them."""
     names = "".join(f"property double {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}end_header\n"
     rows = np.concatenate([vertices, np.tile([0.0, 1.0, 0.0], (len(vertices), 1))], axis=1)
@@ -136,7 +76,7 @@ def ply_bytes(vertices: Float[np.ndarray, "v 3"]) -> bytes:
 
 
 def write_bvh(motion: BvhMotion, path: Path) -> None:
-    """The hierarchy, whose joints stand in the order of a file, with an end site at every tip; six decimals."""
+    """Write the hierarchy, whose joints stand in the order of a file, with an end site at every tip; six decimals."""
     lines = ["HIERARCHY", *_joint_lines(motion, 0, ""), "MOTION", f"Frames: {len(motion.values)}"]
     lines.append(f"Frame Time: {motion.frame_time!r}")
     lines += [" ".join(f"{value:.6f}" for value in row) for row in motion.values.tolist()]
@@ -160,7 +100,7 @@ def _joint_lines(motion: BvhMotion, index: int, indent: str) -> list[str]:
 
 
 def write_table(path: Path, segments: Sequence[gimo.Segment]) -> None:
-    """``dataset.csv`` as the fuller copies have it."""
+    """Write ``dataset.csv`` as the fuller copies have it."""
     header = [*gimo.TABLE_COLUMNS, gimo.ACTIVITY_COLUMN, *[""] * _UNNAMED_COLUMNS]
     rows = [
         [
@@ -180,7 +120,7 @@ def write_table(path: Path, segments: Sequence[gimo.Segment]) -> None:
 
 
 def write_events(path: Path, events: Sequence[tuple[gimo.Segment, gimo.EventFrame]]) -> None:
-    """The table of events that a user would have annotated."""
+    """Write the table of events that a user would have annotated."""
     rows = [
         [segment.scene, segment.sequence, segment.start_frame, segment.end_frame, event.frame, "pick", event.hand or ""]
         for segment, event in events
@@ -198,7 +138,7 @@ def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
 
 
 def _as_shown(performance: Performance) -> Performance:
-    """The performance as the dataset can show it: rays from the head joint to the points on the scan."""
+    """Return the performance as the dataset can show it: rays from the head joint to the points on the scan."""
     points = sensors.looked_at(performance, performance.eye, performance.gaze)
     head = performance.joints[:, Joint.HEAD]
     apart = points - head
@@ -206,8 +146,50 @@ def _as_shown(performance: Performance) -> Performance:
 
 
 def _as_known(shown: Performance, event: TrueEvent) -> TrueEvent:
-    """A pick whose goal is the wrist on the annotated frame."""
+    """Return a pick whose goal is the wrist on the annotated frame."""
     frame = sensors.event_frame(shown, event) - sensors.first_frame(shown)
     instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
     wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]
     return replace(seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE), goal=wrist)
+
+
+def _write_below(readings: gimo.GimoReadings, root: Path) -> None:
+    """Write one folder a sequence, in the folder of its scene."""
+    segment = readings.segment
+    write_sequence(readings, root / segment.scene / segment.sequence)
+    norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
+    write_text(norm, _matrix_text(readings.transform.room_from_scene))
+    events = [[event.frame, event.hand] for event in readings.events]
+    write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events})
+
+
+def _finish(root: Path) -> None:
+    """Write ``dataset.csv`` (byte-order mark, unnamed columns, one repeated row) and the table of events."""
+    parts = [json.loads(path.read_text("utf-8")) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
+    segments = [gimo.Segment(**part["segment"]) for part in parts]
+    write_table(root / gimo.TABLE_FILE, [*segments, segments[-1]])
+    events = [
+        (segment, gimo.EventFrame(frame, hand))
+        for segment, part in zip(segments, parts, strict=True)
+        for frame, hand in part["events"]
+    ]
+    write_events(root / gimo.EVENTS_FILE, events)
+
+
+def _events(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Return picks alone, with the wrist as goal, and primes as rays from the head joint to the scan show them."""
+    shown = _as_shown(performance)
+    return tuple(_as_known(shown, event) for event in sensors.picks(performance))
+
+
+LAYOUT = Layout(
+    dataset="gimo",
+    sense=sensors.sense,
+    to_recording=recording_from_gimo,
+    write=_write_below,
+    finish=_finish,
+    events=_events,
+    clock_start=lambda performance: sensors.first_frame(performance) / gimo.FRAME_RATE,
+    object_id=lambda _: gimo.OBJECT_ID,  # the dataset knows one target and no objects
+    gaze_bias=sensors.gaze_bias,
+)

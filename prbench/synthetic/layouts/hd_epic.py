@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from prbench.manifests import load_manifest
+from prbench.manifests import Manifest
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.to_recording import body_from_outputs
@@ -21,84 +21,18 @@ from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json
-from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.csv_files import write_csv
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
-from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.layouts.file_forms import write_csv
 from prbench.synthetic.sensors import hd_epic as sensors
-from prbench.synthetic.sensors.egoallo import invented_smplh
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 
-SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
-GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
+_SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
+_GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
 _UNORDERED = 8  # one in so many objects lists its tracks backwards
 _COMPRESSION = 1
 _CREATED = (2000, 1, 1, 0, 0, 0)
-
-
-class HdEpicLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> sensors.SensedVideo:
-        """Glasses, bodies and annotations."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: sensors.SensedVideo) -> Recording:
-        """The streams of one synthetic video."""
-        video = readings.readings
-        assert isinstance(video.glasses, mps.MpsReadings)
-        seen = dataclasses.replace(
-            video, glasses=mps.thinned(video.glasses), body=body_from_outputs(readings.bodies, invented_smplh())
-        )
-        return recording_from_hd_epic(seen, load_manifest("hd-epic"), dataset="synthetic-hd-epic")
-
-    def write(self, readings: sensors.SensedVideo, root: Path) -> None:
-        """Archives and time file of one video, its bodies, and its share of the annotations."""
-        write_video(readings.readings, root / hd_epic.DATA_FOLDER)
-        video = readings.readings.video
-        write_outputs(readings.bodies, root / ego.POSES_FOLDER / video / ego.OUTPUT_FOLDER)
-        write_json(root / SHARED_PARTS / f"{video}.json", _share(readings.readings))
-
-    def finish(self, root: Path) -> None:
-        """Annotations and SLAM maps of all videos, and the invented body model."""
-        parts = [_SHARE.decode(path.read_bytes()) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
-        annotations = root / hd_epic.ANNOTATIONS_FOLDER
-        movements = annotations / hd_epic.MOVEMENTS_FOLDER
-        write_json(movements / hd_epic.ASSOCIATIONS_FILE, {part.video: part.associations for part in parts})
-        write_json(movements / hd_epic.MASKS_FILE, {part.video: part.masks for part in parts})
-        priming = annotations / hd_epic.PRIMING_FOLDERS[0] / hd_epic.PRIMING_FILE
-        write_json(priming, {part.video: part.priming for part in parts})
-        for participant in {part.participant for part in parts}:
-            numbers = {
-                f"{participant}/{part.video}.vrs": slam_number(part.video)
-                for part in parts
-                if part.participant == participant
-            }
-            multi = root / hd_epic.DATA_FOLDER / hd_epic.MPS_FOLDER / participant / hd_epic.MULTI_SLAM_FOLDER
-            write_json(multi / hd_epic.SLAM_MAP_FILE, numbers)
-        write_smplh_model(root / ego.MODEL_FILE)
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """What people annotate; places are points."""
-        return sensors.known_events(performance)
-
-    def clock_start(self, performance: Performance) -> float:
-        """Device time of the first instant, seconds."""
-        return sensors.clock_start_us(performance) / 1e6
-
-    def object_id(self, object_id: str) -> str:
-        """Id of the association: sixteen hexadecimal digits."""
-        return sensors.association_id(object_id)
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return sensors.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = HdEpicLayout()
 
 
 class _Share(msgspec.Struct):
@@ -115,11 +49,11 @@ _SHARE = msgspec.json.Decoder(_Share)
 
 
 def slam_number(video: str) -> str:
-    """Number of the SLAM archive that holds an invented video: its own, at the end of its name."""
+    """Return the number of the SLAM archive that holds a synthetic video: its own, at the end of its name."""
     return str(int(video.rpartition("_")[2]))
 
 
-def write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
+def _write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     """Write the files of one video below the folder ``HD-EPIC``.
 
     Raises:
@@ -129,14 +63,15 @@ def write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     own = data / hd_epic.VIDEOS_FOLDER / readings.participant_id
     write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", _time_columns(readings.clock))
     write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", _log(readings.clock))
-    base, number = data / hd_epic.MPS_FOLDER / readings.participant_id, slam_number(readings.video)
-    _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, SLAM_ROLES)
+    base = data / hd_epic.MPS_FOLDER / readings.participant_id
+    number = slam_number(readings.video)
+    _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, _SLAM_ROLES)
     name = f"mps_{readings.video}_vrs"
-    _write_archive(base / hd_epic.GAZE_FOLDER / f"{name}.zip", name, readings.glasses, GAZE_ROLES)
+    _write_archive(base / hd_epic.GAZE_FOLDER / f"{name}.zip", name, readings.glasses, _GAZE_ROLES)
 
 
 def _write_archive(path: Path, folder: str, readings: mps.MpsReadings, roles: Collection[str]) -> None:
-    """MPS files in a zip archive; equal contents give equal bytes."""
+    """Write MPS files into a zip archive; equal contents give equal bytes."""
     with tempfile.TemporaryDirectory() as unpacked:
         write_mps(readings, Path(unpacked), only=roles)
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
@@ -155,7 +90,8 @@ def _time_columns(clock: hd_epic.VideoClock) -> dict[str, object]:
 
 
 def _log(clock: hd_epic.VideoClock) -> dict[str, int]:
-    first, last = int(clock.device_ns[0]), int(clock.device_ns[-1])
+    first = int(clock.device_ns[0])
+    last = int(clock.device_ns[-1])
     skipped = int((np.diff(clock.device_ns) > 1.5e9 / hd_epic.FPS).sum())
     return {
         "num_mp4_frames": len(clock.device_ns),
@@ -226,3 +162,53 @@ def _priming(sides: Collection[hd_epic.PublishedSide]) -> dict[str, dict[str, ob
             },
         }
     return objects
+
+
+def _to_recording(readings: sensors.SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:
+    """Return the streams of one synthetic video, thinned as its reader thins them."""
+    video = readings.readings
+    assert isinstance(video.glasses, mps.MpsReadings)
+    bodies = body_from_outputs(readings.bodies, synthetic_smplh())
+    seen = dataclasses.replace(video, glasses=mps.thinned(video.glasses), body=bodies)
+    return recording_from_hd_epic(seen, manifest, dataset=dataset)
+
+
+def _write_below(readings: sensors.SensedVideo, root: Path) -> None:
+    """Write archives and time file of one video, its bodies, and its share of the annotations."""
+    _write_video(readings.readings, root / hd_epic.DATA_FOLDER)
+    video = readings.readings.video
+    write_outputs(readings.bodies, root / ego.POSES_FOLDER / video / ego.OUTPUT_FOLDER)
+    write_json(root / SHARED_PARTS / f"{video}.json", _share(readings.readings))
+
+
+def _finish(root: Path) -> None:
+    """Write annotations and SLAM maps of all videos, and the synthetic body model."""
+    parts = [_SHARE.decode(path.read_bytes()) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
+    annotations = root / hd_epic.ANNOTATIONS_FOLDER
+    movements = annotations / hd_epic.MOVEMENTS_FOLDER
+    write_json(movements / hd_epic.ASSOCIATIONS_FILE, {part.video: part.associations for part in parts})
+    write_json(movements / hd_epic.MASKS_FILE, {part.video: part.masks for part in parts})
+    priming = annotations / hd_epic.PRIMING_FOLDERS[0] / hd_epic.PRIMING_FILE
+    write_json(priming, {part.video: part.priming for part in parts})
+    for participant in {part.participant for part in parts}:
+        numbers = {
+            f"{participant}/{part.video}.vrs": slam_number(part.video)
+            for part in parts
+            if part.participant == participant
+        }
+        multi = root / hd_epic.DATA_FOLDER / hd_epic.MPS_FOLDER / participant / hd_epic.MULTI_SLAM_FOLDER
+        write_json(multi / hd_epic.SLAM_MAP_FILE, numbers)
+    write_smplh_model(root / ego.MODEL_FILE)
+
+
+LAYOUT = Layout(
+    dataset="hd-epic",
+    sense=sensors.sense,
+    to_recording=_to_recording,
+    write=_write_below,
+    finish=_finish,
+    events=sensors.known_events,
+    clock_start=lambda performance: sensors.clock_start_us(performance) / 1e6,
+    object_id=sensors.association_id,
+    gaze_bias=sensors.gaze_bias,
+)

@@ -7,80 +7,28 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.manifests import load_manifest
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import umetrack
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.readers.hot3d.umetrack import HandModel
-from prbench.recording import Recording
 from prbench.storage import atomic_folder, read_json, write_bytes, write_json
-from prbench.synthetic.layouts import SHARED_PARTS
+from prbench.synthetic.egoallo import write_outputs, write_smplh_model
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
-from prbench.synthetic.layouts.egoallo import write_outputs, write_smplh_model
-from prbench.synthetic.layouts.glb import glb_bytes
+from prbench.synthetic.layouts.file_forms import glb_bytes, split_columns, write_csv
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors import aria_gaze
 from prbench.synthetic.sensors import hot3d as sensors
-from prbench.synthetic.sensors.aria_mps import GAZE_RATE
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.aria_mps import GAZE_RATE, gaze_bias
 
-HEADSET_UID = "100000000000001"
+_HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]
 _OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
 """Files that a recording has and curation does not read; all true."""
 _OF_AN_EVENT = ("sequence", "not_primed", "too_short", "minimum_movement")
 _UNSET = 255.0
 """Of the hand model's unused tables of joints."""
-
-
-class Hot3dLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> hot3d.Hot3dReadings:
-        """Objects, headset, hands, glasses and gaze, and EgoAllo's bodies."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: hot3d.Hot3dReadings) -> Recording:
-        """The streams of one synthetic recording."""
-        return recording_from_hot3d(readings, load_manifest("hot3d"), dataset="synthetic-hot3d")
-
-    def write(self, readings: hot3d.Hot3dReadings, root: Path) -> None:
-        """One folder a recording; the models of its objects wait for :meth:`finish`."""
-        write(readings, root / readings.recording_id)
-        write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
-
-    def finish(self, root: Path) -> None:
-        """The object library and the body model that all recordings share."""
-        finish(root)
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """All of them; whether a prime is certain depends on the ten gaze samples a second."""
-        return tuple(
-            seen_again(event, performance, event.box_min, event.box_max, gaze_period=1.0 / GAZE_RATE)
-            if event.expected in _OF_AN_EVENT
-            else event
-            for event in performance.events
-        )
-
-    def clock_start(self, performance: Performance) -> float:
-        """Time of the ground truth's clock at the first instant, seconds."""
-        return sensors.clock_start(performance)
-
-    def object_id(self, object_id: str) -> str:
-        """Fifteen digits."""
-        return sensors.native_object_id(object_id)
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return aria_gaze.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = Hot3dLayout()
 
 
 def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
@@ -105,7 +53,7 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         )
         bodies = {entry.object_id: entry.rows for entry in readings.objects}
         write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
-        write_csv(target / hot3d.HEADSET_FILE, pose_columns({HEADSET_UID: readings.headset}))
+        write_csv(target / hot3d.HEADSET_FILE, pose_columns({_HEADSET_UID: readings.headset}))
         _write_hands(readings, target / hot3d.UMETRACK_FILE)
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
@@ -126,13 +74,13 @@ def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
             write_bytes(folder / f"{entry.object_id}.glb", content)
 
 
-def finish(root: Path) -> None:
+def _finish(root: Path) -> None:
     """Gather the parts of all recordings into the object library, and write the body model.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    headset = {HEADSET_UID: _instance(HEADSET_UID, "Aria", "headset")}
+    headset = {_HEADSET_UID: _instance(_HEADSET_UID, "Aria", "headset")}
     instances: dict[str, object] = dict(headset)
     library = root / LIBRARY
     library.mkdir(exist_ok=True)
@@ -147,7 +95,7 @@ def finish(root: Path) -> None:
 
 
 def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
-    """Columns of a pose table, rows in the order of time."""
+    """Return columns of a pose table, rows in the order of time."""
     times = np.concatenate([rows.time_ns for rows in bodies.values()])
     order = np.argsort(times, kind="stable")
     uids = np.concatenate([np.full(len(rows.time_ns), uid) for uid, rows in bodies.items()])
@@ -160,7 +108,7 @@ def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
 
 
 def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
-    """One line an instant, also where no hand is tracked."""
+    """Write one line an instant, also where no hand is tracked."""
     lines: dict[int, dict[str, object]] = {time: {} for time in readings.headset.time_ns.tolist()}
     for hand in readings.hands:
         numbers = zip(
@@ -181,7 +129,7 @@ def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
 
 
 def profile(model: HandModel) -> dict[str, object]:
-    """The hand model with the keys of ``umetrack_hand_user_profile.json``, lengths in millimetres."""
+    """Return the hand model with the keys of ``umetrack_hand_user_profile.json``, lengths in millimetres."""
     bones = model.landmark_weights.argmax(axis=1)
     firsts = [joint % umetrack.JOINTS_A_FINGER == 0 for joint in range(umetrack.N_JOINTS)]
     return {
@@ -210,11 +158,11 @@ def _write_masks(readings: hot3d.Hot3dReadings, folder: Path) -> None:
     all_times = readings.headset.time_ns
     truth = hot3d.MaskRows(all_times[::2], np.ones(len(all_times[::2]), dtype=bool))
     for name, rows in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
-        write_csv(folder / f"mask_{name}.csv", mask_columns(rows))
+        write_csv(folder / f"mask_{name}.csv", _mask_columns(rows))
 
 
-def mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
-    """One row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
+def _mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
+    """Return one row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
     slam = rows.time_ns + round(sensors.SLAM_DELAY * 1e9)
     streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
     return {
@@ -233,3 +181,32 @@ def _instance(uid: str, name: str, kind: str) -> dict[str, object]:
         "motion_type": "dynamic",
         "rigidity": "rigid",
     }
+
+
+def _write_below(readings: hot3d.Hot3dReadings, root: Path) -> None:
+    """Write one folder a recording; the models of its objects wait for :func:`_finish`."""
+    write(readings, root / readings.recording_id)
+    write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
+
+
+def _events(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Return all events; whether a prime is certain depends on the ten gaze samples a second."""
+    return tuple(
+        seen_again(event, performance, event.box_min, event.box_max, gaze_period=1.0 / GAZE_RATE)
+        if event.expected in _OF_AN_EVENT
+        else event
+        for event in performance.events
+    )
+
+
+LAYOUT = Layout(
+    dataset="hot3d",
+    sense=sensors.sense,
+    to_recording=recording_from_hot3d,
+    write=_write_below,
+    finish=_finish,
+    events=_events,
+    clock_start=sensors.clock_start,
+    object_id=sensors.native_object_id,
+    gaze_bias=gaze_bias,
+)

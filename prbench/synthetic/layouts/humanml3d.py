@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.corpora.humanml3d import format as layout
+from prbench.corpora.humanml3d import files as layout
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.storage import atomic_path, write_text
 from prbench.synthetic.activities import NarratedMotion
 
-LONGEST = 9.9
+_LONGEST = 9.9
 """Seconds of a motion in the dataset."""
 _SHORTEST = 2.05
 _PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
@@ -36,15 +36,16 @@ class CaptionedMotion:
 
 
 def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
-    """Neighbouring actions two by two: a caption for both together, and one for each part."""
+    """Return neighbouring actions two by two: a caption for both together, and one for each part."""
     rows = sorted(
         (row for row in motion.narrations if row.kind == "atomic_action"), key=lambda row: (row.start, row.end)
     )
     stride = round(motion.rate / layout.RATE)
     motions = []
     for number in range(0, len(rows) - 1, 2):
-        first, second = rows[number], rows[number + 1]
-        if second.end - first.start > LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
+        first = rows[number]
+        second = rows[number + 1]
+        if second.end - first.start > _LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
             continue
         begin, stop = (round(time * motion.rate) for time in (first.start, second.end))
         joints = motion.joints[begin : stop + 1 : stride]
@@ -61,7 +62,7 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
 
 
 def mirrored(motion: CaptionedMotion) -> CaptionedMotion:
-    """Left and right exchanged, in joints and words."""
+    """Exchange left and right, in joints and words."""
     joints = motion.joints * np.array([-1.0, 1.0, 1.0])
     swapped = joints.copy()
     for left, right in _PAIRS:
@@ -98,5 +99,5 @@ def _other_side(text: str) -> str:
 
 
 def _tokens(text: str) -> str:
-    """``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
+    """Return ``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
     return " ".join(f"{word}/X" for word in re.findall(r"[a-z]+", text.lower()))

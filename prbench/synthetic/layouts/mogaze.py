@@ -18,12 +18,9 @@ from prbench.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
-from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json, write_text
-from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.sensors import mogaze as sensors
-from prbench.synthetic.sensors.errors import Switches
 
 _GAZE_COLUMNS = 7
 _COLOUR = "1 0.5 0.5 0.5"
@@ -34,52 +31,7 @@ _FACES = (
 )  # fmt: skip
 
 
-class MogazeLayout:
-    """See :class:`prbench.synthetic.layouts.Layout`."""
-
-    def sense(
-        self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None
-    ) -> mogaze.MogazeReadings:
-        """Body, goggles and gaze, objects, segments."""
-        return sensors.sense(performance, noise=noise, switches=switches)
-
-    def recording(self, readings: mogaze.MogazeReadings) -> Recording:
-        """The streams of one synthetic recording."""
-        return recording_from_mogaze(readings, load_manifest("mogaze"), dataset="synthetic-mogaze")
-
-    def write(self, readings: mogaze.MogazeReadings, root: Path) -> None:
-        """Four files, and the recording's share of the scene."""
-        write(readings, root)
-        entries = [_scene_entry(body) for body in readings.bodies]
-        write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", msgspec.to_builtins(entries))
-
-    def finish(self, root: Path) -> None:
-        """Scene and meshes of all recordings."""
-        parts = sorted((root / SHARED_PARTS).glob("*.json"))
-        entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
-        write_scene(root, {entry.body_id: entry for entry in entries})
-
-    def events(self, performance: Performance) -> tuple[TrueEvent, ...]:
-        """All but those of doors."""
-        return sensors.events(performance)
-
-    def clock_start(self, performance: Performance) -> float:  # noqa: ARG002 (equal for all)
-        """The first frame is time 0."""
-        return 0.0
-
-    def object_id(self, object_id: str) -> str:
-        """Sixteen digits, as in the performance."""
-        return object_id
-
-    def gaze_bias(self, performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-        """Yaw and pitch, radians."""
-        return sensors.gaze_bias(performance, noise=noise, switches=switches)
-
-
-LAYOUT = MogazeLayout()
-
-
-class SceneEntry(msgspec.Struct, frozen=True):
+class _SceneEntry(msgspec.Struct, frozen=True):
     """One body of the scene as recordings hand it over."""
 
     body_id: int
@@ -90,7 +42,7 @@ class SceneEntry(msgspec.Struct, frozen=True):
     high: tuple[float, float, float]
 
 
-_ENTRIES = msgspec.json.Decoder(list[SceneEntry])
+_ENTRIES = msgspec.json.Decoder(list[_SceneEntry])
 
 
 def write(readings: mogaze.MogazeReadings, root: Path) -> None:
@@ -109,10 +61,10 @@ def write(readings: mogaze.MogazeReadings, root: Path) -> None:
             writer(file, readings)
 
 
-def write_scene(root: Path, entries: dict[int, SceneEntry]) -> None:
+def _write_scene(root: Path, entries: dict[int, _SceneEntry]) -> None:
     """Write ``scene.xml`` and one box mesh for each shape that it names."""
     lines = ['<?xml version="1.0"?>', "<scene>"]
-    meshes: dict[str, SceneEntry] = {}
+    meshes: dict[str, _SceneEntry] = {}
     for key, entry in sorted(entries.items()):
         lines.append(f'  <body id="{key}" name={quoteattr(entry.name)}>')
         if entry.mesh:
@@ -125,7 +77,7 @@ def write_scene(root: Path, entries: dict[int, SceneEntry]) -> None:
 
 
 def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
-    """A box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
+    """Return a box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
     corners = np.where(_CORNERS, high, low).tolist()
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
     return "\n".join([*lines, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in _FACES), ""])
@@ -147,7 +99,7 @@ def _write_objects(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
 
 
 def _write_gaze(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
-    """One row more than the other files have, as in the release; columns of unknown meaning are zero."""
+    """Write one row more than the other files have, as in the release; columns of unknown meaning are zero."""
     rows = np.zeros((len(readings.gaze_points) + 1, _GAZE_COLUMNS))
     rows[:-1, mogaze.GAZE_POINT], rows[:-1, -1] = readings.gaze_points, readings.gaze_confidence
     rows[-1] = rows[-2]
@@ -163,9 +115,37 @@ def _write_segments(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
     entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
 
 
-def _scene_entry(body: mogaze.MogazeBody) -> SceneEntry:
+def _scene_entry(body: mogaze.MogazeBody) -> _SceneEntry:
     kind = mogaze.kind_of_body(body.name)
     known = load_manifest("mogaze").object_extents.get(kind)
     shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
-    mesh = "" if body.name == mogaze.GOGGLES else f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
-    return SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
+    own_mesh = f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
+    mesh = "" if body.name == mogaze.GOGGLES else own_mesh
+    return _SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
+
+
+def _write_below(readings: mogaze.MogazeReadings, root: Path) -> None:
+    """Write four files, and the recording's share of the scene."""
+    write(readings, root)
+    entries = [_scene_entry(body) for body in readings.bodies]
+    write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", msgspec.to_builtins(entries))
+
+
+def _finish(root: Path) -> None:
+    """Write scene and meshes of all recordings."""
+    parts = sorted((root / SHARED_PARTS).glob("*.json"))
+    entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
+    _write_scene(root, {entry.body_id: entry for entry in entries})
+
+
+LAYOUT = Layout(
+    dataset="mogaze",
+    sense=sensors.sense,
+    to_recording=recording_from_mogaze,
+    write=_write_below,
+    finish=_finish,
+    events=sensors.events,
+    clock_start=lambda _: 0.0,  # the first frame is time 0
+    object_id=lambda object_id: object_id,
+    gaze_bias=sensors.gaze_bias,
+)

@@ -4,16 +4,158 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
+from prbench.axes import Y_UP_FROM_Z_UP, z_up
 from prbench.corpora.nymeria import format as nymeria
-from prbench.corpora.nymeria.format import Narration
+from prbench.corpora.nymeria.format import SUIT_RATE, Narration, NymeriaRecording, Suit
+from prbench.joint_names import XSENS_SEGMENTS
+from prbench.manifests import load_manifest
+from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
+from prbench.skeleton import PARENTS, Joint, bone_lengths
 from prbench.storage import atomic_path, write_bytes, write_json
-from prbench.synthetic.layouts.csv_files import split_columns, write_csv
-from prbench.synthetic.sensors.nymeria import GlassesPoses, NymeriaReadings
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.activities import NarratedMotion
+from prbench.synthetic.layouts.file_forms import split_columns, write_csv
+from prbench.synthetic.people.channels import wobble
+from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation_quaternion
+
+_GLASSES_STRIDE = 1
+"""Suit frames for one pose of the glasses: 240 Hz instead of the real 1 kHz, which nothing here needs."""
+_DRIFT = (0.02, 0.005, 0.02)  # m r.m.s., Hz: the suit's world drifts slowly
+_SLIP = (np.deg2rad(0.3), 0.01, 0.05)  # rad r.m.s., Hz: the glasses against the head
+_OFFSET = (0.1, 0.3)  # s, suit clock minus glasses' clock
+_DEVICE_START = (100.0, 60_000.0)  # s
+_ROUNDED = 1e5  # 10 micrometres
+
+_Z_UP_FROM_Y_UP = Y_UP_FROM_Z_UP[:3, :3].T
+_OURS_FROM_SEGMENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""Segments: x forward, y left, z up; ours: x left, y up, z forward."""
+_JOINT_OF_SEGMENT = {
+    "Pelvis": Joint.PELVIS,
+    **dict(zip(load_manifest("nymeria").body.joint_mapping, Joint, strict=True)),
+}
+"""Whose position and rotation a segment takes; the Pelvis segment lies between the hips."""
+
+
+@dataclass(frozen=True)
+class GlassesPoses:
+    """Poses of the glasses, device clock, Z up."""
+
+    time_us: Int[np.ndarray, " m"]
+    position: Float[np.ndarray, "m 3"]
+    rotation: Float[np.ndarray, "m 4"]
+    """w x y z, device to world."""
+
+
+@dataclass(frozen=True)
+class NymeriaReadings:
+    """All that is written of one recording, and the offset that must be found again."""
+
+    recording: NymeriaRecording
+    glasses: GlassesPoses
+    offset: float
+    """TIME_CODE minus device time, seconds."""
+
+
+def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> NymeriaReadings:
+    """Put a motion into the suit's world and its texts onto the glasses' clock.
+
+    Args:
+        motion: The truth, at 240 Hz.
+        seed: Of the corpus.
+        noise: Multiplies drift and slip; 0 for ideal sensors.
+    """
+
+    def generator(purpose: str) -> np.random.Generator:
+        return named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", motion.recording_id, purpose)
+
+    clock = generator("clock")
+    device_start_us, offset_us = (round(1e6 * float(clock.uniform(*span))) for span in (_DEVICE_START, _OFFSET))
+    ticks = np.rint(np.arange(len(motion.joints)) * 1e6 / SUIT_RATE).astype(np.int64)
+    suit = Suit(
+        time_us=device_start_us + offset_us + ticks,
+        position=_positions(motion, generator("drift"), noise),
+        rotation=_rotations(motion),
+        tpose=_calibration_pose(motion),
+    )
+    device_start = device_start_us / 1e6
+    texts = tuple(
+        Narration(
+            row.kind,
+            round(device_start + row.start, 6),
+            round(device_start + row.end, 6),
+            tuple(zip(_answers_of(row.kind), row.texts, strict=True)),
+            "annotator_1",
+        )
+        for row in motion.narrations
+    )
+    recording = NymeriaRecording(motion.recording_id, suit, texts)
+    return NymeriaReadings(
+        recording, _glasses(motion, device_start_us + ticks, generator("slip"), noise), offset_us / 1e6
+    )
+
+
+def _answers_of(kind: str) -> tuple[str, ...]:
+    """Names of the answers of a kind, without "Describe my"."""
+    return tuple(name[len(nymeria.ANSWER_PREFIX) :].strip() for name in nymeria.ANSWER_COLUMNS[kind])
+
+
+def _positions(motion: NarratedMotion, rng: np.random.Generator, noise: float) -> Float[np.ndarray, "n 23 3"]:
+    joints = motion.joints
+    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS], axis=1)
+    points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
+    drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
+    points[..., [0, 2]] += drift[:, None]
+    return (np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32)
+
+
+def _rotations(motion: NarratedMotion) -> Float[np.ndarray, "n 23 4"]:
+    joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
+    turned = matrix_of(motion.rotations[:, joints])
+    return quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32)
+
+
+def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generator, noise: float) -> GlassesPoses:
+    """Return the eyes and head of the wearer; the frame of the glasses on the head is of no consequence here."""
+    slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
+    on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
+    turned = _Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head
+    every = slice(None, None, _GLASSES_STRIDE)
+    position = np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED
+    return GlassesPoses(time_us[every], position[every], np.round(quaternion(turned), 8)[every])
+
+
+def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
+    """Return the wearer in a T-pose: upright, arms out to the sides; Z up, metres."""
+    lengths = dict(zip(range(1, len(PARENTS)), bone_lengths(motion.joints[0]), strict=True))
+    tilt = np.deg2rad(motion.neck_tilt_deg)
+    directions = {
+        Joint.LEFT_HIP: (0.6, -0.8, 0.0),
+        Joint.HEAD: (0.0, np.cos(tilt), np.sin(tilt)),
+        Joint.LEFT_COLLAR: (0.7, 0.7141428, 0.0),
+        Joint.LEFT_KNEE: (0.0, -1.0, 0.0),
+        Joint.LEFT_ANKLE: (0.0, -1.0, 0.0),
+        Joint.LEFT_FOOT: (0.0, -0.4, 0.9165151),
+        **dict.fromkeys((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), (1.0, 0.0, 0.0)),
+        **dict.fromkeys((Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK), (0.0, 1.0, 0.0)),
+    }
+    for joint, direction in tuple(directions.items()):
+        if joint.name.startswith("LEFT"):
+            directions[Joint[joint.name.replace("LEFT", "RIGHT")]] = (-direction[0], *direction[1:])
+    joints = np.zeros((len(PARENTS), 3))
+    joints[0, 1] = 1.0
+    for child in range(1, len(PARENTS)):
+        joints[child] = joints[PARENTS[child]] + lengths[child] * np.array(directions[Joint(child)])
+    points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS])
+    points[0] = 0.5 * (joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_HIP])
+    return z_up(points)
+
 
 _SCALAR_LAST = ("qx_world_device", "qy_world_device", "qz_world_device", "qw_world_device")
 _GRAVITY = (0.0, 0.0, -9.81)
@@ -33,11 +175,11 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     """
     recording = readings.recording
     folder = root / recording.name
-    write_suit(folder / "body" / nymeria.SUIT_FILE, readings)
+    _write_suit(folder / "body" / nymeria.SUIT_FILE, readings)
     for kind, name in nymeria.NARRATION_FILES.items():
         rows = [row for row in recording.narrations if row.kind == kind]
         if rows:
-            write_narrations(folder / "narration" / name, kind, rows)
+            _write_narrations(folder / "narration" / name, kind, rows)
     parts = recording.name.split("_")
     write_json(
         folder / nymeria.METADATA_FILE,
@@ -56,7 +198,7 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
         write_csv(slam / nymeria.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
 
 
-def write_suit(path: Path, readings: NymeriaReadings) -> None:
+def _write_suit(path: Path, readings: NymeriaReadings) -> None:
     """Write ``xdata.npz``; equal readings give equal bytes."""
     suit = readings.recording.suit
     n = len(suit.time_us)
@@ -74,7 +216,7 @@ def write_suit(path: Path, readings: NymeriaReadings) -> None:
         np.savez(temporary, **arrays)
 
 
-def write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:
+def _write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:
     """Write one narration file, with the byte order mark that the release has."""
     text = io.StringIO()
     writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\r\n")

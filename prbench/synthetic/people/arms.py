@@ -10,11 +10,10 @@ from jaxtyping import Float
 
 from prbench.synthetic.people.channels import add_bump, blend, minimum_jerk
 from prbench.synthetic.people.geometry import UP, frame_of_bone, turn, two_bone, unit
-from prbench.synthetic.people.person import Body
+from prbench.synthetic.people.movements import DOOR
+from prbench.synthetic.people.person import Body, Trunk
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.posture import Sway
-from prbench.synthetic.people.provocations import DOOR
-from prbench.synthetic.people.trunk import Trunk
 
 _ARM_LIMIT = (0.95, 0.995)
 _HANGING = 0.96
@@ -23,15 +22,15 @@ _CARRY_AFTER = 0.75
 _BACK_WITHIN = 0.8
 _HUMP_UP, _HUMP_FORWARD = 0.06, 0.09
 
-SLIDE_TIME = 0.15
+_SLIDE_TIME = 0.15
 """Seconds that a nudged object slides."""
-OPENING_TIME = 1.0
+_OPENING_TIME = 1.0
 """Seconds in which a door is opened."""
 MEETING_TIME = 0.5
 """Seconds in which the hands meet for a hand-over."""
 HANDING_TIME = 0.6
 """Seconds in which the object goes from hand to hand."""
-DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
+_DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Arms:
 
 
 def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Float[np.ndarray, "n 2 3"]:
-    """Where the wrists are meant to be: waiting, reaching, carrying. Commands are applied in time order."""
+    """Return where the wrists are meant to be: waiting, reaching, carrying. Commands are applied in time order."""
     rest = [_resting_wrist(plan, trunk, sway, hand) for hand in (0, 1)]
     carry = [_offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose) for hand in (0, 1)]
     wrists = [waiting.copy() for waiting in rest]
@@ -60,7 +59,7 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Floa
 
 
 def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
-    """To the grasp, on a path that bulges up and forward: not through the table's edge or the own shoulder."""
+    """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
     duration = reach.contact - reach.reach_start
     blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside)
     add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
@@ -81,22 +80,22 @@ def _leave(wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray,
 def moved_along(
     reach: Reach, point: Float[np.ndarray, "3"], times: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Where a point fixed to a nudged or hinged object is after the event."""
+    """Return where a point fixed to a nudged or hinged object is after the event."""
     if reach.twist.slide is not None:
-        return point + minimum_jerk((times - reach.event) / SLIDE_TIME)[:, None] * reach.twist.slide
-    axis = reach.centre + turn(reach.yaw, 0.0, np.array([DOOR_WIDTH_HALF, 0.0, 0.0]))
+        return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.twist.slide
+    axis = reach.centre + turn(reach.yaw, 0.0, np.array([_DOOR_WIDTH_HALF, 0.0, 0.0]))
     return axis + turn(opened(reach, times), 0.0, point - axis)
 
 
 def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Angle of a door that is pulled towards the person, radians."""
-    return -reach.twist.opening * minimum_jerk((times - reach.event) / OPENING_TIME)
+    """Return the angle of a door that is pulled towards the person, radians."""
+    return -reach.twist.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
 
 
 def _second_hand(
     wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, trunk: Trunk, times: np.ndarray
 ) -> None:
-    """The other hand joins after the lift, some way beside the first, and helps to put down."""
+    """Let the other hand join after the lift, some way beside the first, and help to put down."""
     towards_other = 1.0 if reach.hand == 1 else -1.0
     beside = np.array([towards_other * reach.twist.second_hand, 0.0, 0.0])
     if reach.action == "pick":
@@ -116,7 +115,7 @@ def _hand_over(
     trunk: Trunk,
     times: np.ndarray,
 ) -> None:
-    """Both hands meet before the chest; one leaves, the other carries on."""
+    """Let both hands meet before the chest; one leaves, the other carries on."""
     begin = put.twist.handed_over
     assert begin is not None  # the caller asks for it only then
     middle = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
@@ -132,7 +131,8 @@ def _hand_over(
 def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:
     if plan.preset.work_pose is not None:
         return _offset_from_shoulder(plan, trunk, hand, plan.preset.work_pose) + sway.hands[:, hand]
-    body, side = plan.person.body, (1.0 if hand == 0 else -1.0)
+    body = plan.person.body
+    side = 1.0 if hand == 0 else -1.0
     outside = _OUTSIDE_SHOULDER * body.stature
     length = np.sqrt((_HANGING * body.arm) ** 2 - outside**2)
     angle = side * plan.person.habits.arm_swing * sway.arm_swing
@@ -141,14 +141,14 @@ def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarra
 
 
 def _offset_from_shoulder(plan: Plan, trunk: Trunk, hand: int, offset: tuple[float, float, float]) -> np.ndarray:
-    """A place relative to the shoulder: outwards, up, forward; fractions of the stature."""
+    """Return a place relative to the shoulder: outwards, up, forward; fractions of the stature."""
     side = 1.0 if hand == 0 else -1.0
     scaled = plan.person.body.stature * np.array([side * offset[0], offset[1], offset[2]])
     return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, scaled)
 
 
 def elbow_poles(flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 2 3"]:
-    """Where the elbows point, in the chest's frame; follows the direction of the arm.
+    """Return where the elbows point, in the chest's frame; follows the direction of the arm.
 
     A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip.
     """
@@ -169,7 +169,7 @@ def pose_arms(
     wrists: Float[np.ndarray, "n 2 3"],
     poles: Float[np.ndarray, "n 2 3"] | None = None,
 ) -> Arms:
-    """Elbows by two-bone kinematics.
+    """Find the elbows by two-bone kinematics.
 
     Args:
         body: Bone lengths.
@@ -178,7 +178,9 @@ def pose_arms(
         wrists: Wanted wrists.
         poles: Where the elbows point, chest frame; :func:`elbow_poles` if None.
     """
-    elbows, reached, hinges = [], [], []
+    elbows = []
+    reached = []
+    hinges = []
     poles = elbow_poles(flare, trunk, wrists) if poles is None else poles
     for hand in (0, 1):
         shoulder = trunk.shoulders[hand]
@@ -191,7 +193,7 @@ def pose_arms(
 
 
 def turn_hands(plan: Plan, arms: Arms, times: np.ndarray) -> Float[np.ndarray, "n 2 3 3"]:
-    """World from hand: y from wrist to finger base along the forearm, turned into the grasp around an event."""
+    """Return world from hand: y from wrist to finger base along the forearm, turned into the grasp around an event."""
     frames = []
     for hand in (0, 1):
         forearm = unit(arms.wrist[:, hand] - arms.elbow[:, hand])

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.synthetic.people.channels import blend, eased_trapezoid, wrap
 from prbench.synthetic.people.person import Habits
 
-WALK_FROM = 0.7
+_WALK_FROM = 0.7
 _STAY_WITHIN = 0.04
 _STAY_TURN = np.deg2rad(12.0)
 
@@ -92,7 +92,7 @@ def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, b
     """
     distance = float(np.hypot(goal.x - start.x, goal.z - start.z))
     speed = habits.walk_speed * pace * (1.0 - np.exp(-(distance + 0.15) / 0.75))
-    if distance > WALK_FROM:
+    if distance > _WALK_FROM:
         return _plan_walk(habits, speed, distance, start, goal, begin)
     turn = float(wrap(goal.heading - start.heading))
     if distance < _STAY_WITHIN and abs(turn) < _STAY_TURN:
@@ -133,12 +133,12 @@ class BasePath:
         return np.stack([self.x, np.zeros_like(self.x), self.z], axis=-1)
 
     def pose(self, index: int) -> BasePose:
-        """At one frame."""
+        """Return the base pose at one frame."""
         return BasePose(float(self.x[index]), float(self.z[index]), float(self.heading[index]))
 
 
 def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.ndarray, " n"]) -> BasePath:
-    """Base pose at every frame of a recording that begins standing at ``start``."""
+    """Return the base pose at every frame of a recording that begins standing at ``start``."""
     position = np.tile([start.x, start.z], (times.size, 1))
     heading = np.full(times.size, start.heading)
     for segment in segments:
@@ -158,7 +158,9 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.
 def _translate(position: np.ndarray, times: np.ndarray, segment: Segment) -> None:
     first = int(np.searchsorted(times, segment.translation_begin))
     duration = segment.arrival - segment.translation_begin
-    up, down = min(0.5 / duration, 0.45), min(0.65 / duration, 0.5)
+    up = min(0.5 / duration, 0.45)
+    down = min(0.65 / duration, 0.5)
     progress = eased_trapezoid((times[first:] - segment.translation_begin) / duration, up, down)
-    origin, goal = np.array([segment.start.x, segment.start.z]), np.array([segment.goal.x, segment.goal.z])
+    origin = np.array([segment.start.x, segment.start.z])
+    goal = np.array([segment.goal.x, segment.goal.z])
     position[first:] = origin + progress[:, None] * (goal - origin)

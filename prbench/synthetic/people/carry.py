@@ -35,7 +35,7 @@ def move_objects(
     times: Float[np.ndarray, " n"],
     object_ids: list[str],
 ) -> list[ObjectMotion]:
-    """The tracks of all handled objects and of the room's bystanders.
+    """Return the tracks of all handled objects and of the room's bystanders.
 
     Args:
         plan: Which object is carried when.
@@ -79,7 +79,8 @@ def _resting(item: Item) -> _Track:
 
 
 def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndarray, times: np.ndarray) -> _Track:
-    n, rest = times.size, _resting(item)
+    n = times.size
+    rest = _resting(item)
     track = _Track(np.tile(rest.position, (n, 1)), np.tile(rest.rotation, (n, 1)), np.full(n, -1))
     for reach, following in zip(reaches, (*reaches[1:], None), strict=False):
         first = int(np.searchsorted(times, reach.event))
@@ -106,7 +107,7 @@ def _carry(
     hands: np.ndarray,
     times: np.ndarray,
 ) -> None:
-    """Fixed in the hand; what is left at the put is spread over the carry."""
+    """Fix the object in the hand; what is left at the put is spread over the carry."""
     position, turned = _rigid(wrists[span, pick.hand], hands[span, pick.hand], pick, at=0)
     track.held_by[span] = pick.hand
     if put is not None and put.twist.handed_over is not None:
@@ -125,13 +126,13 @@ def _carry(
 
 
 def _rigid(wrist: np.ndarray, hand: np.ndarray, reach: Reach, at: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of an object that is fixed in a hand and lies as the reach has it in frame ``at``."""
+    """Return the poses of an object that is fixed in a hand and lies as the reach has it in frame ``at``."""
     offset = hand[at].T @ (reach.centre - wrist[at])
     return wrist + hand @ offset, hand @ (hand[at].T @ rotation(reach.yaw, 0.0))
 
 
 def _between(before: np.ndarray, after: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Rotations a growing share of the way from one to the other."""
+    """Return the rotations a growing share of the way from one to the other."""
     left = quaternion(after @ np.swapaxes(before, -1, -2))
     return _scaled_rotation(left, share) @ before
 
@@ -141,7 +142,7 @@ def _part_of_rotation(whole: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 def _scaled_rotation(quaternions: Float[np.ndarray, "n 4"], share: Float[np.ndarray, " n"]) -> np.ndarray:
-    """Matrices of rotations (w >= 0) whose angles are scaled."""
+    """Return the matrices of rotations (w >= 0) whose angles are scaled."""
     sine = np.linalg.norm(quaternions[:, 1:], axis=1)
     half = np.arctan2(sine, quaternions[:, 0]) * share
     axis = quaternions[:, 1:] / np.maximum(sine, 1e-12)[:, None]
@@ -149,7 +150,7 @@ def _scaled_rotation(quaternions: Float[np.ndarray, "n 4"], share: Float[np.ndar
 
 
 def _riding(item: Item, carrier: Item, track: _Track) -> _Track:
-    """Rigid on another object."""
+    """Return the poses of an object that stands on another one."""
     at_rest = rotation(carrier.yaw, 0.0)
     offset = at_rest.T @ (item.position - carrier.position)
     if len(track.position) == 1:

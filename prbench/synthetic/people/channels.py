@@ -12,28 +12,28 @@ from scipy.signal import lfilter
 
 
 def minimum_jerk(x: np.ndarray | float) -> np.ndarray:
-    """10 x^3 - 15 x^4 + 6 x^5 with x clipped to [0, 1]."""
+    """Return 10 x^3 - 15 x^4 + 6 x^5 with x clipped to [0, 1]."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
-def minimum_jerk_integral(x: np.ndarray | float) -> np.ndarray:
-    """Integral of :func:`minimum_jerk` from 0 to x; 0.5 at x = 1 and a straight line after it."""
+def _minimum_jerk_integral(x: np.ndarray | float) -> np.ndarray:
+    """Return the integral of :func:`minimum_jerk` from 0 to x; 0.5 at x = 1 and a straight line after it."""
     inside = np.clip(x, 0.0, 1.0)
     return inside**4 * (2.5 + inside * (inside - 3.0)) + np.maximum(x - 1.0, 0.0)
 
 
 def bump(x: np.ndarray | float) -> np.ndarray:
-    """16 m^2 (1 - m)^2 of the minimum-jerk progress m: 0 at both ends, 1 in the middle."""
+    """Return 16 m^2 (1 - m)^2 of the minimum-jerk progress m: 0 at both ends, 1 in the middle."""
     progress = minimum_jerk(x)
     return 16.0 * progress**2 * (1.0 - progress) ** 2
 
 
 def eased_trapezoid(x: np.ndarray, up: float, down: float) -> np.ndarray:
-    """Progress 0 to 1 of a speed that rises over ``up``, is constant, and falls over ``down`` (shares of the time)."""
+    """Return the progress of a speed that rises over ``up``, is constant, and falls over ``down`` (shares of time)."""
     x = np.clip(x, 0.0, 1.0)
-    rising = up * minimum_jerk_integral(x / up)
-    falling = down * minimum_jerk_integral((x - (1.0 - down)) / down) * (x > 1.0 - down)
+    rising = up * _minimum_jerk_integral(x / up)
+    falling = down * _minimum_jerk_integral((x - (1.0 - down)) / down) * (x > 1.0 - down)
     return (rising - falling) / (1.0 - 0.5 * up - 0.5 * down)
 
 
@@ -78,7 +78,7 @@ def add_bump(
 def wobble(
     times: Float[np.ndarray, " n"], rms: float, low: float, high: float, rng: np.random.Generator
 ) -> Float[np.ndarray, " n"]:
-    """A sum of five sines of random phase with frequencies between ``low`` and ``high`` Hz and the given r.m.s."""
+    """Return a sum of five sines of random phase, with frequencies from ``low`` to ``high`` Hz and the given r.m.s."""
     frequencies = rng.uniform(low, high, 5)
     phases = rng.uniform(0.0, 2.0 * np.pi, 5)
     waves = np.sin(2.0 * np.pi * frequencies[:, None] * times + phases[:, None])
@@ -86,12 +86,12 @@ def wobble(
 
 
 def smooth(values: Float[np.ndarray, "n *dims"], seconds: float, rate: float) -> np.ndarray:
-    """Gaussian filter over frames whose standard deviation is ``seconds``."""
+    """Apply a Gaussian filter over frames whose standard deviation is ``seconds``."""
     return gaussian_filter1d(values, seconds * rate, axis=0, mode="nearest", truncate=3.0)
 
 
 def two_pole_low_pass(values: Float[np.ndarray, " n"], time_constant: float, rate: float) -> np.ndarray:
-    """Two equal exponential filters in series, at rest on the first value."""
+    """Apply two equal exponential filters in series, at rest on the first value."""
     decay = np.exp(-1.0 / (time_constant * rate))
     for _ in range(2):
         values = lfilter([1.0 - decay], [1.0, -decay], values, zi=[decay * values[0]])[0]
@@ -99,5 +99,5 @@ def two_pole_low_pass(values: Float[np.ndarray, " n"], time_constant: float, rat
 
 
 def wrap(angle: np.ndarray | float) -> np.ndarray:
-    """Angle in [-pi, pi)."""
+    """Wrap an angle to [-pi, pi)."""
     return np.asarray((np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi)

@@ -45,12 +45,16 @@ class FillDrawer:
         avoid: list[Avoidance],
         rng: np.random.Generator,
     ) -> None:
-        self.plan, self.base, self.eye, self.times, self.rng = plan, base, eye, times, rng
+        self.plan = plan
+        self.base = base
+        self.eye = eye
+        self.times = times
+        self.rng = rng
         self.points = np.array([item.point for item in avoid]).reshape(-1, 3)
         self.spans = np.array([(item.start, item.end) for item in avoid]).reshape(-1, 2)
 
     def draw(self, now: float, until: float, previous: np.ndarray | None) -> tuple[float, np.ndarray]:
-        """Duration and point of the fill that begins ``now`` and ends by ``until``."""
+        """Draw duration and point of the fill that begins ``now`` and ends by ``until``."""
         index = min(int(np.searchsorted(self.times, now)), self.times.size - 1)
         walking = bool(self.base.speed[index] > _WALKING)
         duration = 0.38 * np.exp(0.55 * self.rng.standard_normal())
@@ -68,11 +72,12 @@ class FillDrawer:
         return duration, self._evade(point, index, avoided)
 
     def _avoided(self, start: float, end: float) -> np.ndarray:
-        """Goals that would be primed by a look in this interval."""
+        """Return the goals that would be primed by a look in this interval."""
         return self.points[(self.spans[:, 0] <= end + 0.1) & (self.spans[:, 1] >= start)]
 
     def _candidate(self, index: int, walking: bool, previous: np.ndarray | None) -> np.ndarray:
-        rng, eye = self.rng, self.eye[index]
+        rng = self.rng
+        eye = self.eye[index]
         if previous is not None:
             point = self._near_direction(eye, previous)
         elif walking and rng.random() < 0.5:
@@ -94,7 +99,7 @@ class FillDrawer:
         return eye + distance * direction(yaw, np.clip(pitch, -0.5, 1.2))
 
     def _ahead(self, index: int) -> np.ndarray:
-        """Along the path as it will be in 1.2 s."""
+        """Return a point along the path as it will be in 1.2 s."""
         soon = min(index + int(1.2 / (self.times[1] - self.times[0])), self.times.size - 1)
         heading = self.base.heading[soon]
         point = self.base.points[soon] + self.rng.uniform(1.2, 3.0) * direction(heading, 0.0)
@@ -130,13 +135,14 @@ class FillDrawer:
     def _misses(self, point: np.ndarray, index: int, avoided: np.ndarray) -> bool:
         if not len(avoided):
             return True
-        sight, goals = point - self.eye[index], avoided - self.eye[index]
+        sight = point - self.eye[index]
+        goals = avoided - self.eye[index]
         distance = np.linalg.norm(goals, axis=1)
         cosine = goals @ sight / (distance * np.linalg.norm(sight))
         return bool(np.all(np.arccos(np.clip(cosine, -1.0, 1.0)) > np.arctan(0.16 / distance) + np.deg2rad(3.0)))
 
     def _evade(self, point: np.ndarray, index: int, avoided: np.ndarray) -> np.ndarray:
-        """Some direction within sight that misses every avoided goal, the nearest found to straight ahead."""
+        """Return some direction within sight that misses every avoided goal, the nearest found to straight ahead."""
         for sideways in (0.0, 0.35, -0.35, 0.7, -0.7, 1.0, -1.0):
             for pitch in (0.1, -0.25, 0.5, 0.8):
                 ahead = self.eye[index] + 1.5 * direction(self.base.heading[index] + sideways, pitch)

@@ -5,7 +5,7 @@ Source: docs/specification/synthetic-recordings.md#eye-head-trunk, schedule of a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from prbench.synthetic.people.base import BasePath
 from prbench.synthetic.people.channels import wrap
 from prbench.synthetic.people.fills import Avoidance, FillDrawer
+from prbench.synthetic.people.geometry import direction, yaw_and_pitch
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.presets import Preset
 
@@ -53,7 +54,7 @@ class _Timeline:
         self.looks: list[Look] = []
 
     def free_parts(self, start: float, end: float) -> list[tuple[float, float]]:
-        """What is left of an interval."""
+        """Return what is left of an interval."""
         parts = [(start, end)]
         for look in self.looks:
             parts = [
@@ -134,11 +135,16 @@ class _Scheduler:
     def __init__(
         self, plan: Plan, base: BasePath, eye: np.ndarray, times: np.ndarray, rng: np.random.Generator
     ) -> None:
-        self.plan, self.base, self.eye, self.times, self.rng = plan, base, eye, times, rng
+        self.plan = plan
+        self.base = base
+        self.eye = eye
+        self.times = times
+        self.rng = rng
 
     def kind(self, reach: Reach) -> str:
-        """Whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
-        preset, chance = self.plan.preset, self.rng.random()
+        """Draw whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""
+        preset = self.plan.preset
+        chance = self.rng.random()
         if reach.action == "hover":
             return "unseen"
         if reach.tag != "plain":
@@ -148,8 +154,9 @@ class _Scheduler:
         return "near" if chance < preset.unprimed + preset.near_miss else "plain"
 
     def prime_time(self, reach: Reach) -> float:
-        """When the first look at the goal begins."""
-        preset, rng = self.plan.preset, self.rng
+        """Draw when the first look at the goal begins."""
+        preset = self.plan.preset
+        rng = self.rng
         if reach.twist.gap is not None:
             return reach.event - reach.twist.gap
         after_motor_start = not preset.gap
@@ -168,7 +175,7 @@ class _Scheduler:
         return min(prime, reach.event - _GAP_LIMITS[0])
 
     def goal_looks(self, reach: Reach, prime: float, kind: str) -> tuple[list[Look], list[Look], list[Look]]:
-        """Prime; guide; returns in between. In the order in which they claim time."""
+        """Draw prime, guide, and returns in between, in the order in which they claim time."""
         rng = self.rng
         guide = max(prime, reach.reach_start - float(rng.uniform(0.0, 0.45)))
         dwell = self.plan.preset.prime_look * np.exp(0.5 * rng.standard_normal())
@@ -189,7 +196,7 @@ class _Scheduler:
         return [first], [last] if last.end > last.start else [], returns
 
     def sweep(self, reach: Reach, prime: float) -> tuple[list[Look], list[Look], list[Look]]:
-        """Two short looks on both sides of the goal, so that one fast saccade crosses it."""
+        """Return two short looks on both sides of the goal, so that one fast saccade crosses it."""
         index = int(np.searchsorted(self.times, prime))
         sight = reach.centre - self.eye[index]
         sideways = np.tan(_SWEEP) * np.array([sight[2], 0.0, -sight[0]])
@@ -204,7 +211,7 @@ class _Scheduler:
         return Look(start, end, point, True, reach.number)
 
     def _beside(self, start: float, reach: Reach) -> np.ndarray:
-        """A point that the ray passes 1 to 3.5 cm beside the box."""
+        """Return a point that the ray passes 1 to 3.5 cm beside the box."""
         index = min(int(np.searchsorted(self.times, start)), self.times.size - 1)
         sight = reach.centre - self.eye[index]
         sideways = np.array([sight[2], 0.0, -sight[0]]) / np.hypot(sight[0], sight[2])
@@ -218,3 +225,76 @@ def _draw_gap(preset: Preset, rng: np.random.Generator) -> float:
     weights = np.array([part[0] for part in preset.gap])
     _, median, spread = preset.gap[int(rng.choice(len(weights), p=weights / weights.sum()))]
     return float(np.clip(median * np.exp(spread * rng.standard_normal()), *_GAP_LIMITS))
+
+
+_MARGIN, _MARGIN_PER_METRE = 0.05, 0.03
+_SHIFT = (np.deg2rad(11.0), np.deg2rad(29.0))
+
+
+def repaired(
+    plan: Plan,
+    gaze_plan: GazePlan,
+    eye: Float[np.ndarray, "n 3"],
+    gaze: Float[np.ndarray, "n 3"],
+    times: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+) -> GazePlan:
+    """Apply one round of repair; return the plan itself when nothing offends.
+
+    Args:
+        plan: Goals and event times.
+        gaze_plan: Looks to repair.
+        eye: True eye positions.
+        gaze: True gaze directions that follow from the plan.
+        times: Frame times, seconds.
+        rng: For the size of the shifts.
+    """
+    offending = sorted(_offending_looks(plan, gaze_plan, eye, gaze, times))
+    if not offending:
+        return gaze_plan
+    looks = list(gaze_plan.looks)
+    for number in offending:
+        look = looks[number]
+        index = min(int(np.searchsorted(times, look.start)), times.size - 1)
+        looks[number] = _moved(look, eye[index], rng)
+    return replace(gaze_plan, looks=tuple(looks))
+
+
+def _offending_looks(plan: Plan, gaze_plan: GazePlan, eye: np.ndarray, gaze: np.ndarray, times: np.ndarray) -> set[int]:
+    starts = np.array([look.start for look in gaze_plan.looks])
+    found: set[int] = set()
+    for reach, prime, kind in zip(plan.reaches, gaze_plan.primes, gaze_plan.kinds, strict=True):
+        if kind == "unseen":
+            continue
+        until = reach.event if prime is None or kind == "swept" else prime
+        first, last = np.searchsorted(times, [reach.event - WINDOW, until])
+        close = _passes_close(eye[first:last], gaze[first:last], reach.centre, reach.half_world)
+        frames = times[first:last][close]
+        numbers = np.unique(np.searchsorted(starts, frames, side="right") - 1)
+        found.update(
+            int(number)
+            for number in numbers
+            if not gaze_plan.looks[number].is_goal and gaze_plan.looks[number].reach is None
+        )
+    return found
+
+
+def _passes_close(eye: np.ndarray, gaze: np.ndarray, centre: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Return (n,) True where a ray passes a box in front of the eye, closer than its margin."""
+    offset = centre - eye
+    along = np.einsum("nk,nk->n", offset, gaze)
+    across = offset - along[:, None] * gaze
+    with np.errstate(divide="ignore"):  # the ray through the centre is at no share of the way
+        border = (half / np.abs(across)).min(axis=1)  # share of the way from the centre to the ray where the box ends
+    distance = np.linalg.norm(across, axis=1) * np.maximum(1.0 - border, 0.0)
+    return (distance <= _MARGIN + _MARGIN_PER_METRE * along) & (along >= 0.0)
+
+
+def _moved(look: Look, eye: np.ndarray, rng: np.random.Generator) -> Look:
+    """Move a look up, or down when it is already high, and to one side."""
+    sight = look.point - eye
+    yaw, pitch = yaw_and_pitch(sight)
+    upward, sideways = rng.uniform(*_SHIFT, 2)
+    pitch = pitch - upward if pitch - upward > np.deg2rad(-40.0) else pitch + upward
+    yaw = yaw + (sideways if rng.random() < 0.5 else -sideways)
+    return replace(look, point=eye + np.linalg.norm(sight) * direction(yaw, pitch))

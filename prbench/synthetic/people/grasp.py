@@ -13,9 +13,8 @@ from jaxtyping import Float
 from prbench.synthetic.people.base import BasePose
 from prbench.synthetic.people.channels import wrap
 from prbench.synthetic.people.geometry import UP, frame_of_bone, orthogonal_unit, turn, unit
-from prbench.synthetic.people.person import Body, Person
+from prbench.synthetic.people.person import Body, Person, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import pose_trunk, standing_pelvis_height
 
 _LEANS = np.deg2rad(np.linspace(0.0, 70.0, 15))
 _CROUCHES = np.linspace(0.0, 0.5, 14)
@@ -32,7 +31,7 @@ class Grasp:
     """World from hand; y from wrist to finger base."""
 
     def moved(self, before: np.ndarray, after: np.ndarray, turned: float) -> Grasp:
-        """The same grasp on an object whose centre went from ``before`` to ``after`` and that turned by ``turned``."""
+        """Return the same grasp on an object that moved from ``before`` to ``after`` and turned by ``turned``."""
         return Grasp(
             after + turn(turned, 0.0, self.wrist - before),
             np.stack([turn(turned, 0.0, axis) for axis in self.hand.T], axis=-1),
@@ -53,7 +52,7 @@ class Posture:
 
 
 def draw_grasp_number(preset: Preset, rng: np.random.Generator) -> float:
-    """The one free number of a grasp: finger base to box surface, or wrist to box centre."""
+    """Return the one free number of a grasp: finger base to box surface, or wrist to box centre."""
     return float(rng.uniform(0.010, 0.017) if preset.grasp == "fingertips" else rng.uniform(0.078, 0.112))
 
 
@@ -66,7 +65,7 @@ def take_hold(
     yaw: float,
     number: float,
 ) -> Grasp:
-    """The grasp of a box by the hand of a given shoulder."""
+    """Return the grasp of a box by the hand of a given shoulder."""
     towards = unit(shoulder - centre)
     towards[1] = max(towards[1], 0.02) * 0.8
     towards = unit(towards)
@@ -93,7 +92,7 @@ def kept_away(
     yaw: float,
     clearance: float,
 ) -> Grasp:
-    """The same hand, drawn back along itself until its finger base is ``clearance`` metres from the box."""
+    """Draw the hand back along itself until its finger base is ``clearance`` metres from the box."""
     backwards = -grasp.hand[:, 1]
     wrists = grasp.wrist + np.linspace(0.0, 0.25, 251)[:, None] * backwards
     in_box = turn(-yaw, 0.0, wrists - hand_length * backwards - centre)
@@ -109,7 +108,7 @@ def shoulder_in_posture(
     pelvis_height: float | None = None,
     offset: np.ndarray | None = None,
 ) -> Float[np.ndarray, "3"]:
-    """Where the reaching shoulder is in a posture at a standing place."""
+    """Return where the reaching shoulder is in a posture at a standing place."""
     heights = _shoulders(
         person, base, hand, np.array([posture.lean]), np.array([posture.crouch]), posture.chest_turn, pelvis_height
     )
@@ -153,7 +152,7 @@ def solve_posture(
 
 
 def pelvis_setback(body: Body, lean: np.ndarray, crouch: np.ndarray) -> np.ndarray:
-    """How far the pelvis moves back when the trunk leans or the knees bend, metres."""
+    """Return how far the pelvis moves back when the trunk leans or the knees bend, metres."""
     return 0.05 * body.stature * np.sin(lean) + 0.06 * crouch
 
 

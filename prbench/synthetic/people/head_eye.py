@@ -52,7 +52,7 @@ def move_head(
     times: Float[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Head:
-    """The head's orientation over time.
+    """Return the head's orientation over time.
 
     Args:
         preset: Gains.
@@ -129,7 +129,7 @@ def _plan_commands(
 def _relative_direction(
     point: np.ndarray, eye: np.ndarray, heading: np.ndarray, present: float, frame_time: float
 ) -> np.ndarray:
-    """Direction of a point against the heading; wrapped once, at the first frame, then continuous.
+    """Return the direction of a point against the heading; wrapped once, at the first frame, then continuous.
 
     The bearing of a point right below the eyes swings around with every step; the head does not.
     """
@@ -176,7 +176,7 @@ def move_eyes(
     times: Float[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit gaze directions: saccades, fixation of points in the world, limits of the eye in the head.
+    """Return the unit gaze directions: saccades, fixation of points in the world, limits of the eye in the head.
 
     Args:
         looks: Fixations without gaps.

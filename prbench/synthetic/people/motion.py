@@ -19,11 +19,10 @@ from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze
 from prbench.synthetic.people.geometry import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.grasp import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.head_eye import Head, move_head
-from prbench.synthetic.people.legs import Legs, pose_legs
+from prbench.synthetic.people.legs import Feet, Legs, place_feet, plan_steps, pose_legs
+from prbench.synthetic.people.person import Trunk
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.posture import bend, draw_sway, move_trunk
-from prbench.synthetic.people.steps import Feet, place_feet, plan_steps
-from prbench.synthetic.people.trunk import Trunk
 
 _WRIST_TOLERANCE = 0.008
 _CORRECTIONS = 2
@@ -91,7 +90,7 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
 
 
 def _rough_eye(plan: Plan, trunk: Trunk) -> np.ndarray:
-    """Eyes of a head that looks along the chest."""
+    """Return the eye positions of a head that looks along the chest."""
     body = plan.person.body
     up = body.neck_length * np.cos(body.neck_tilt) + body.eye[1]
     ahead = body.neck_length * np.sin(body.neck_tilt) + body.eye[2]
@@ -137,8 +136,9 @@ def assemble(
     gaze_plan: GazePlan,
     misses: tuple[float, ...],
 ) -> Motion:
-    """The whole body from its parts: legs below the hips, neck and head above the chest, hands at the wrists."""
-    body, habits = plan.person.body, plan.person.habits
+    """Assemble the body from its parts: legs below the hips, neck and head above the chest, hands at the wrists."""
+    body = plan.person.body
+    habits = plan.person.habits
     legs = pose_legs(body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
     neck_yaw = trunk.yaws[3] + habits.neck_share * (head.yaw - trunk.yaws[3])
     neck_pitch = trunk.pitches[3] + habits.neck_share * (head.pitch - trunk.pitches[3])
@@ -182,7 +182,7 @@ def _joints(trunk: Trunk, legs: Legs, arms: Arms, head_joint: np.ndarray) -> Flo
 def _rotations(
     trunk: Trunk, legs: Legs, arms: Arms, feet: Feet, neck: np.ndarray, head: np.ndarray, hands: np.ndarray
 ) -> Float[np.ndarray, "n 22 4"]:
-    """World from the segment that begins at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
+    """Return world from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
     turned = np.empty((len(head), N_JOINTS, 4))
     for joint, yaw, pitch in zip(
         (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3), trunk.yaws, trunk.pitches, strict=True

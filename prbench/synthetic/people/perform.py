@@ -6,27 +6,93 @@ Source: docs/specification/synthetic-recordings.md.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
 
 from prbench.errors import UsageError
-from prbench.synthetic.people.bystander import bystander_acts
+from prbench.synthetic.people.base import sample_base
 from prbench.synthetic.people.carry import move_objects
-from prbench.synthetic.people.gaze_plan import GazePlan, Look
+from prbench.synthetic.people.gaze_plan import GazePlan, Look, repaired
 from prbench.synthetic.people.head_eye import move_eyes
+from prbench.synthetic.people.legs import plan_steps
 from prbench.synthetic.people.motion import Generators, Motion, synthesise
+from prbench.synthetic.people.movements import shares_for
 from prbench.synthetic.people.person import Person, draw_person
 from prbench.synthetic.people.plan import OPENING, Plan
 from prbench.synthetic.people.planner import plan_recording
-from prbench.synthetic.people.population import Source, SplitRule, World, cast
 from prbench.synthetic.people.presets import PRESETS, Preset
-from prbench.synthetic.people.provocations import shares_for
-from prbench.synthetic.people.repair import repaired
-from prbench.synthetic.people.steps import plan_steps
 from prbench.synthetic.people.truth import Scene, events_of_others, true_events
-from prbench.synthetic.people.world import Room, draw_room, seated
-from prbench.synthetic.performance import Fixation, ObjectMotion, Performance
+from prbench.synthetic.people.world import Item, Room, Source, SplitRule, World, assign, draw_room, seated
+from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
+
+_EVENTS = 2
+_PLANS_OF_BYSTANDER = 8
+_POLITE_DISTANCE = 0.9  # metres between two people
+
+
+@dataclass(frozen=True)
+class _Bystander:
+    """The other person, what they planned, and the objects that they moved."""
+
+    person: OtherPerson
+    plan: Plan
+    objects: list[ObjectMotion]
+
+
+def _bystander_acts(
+    source: Source, index: int, wearer: Plan, motion: Motion, times: np.ndarray, object_ids: list[str]
+) -> _Bystander | None:
+    """Let somebody else pick and put one object in the same room at the same time.
+
+    Args:
+        source: Names the generators.
+        index: Of the recording.
+        wearer: Whose objects must not be in the way.
+        motion: Of the wearer, to keep away from.
+        times: Frame times of the recording, seconds.
+        object_ids: Ids for the objects of the other person.
+
+    Returns:
+        None if the recording is too short for it.
+    """
+    preset = wearer.preset
+    participant = f"B{index:04d}"
+    person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
+    taken = [_stand_in(wearer, reach.item, reach.centre) for reach in wearer.reaches]
+    room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
+    best: tuple[float, Plan] | None = None
+    for attempt in range(_PLANS_OF_BYSTANDER):
+        plan = plan_recording(
+            preset, person, room, _EVENTS, source.generator("recording", index, f"bystander-plan{attempt}")
+        )
+        if len(plan.reaches) < _EVENTS or plan.reaches[-1].event > times[-1] - 1.5:
+            continue
+        path = sample_base(plan.start, plan.segments, times)
+        distance = float(np.hypot(path.x - motion.base.x, path.z - motion.base.z).min())
+        if best is None or distance > best[0]:
+            best = distance, plan
+        if distance > _POLITE_DISTANCE:
+            break
+    return None if best is None else _move_bystander(source, index, best[1], times, object_ids)
+
+
+def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
+    """Return something that stands where the wearer's object was or will be."""
+    return replace(wearer.items[item], position=centre, rides_on=None)
+
+
+def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> _Bystander:
+    purposes = (source.generator("recording", index, f"bystander-{name}") for name in ("sway", "gaze", "head"))
+    motion = synthesise(plan, times, Generators(*purposes))
+    handled = 1 + max(reach.item for reach in plan.reaches)
+    plan = replace(plan, items=plan.items[:handled])
+    objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, object_ids[:handled])
+    held = [replace(item, held_by=np.where(item.held_by >= 0, 2, -1)) for item in objects]
+    person = OtherPerson(plan.person.participant_id, motion.joints, motion.finger_bases)
+    return _Bystander(person, plan, held)
+
 
 _CLOSING = 2.0  # seconds after the last movement
 _WORST_WRIST = 0.020
@@ -61,18 +127,19 @@ def perform(
         provocations: Share of the movements for each tag of docs/specification/synthetic-recordings.md#provocations;
         None: 10 % together, {}: none.
         bystander_objects: Objects that never move; 3 to 12, drawn with the room, if None.
-        split_rule: See :func:`prbench.synthetic.people.population.cast`.
+        split_rule: See :func:`prbench.synthetic.people.world.assign`.
 
     Raises:
         UsageError: if there is no such preset.
     """
     if preset not in PRESETS:
         raise UsageError(f"synthetic preset '{preset}' is unknown. Take one of: {', '.join(PRESETS)}.")
-    constants, source = PRESETS[preset], Source(seed, preset, world)
-    casting = cast(source, index, split_rule)
-    person = draw_person(constants, f"S{casting.person:03d}", source.generator("person", casting.person, "body"))
-    room_rng = source.generator("room", casting.room, "plan")
-    room = draw_room(constants, f"R{casting.room:03d}", room_rng, bystander_objects)
+    constants = PRESETS[preset]
+    source = Source(seed, preset, world)
+    assigned = assign(source, index, split_rule)
+    person = draw_person(constants, f"S{assigned.person:03d}", source.generator("person", assigned.person, "body"))
+    room_rng = source.generator("room", assigned.room, "plan")
+    room = draw_room(constants, f"R{assigned.room:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
     plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
     gaze_plan, gaze = _looked(source, index, plan, motion, times)
@@ -84,7 +151,7 @@ def perform(
     chance = source.generator("recording", index, "bystander").random()
     others = ()
     if chance < shares.get("bystander", 0.0) * n_events:
-        other = bystander_acts(source, index, plan, motion, times, ids[-_OTHERS_OBJECTS:])
+        other = _bystander_acts(source, index, plan, motion, times, ids[-_OTHERS_OBJECTS:])
         if other is not None:
             others = (other.person,)
             events += events_of_others(other.plan, scene, other.objects, recording_id)
@@ -96,7 +163,7 @@ def perform(
         index=index,
         recording_id=recording_id,
         room_id=plan.room.room_id,
-        split=casting.split,
+        split=assigned.split,
         person=person.style(),
         rate=rate,
         times=times,
@@ -107,7 +174,7 @@ def perform(
         eye=motion.eye,
         gaze=gaze,
         planted=motion.planted,
-        objects=(*objects, *_furniture(plan, source, casting.room)),
+        objects=(*objects, *_furniture(plan, source, assigned.room)),
         events=events,
         fixations=tuple(_fixation(look, recording_id) for look in gaze_plan.looks),
         other_people=others,
@@ -147,8 +214,9 @@ def _acted(
 
 
 def _looked(source: Source, index: int, plan: Plan, motion: Motion, times: np.ndarray) -> tuple[GazePlan, np.ndarray]:
-    """True gaze, after moving fills that would prime a goal too early; the head stays as it was."""
-    gaze_plan, shifts = motion.gaze_plan, source.generator("recording", index, "repair")
+    """Return the true gaze, after moving fills that would prime a goal too early; the head stays as it was."""
+    gaze_plan = motion.gaze_plan
+    shifts = source.generator("recording", index, "repair")
     gaze = np.empty((0, 3))
     for left in reversed(range(_REPAIRS + 1)):
         gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
@@ -169,7 +237,7 @@ def _duration(plan: Plan) -> float:
 
 
 def _object_ids(source: Source, index: int, count: int) -> list[str]:
-    """Sixteen decimal digits each, distinct within the recording."""
+    """Draw ids of sixteen decimal digits, distinct within the recording."""
     rng = source.generator("object", index, "id")
     numbers: list[int] = []
     while len(numbers) < count:
@@ -180,14 +248,14 @@ def _object_ids(source: Source, index: int, count: int) -> list[str]:
 
 
 def name_of_recording(preset: str, seed: int, index: int) -> str:
-    """The recording's id, known before it is acted out; unlike any real one."""
+    """Return the recording's id, known before it is acted out; unlike any real one."""
     if preset == "adt":
         return f"Apartment_release_synthetic_seed{seed}_seq{index:03d}_M1292"
     return f"{preset}_synthetic_seed{seed}_{index:04d}"
 
 
 def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion]:
-    """Each surface as a static box from the floor, or a board, up to its top."""
+    """Return each surface as a static box from the floor, or a board, up to its top."""
     rng = source.generator("room", room_index, "furniture-id")
     pieces = []
     for number, surface in enumerate(plan.room.surfaces):

@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 
+from prbench.synthetic.people.geometry import turn
 from prbench.synthetic.people.presets import Preset
 from prbench.synthetic.performance import PersonStyle, Side
 
@@ -87,7 +88,7 @@ class Person:
     habits: Habits
 
     def style(self) -> PersonStyle:
-        """The public record of this person."""
+        """Return the public record of this person."""
         drawn = {name: float(value) for name, value in asdict(self.habits).items()}
         lengths = {name: cast(float, getattr(self.body, name)) for name in ("thigh", "shin", "upper_arm", "forearm")}
         return PersonStyle(
@@ -109,7 +110,8 @@ def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body
     leg, arm, shoulders, trunk = (
         1.0 + sd * float(np.clip(rng.standard_normal(), -2.7, 2.7)) for sd in (0.03, 0.03, 0.05, 0.025)
     )
-    up, forward = preset.spine_up, (-0.010, 0.004, 0.002)
+    up = preset.spine_up
+    forward = (-0.010, 0.004, 0.002)
     spine = [(0.0, u * trunk * stature, f * trunk * stature) for u, f in zip(up, forward, strict=True)]
     spine.append(_scaled(preset.neck_offset, trunk * stature))
     return Body(
@@ -159,3 +161,83 @@ def _draw_habits(stature: float, rng: np.random.Generator) -> Habits:
 
 def _scaled(offset: tuple[float, float, float], scale: float) -> tuple[float, float, float]:
     return offset[0] * scale, offset[1] * scale, offset[2] * scale
+
+
+_PELVIS_SHARE_OF_LEAN = 0.4
+_STANDING_LEG = 0.990
+"""Hip height above the ankle when standing, share of the leg: a knee of 164 degrees."""
+BALL_HEIGHT = 0.013
+"""Ball of the resting foot above the floor, metres."""
+
+
+@dataclass(frozen=True)
+class Trunk:
+    """Positions in metres, world frame; yaw and pitch of the segments in radians."""
+
+    pelvis: np.ndarray
+    hips: tuple[np.ndarray, np.ndarray]
+    spine: tuple[np.ndarray, np.ndarray, np.ndarray]
+    neck: np.ndarray
+    collars: tuple[np.ndarray, np.ndarray]
+    shoulders: tuple[np.ndarray, np.ndarray]
+    yaws: tuple[np.ndarray, ...]
+    """Pelvis, spine1, spine2, spine3 (the chest)."""
+    pitches: tuple[np.ndarray, ...]
+
+
+def pose_trunk(
+    body: Body,
+    stoop: float,
+    pelvis: np.ndarray,
+    pelvis_yaw: np.ndarray | float,
+    chest_yaw: np.ndarray | float,
+    lean: np.ndarray | float,
+) -> Trunk:
+    """Place the trunk's joints.
+
+    Args:
+        body: Bone offsets.
+        stoop: Constant extra lean of the spine, radians.
+        pelvis: Positions (..., 3).
+        pelvis_yaw: Heading of the pelvis.
+        chest_yaw: Heading of the chest, not wrapped against the pelvis.
+        lean: Forward lean of the chest without the stoop.
+    """
+    lean = np.asarray(lean, dtype=np.float64)
+    twist = np.asarray(chest_yaw) - pelvis_yaw
+    bend = (1.0 - _PELVIS_SHARE_OF_LEAN) * lean + stoop
+    yaws = tuple(np.asarray(pelvis_yaw + twist * third / 3.0) for third in range(4))
+    pitches = tuple(_PELVIS_SHARE_OF_LEAN * lean + bend * third / 3.0 for third in range(4))
+    joints = [pelvis]
+    for yaw, pitch, offset in zip(yaws, pitches, body.spine, strict=True):
+        joints.append(joints[-1] + turn(yaw, pitch, np.array(offset)))
+    _, spine1, spine2, spine3, neck = joints
+    collars = tuple(spine3 + turn(yaws[3], pitches[3], _mirrored(body.collar, side)) for side in (0, 1))
+    shoulders = tuple(
+        collar + turn(yaws[3], pitches[3], _mirrored(body.shoulder, side)) for side, collar in enumerate(collars)
+    )
+    hips = tuple(pelvis + turn(yaws[0], pitches[0], _mirrored(body.hip, side)) for side in (0, 1))
+    return Trunk(
+        pelvis,
+        (hips[0], hips[1]),
+        (spine1, spine2, spine3),
+        neck,
+        (collars[0], collars[1]),
+        (shoulders[0], shoulders[1]),
+        yaws,
+        pitches,
+    )
+
+
+def standing_pelvis_height(body: Body) -> float:
+    """Return the pelvis height of a person who stands upright."""
+    return BALL_HEIGHT + body.ankle_height + _STANDING_LEG * body.leg - body.hip[1]
+
+
+def seated_pelvis_height(body: Body) -> float:
+    """Return the pelvis height of a person who sits."""
+    return 0.34 * body.stature
+
+
+def _mirrored(offset: tuple[float, float, float], side: int) -> np.ndarray:
+    return np.array([offset[0] if side == 0 else -offset[0], offset[1], offset[2]])

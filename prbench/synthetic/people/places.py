@@ -21,9 +21,8 @@ from prbench.synthetic.people.grasp import (
     solve_posture,
     take_hold,
 )
-from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import seated_pelvis_height
 from prbench.synthetic.people.world import Room, Surface
 
 _WITHIN_REACH = 0.92
@@ -73,11 +72,15 @@ class Reachability:
     """One person in one room; all draws come from the plan's generator."""
 
     def __init__(self, preset: Preset, person: Person, room: Room, rng: np.random.Generator, is_seated: bool) -> None:
-        self.preset, self.person, self.room, self.rng, self.is_seated = preset, person, room, rng, is_seated
+        self.preset = preset
+        self.person = person
+        self.room = room
+        self.rng = rng
+        self.is_seated = is_seated
         self.pelvis_height = seated_pelvis_height(person.body) if is_seated else None
 
     def hand_for(self, base: BasePose, centre: np.ndarray) -> int:
-        """The side of the goal with p = .75, else the preferred hand."""
+        """Draw the hand: with p = .75 the one on the side of the goal, else the preferred one."""
         preferred = int(self.person.habits.right_handed)
         if self.rng.random() >= 0.75:
             return preferred
@@ -86,7 +89,7 @@ class Reachability:
     def stand(
         self, base: BasePose, at_surface: int, goal: Goal, hand: int, held: Held | None, begin: float, *, stay: bool
     ) -> Stand | None:
-        """A place from which a hand reaches a goal.
+        """Return a place from which a hand reaches a goal.
 
         Args:
             base: Where the person stands now.
@@ -120,14 +123,16 @@ class Reachability:
     def _hold(
         self, base: BasePose, hand: int, goal: Goal, number: float, held: Held | None
     ) -> tuple[float, Grasp, Posture]:
-        """Grasp and posture depend on one another through the shoulder: two rounds settle them."""
+        """Find grasp and posture, which depend on one another through the shoulder: two rounds settle them."""
         if held is not None:
             turned = base.heading - held.heading
             grasp = held.grasp.moved(held.centre, goal.centre, turned)
             return held.yaw + turned, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
-        centre, half = goal.centre, goal.half_extents
+        centre = goal.centre
+        half = goal.half_extents
         if goal.handle is not None and goal.handle_half is not None:
-            centre, half = goal.centre + turn(goal.yaw, 0.0, goal.handle), goal.handle_half
+            centre = goal.centre + turn(goal.yaw, 0.0, goal.handle)
+            half = goal.handle_half
 
         def grasp_in(posture: Posture) -> Grasp:
             shoulder = shoulder_in_posture(self.person, base, hand, posture, self.pelvis_height)
@@ -139,7 +144,7 @@ class Reachability:
         return goal.yaw, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
 
     def _places(self, base: BasePose, at_surface: int, goal: Goal, hand: int) -> list[BasePose]:
-        """Standing places to try in turn: where one stands, the good place, then nearer ones."""
+        """Return the standing places to try in turn: where one stands, the good place, then nearer ones."""
         if self.is_seated:
             return [base]
         front = self.room.surfaces[goal.surface]
@@ -152,7 +157,8 @@ class Reachability:
     def _feet_may_stay(self, base: BasePose, centre: np.ndarray) -> bool:
         offset = centre - base.point
         offset[1] = 0.0
-        lateral, ahead = abs(float(offset @ base.left)), float(offset @ base.forward)
+        lateral = abs(float(offset @ base.left))
+        ahead = float(offset @ base.forward)
         farthest = 0.31 * self.person.body.stature + 0.30
         return lateral <= 0.38 and ahead > 0.2 and float(np.linalg.norm(offset)) <= farthest
 
@@ -166,7 +172,7 @@ class Reachability:
         return BasePose(float(point[0]), float(point[2]), heading)
 
     def _table_places(self, base: BasePose, front: Surface, centre: np.ndarray, hand: int) -> list[BasePose]:
-        """Along one table people shift most of the way to the good place, and lean for the rest."""
+        """Return the places along one table: people shift most of the way to the good place, and lean for the rest."""
         good = self._standing_place(front, centre, hand)
         back = float(self.rng.uniform(-0.03, 0.08)) * front.normal
         place = BasePose(

@@ -16,9 +16,8 @@ from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePose, Segment
 from prbench.synthetic.people.grasp import Grasp, Posture
-from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
-from prbench.synthetic.people.trunk import seated_pelvis_height
 from prbench.synthetic.people.world import Item, Room
 
 OPENING = 2.5
@@ -28,7 +27,7 @@ Action = Literal["pick", "put", "hover", "pass_by", "touch", "nudge", "hinge"]
 
 
 @dataclass(frozen=True)
-class Twist:
+class ReachChange:
     """What a provocation changes about one reach; the default changes nothing.
 
     Source: docs/specification/synthetic-recordings.md#provocations.
@@ -76,7 +75,7 @@ class Reach:
     dwell: float
     """Seconds that the hand stays after the event, unless it carries the object away."""
     carries: bool
-    twist: Twist = Twist()
+    twist: ReachChange = ReachChange()
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,7 @@ import numpy as np
 from prbench.synthetic.people.base import BasePose, Segment
 from prbench.synthetic.people.geometry import UP, turn
 from prbench.synthetic.people.grasp import kept_away
-from prbench.synthetic.people.movements import Movement, Pair, make_reach, tag_of
-from prbench.synthetic.people.person import Person
-from prbench.synthetic.people.places import Goal, Held, Reachability, Stand
-from prbench.synthetic.people.plan import OPENING, Action, Plan, Reach
-from prbench.synthetic.people.presets import ObjectKind, Preset
-from prbench.synthetic.people.provocations import (
+from prbench.synthetic.people.movements import (
     DOOR,
     DOOR_HANDLE,
     EXTRA,
@@ -28,8 +23,16 @@ from prbench.synthetic.people.provocations import (
     TRAY,
     TRAY_HANDLE,
     TRAY_LOAD,
+    Movement,
+    Pair,
     draw_tag,
+    make_reach,
+    tag_of,
 )
+from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.places import Goal, Held, Reachability, Stand
+from prbench.synthetic.people.plan import OPENING, Action, Plan, Reach
+from prbench.synthetic.people.presets import ObjectKind, Preset
 from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot
 
 _TRIES = 14
@@ -107,14 +110,19 @@ class _Planner:
         shares: Mapping[str, float],
         provoker: np.random.Generator,
     ) -> None:
-        self.preset, self.person, self.room, self.rng, self.is_seated = preset, person, room, rng, is_seated
-        self.shares, self.provoker = shares, provoker
+        self.preset = preset
+        self.person = person
+        self.room = room
+        self.rng = rng
+        self.is_seated = is_seated
+        self.shares = shares
+        self.provoker = provoker
         self.weights = np.array([surface.weight for surface in room.surfaces])
         self.kinds = [preset.objects[i] for i in rng.permutation(len(preset.objects))]
         self.reachability = Reachability(preset, person, room, rng, is_seated)
 
     def first_place(self) -> tuple[BasePose, int]:
-        """Standing before a surface, anywhere along it."""
+        """Draw a place before a surface, anywhere along it."""
         number = self._other_surface(None)
         surface = self.room.surfaces[number]
         edge = self.rng.uniform(*self.preset.edge)
@@ -171,7 +179,7 @@ class _Planner:
         state.holding, state.tag = None, "plain"
 
     def _extra(self, state: _State, tag: str) -> None:
-        """A movement that is no pick and no put, of an object that nobody carries."""
+        """Plan a movement that is no pick and no put, of an object that nobody carries."""
         kind = DOOR if tag == "hinge" else self.kinds[len(state.items) % len(self.kinds)]
         found = self._find_new(state, kind, DOOR_HANDLE if tag == "hinge" else None, near=True)
         if found is None:
@@ -207,7 +215,7 @@ class _Planner:
     def _find_new(
         self, state: _State, kind: ObjectKind, handle: np.ndarray | None, *, near: bool
     ) -> tuple[Goal, Stand, int, float] | None:
-        """A new object on a free, reachable spot."""
+        """Draw a new object on a free, reachable spot."""
         motor_start = self._motor_start(state)
         surfaces = self._surface_drawer(state, near)
         for _ in range(_TRIES * (3 if self.preset.table_only else 1)):
@@ -273,7 +281,7 @@ class _Planner:
         return int(self.rng.choice(len(weights), p=weights / weights.sum()))
 
     def _is_free(self, state: _State, centre: np.ndarray, picked_from: np.ndarray | None, gap: float) -> bool:
-        """Whether a spot is far enough from recent ones, from its own pick, and from everything that stands there."""
+        """Return True where a spot is far enough from recent ones, its own pick, and everything that stands there."""
         if any(np.linalg.norm(centre - spot) < self.preset.spot_spacing for spot in state.spots[-4:]):
             return False
         if picked_from is not None and np.linalg.norm(centre - picked_from) < _PUT_FROM_PICK:

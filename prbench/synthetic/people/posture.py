@@ -16,10 +16,9 @@ from prbench.synthetic.people.base import BasePath
 from prbench.synthetic.people.channels import blend, smooth, two_pole_low_pass, wobble
 from prbench.synthetic.people.grasp import Posture, pelvis_setback
 from prbench.synthetic.people.head_eye import Head
-from prbench.synthetic.people.legs import lowered_pelvis
+from prbench.synthetic.people.legs import Feet, Step, lowered_pelvis
+from prbench.synthetic.people.person import Trunk, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan
-from prbench.synthetic.people.steps import Feet, Step
-from prbench.synthetic.people.trunk import Trunk, pose_trunk, standing_pelvis_height
 
 _CHEST_LIMIT = np.deg2rad(49.0)
 _PELVIS_LIMIT = np.deg2rad(17.0)
@@ -44,9 +43,10 @@ class Sway:
 
 
 def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.ndarray, rng: np.random.Generator) -> Sway:
-    """The wobbles of a recording, and the swing of pelvis and arms over its steps."""
+    """Draw the wobbles of a recording, and the swing of pelvis and arms over its steps."""
     rate = 1.0 / (times[1] - times[0])
-    lateral, swing = np.zeros(times.size), np.zeros(times.size)
+    lateral = np.zeros(times.size)
+    swing = np.zeros(times.size)
     for step in steps:
         first, last = np.searchsorted(times, [step.lift, step.landing])
         towards_stance = -1.0 if step.foot == 0 else 1.0
@@ -66,11 +66,15 @@ def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.nda
 
 
 def _hand_wobble(plan: Plan, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Hanging hands tremble; hands at work move about."""
+    """Draw the tremble of hanging hands, or the movements of hands at work."""
     if plan.preset.work_pose is None:
-        size, low, high = float(rng.uniform(0.006, 0.010)), 0.05, 0.5
+        size = float(rng.uniform(0.006, 0.010))
+        low = 0.05
+        high = 0.5
     else:
-        size, low, high = 0.03, 0.2, 1.0
+        size = 0.03
+        low = 0.2
+        high = 1.0
     waves = [wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
     return np.stack(waves, axis=-1).reshape(times.size, 2, 3)
 
@@ -88,7 +92,8 @@ def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
     """Blend from reach to reach: down before the event, up again after it."""
     channels = np.zeros((times.size, 3))
     for reach, posture in zip(plan.reaches, postures, strict=True):
-        begin, end = reach.reach_start - 0.1, reach.event - 0.05
+        begin = reach.reach_start - 0.1
+        end = reach.event - 0.05
         blend(channels, times, begin, end - begin, np.array([posture.lean, posture.crouch, posture.chest_turn]))
         if np.isfinite(reach.dwell):
             release = reach.event + 0.12 + max(reach.dwell - 0.18, 0.0) * (not reach.carries)
@@ -106,7 +111,7 @@ def move_trunk(
     times: Float[np.ndarray, " n"],
     head: Head | None,
 ) -> Trunk:
-    """Pelvis, spine and shoulders at every frame.
+    """Return the pelvis, spine and shoulders at every frame.
 
     Args:
         plan: Person and preset.
@@ -118,9 +123,11 @@ def move_trunk(
         times: Frame times, seconds.
         head: True head orientation that the trunk follows; None leaves the trunk along the heading.
     """
-    body, habits = plan.person.body, plan.person.habits
+    body = plan.person.body
+    habits = plan.person.habits
     rate = 1.0 / (times[1] - times[0])
-    chest_follow, pelvis_follow = np.zeros(times.size), np.zeros(times.size)
+    chest_follow = np.zeros(times.size)
+    pelvis_follow = np.zeros(times.size)
     if head is not None:
         chest_follow, pelvis_follow = _follow_head(plan, head.yaw - base.heading, rate)
     pelvis_yaw = base.heading + pelvis_follow + 0.3 * bending.chest_turn + _PELVIS_SWING * sway.arm_swing
@@ -141,8 +148,9 @@ def move_trunk(
 
 
 def _follow_head(plan: Plan, turned: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Chest and pelvis against the heading: low-passed shares of the head's turn."""
-    habits, extra = plan.person.habits, plan.preset.chest_gain
+    """Return the turns of chest and pelvis against the heading: low-passed shares of the head's turn."""
+    habits = plan.person.habits
+    extra = plan.preset.chest_gain
     chest = two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
     share = habits.pelvis_share + 0.3 * max(0.0, extra)
     pelvis = two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate)
@@ -151,6 +159,7 @@ def _follow_head(plan: Plan, turned: np.ndarray, rate: float) -> tuple[np.ndarra
 
 def _soft_clip(values: np.ndarray, limit: float) -> np.ndarray:
     """Clip without a corner: straight up to 80 % of the limit."""
-    size, begin = np.abs(values), 0.8 * limit
+    size = np.abs(values)
+    begin = 0.8 * limit
     soft = begin + 0.2 * limit * np.tanh((size - begin) / (0.2 * limit))
     return np.where(size > begin, np.sign(values) * soft, values)

@@ -11,21 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from prbench.rays import near_miss, slab_test
+from prbench.manifests import load_protocol
 from prbench.skeleton import WRISTS
-from prbench.synthetic.people.gaze_plan import WINDOW, GazePlan
+from prbench.synthetic.people.gaze_plan import GazePlan
 from prbench.synthetic.people.person import SIDES
 from prbench.synthetic.people.plan import Action, Plan, Reach
+from prbench.synthetic.people.sight import Sight, first_sight
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
-NEAR_MISS = 0.05
 _MOVED = 0.001
-_LASTING = 0.050
-_SETTLING = 0.100
-_PREROLL = 2.0
-_MINIMUM_MOVEMENT = 0.20
-_GAZE_PERIOD = 1.0 / 30.0
-_THIN_MOVEMENT, _THIN_RAY = 0.02, 0.005
+"""Metres from its rest beyond which an object has moved."""
+_THIN_MOVEMENT = 0.02
+"""Metres from the minimum movement within which noise decides."""
 
 
 @dataclass(frozen=True)
@@ -38,23 +35,10 @@ class Scene:
     gaze: Float[np.ndarray, "n 3"]
 
 
-@dataclass(frozen=True)
-class Sight:
-    """When and how a box is first seen before an event."""
-
-    lasting: float | None
-    """First instant of a look of at least 50 ms."""
-    first: float | None
-    kind: str | None
-    """``hit`` if the look's first tenth of a second is mostly on the box: an arriving saccade crosses its border."""
-    marginal: bool
-    """So close to a border that noise decides."""
-
-
 def true_events(
     plan: Plan, gaze: GazePlan, scene: Scene, objects: list[ObjectMotion], recording_id: str
 ) -> tuple[TrueEvent, ...]:
-    """The truth about every pick, put and provocation of a recording."""
+    """Return the truth about every pick, put and provocation of a recording."""
     events = []
     for reach, prime, kind in zip(plan.reaches, gaze.primes, gaze.kinds, strict=True):
         if reach.action == "hover":
@@ -68,7 +52,7 @@ def true_events(
 
 
 def events_of_others(plan: Plan, scene: Scene, objects: list[ObjectMotion], recording_id: str) -> tuple[TrueEvent, ...]:
-    """What a bystander does; it belongs to the other person's recording."""
+    """Return what a bystander does; it belongs to the other person's recording."""
     events = [
         _true_event(reach, None, "bystander", scene, objects[reach.item], f"{recording_id}/other")
         for reach in plan.reaches
@@ -79,9 +63,10 @@ def events_of_others(plan: Plan, scene: Scene, objects: list[ObjectMotion], reco
 def _true_event(
     reach: Reach, prime: float | None, tag: str, scene: Scene, motion: ObjectMotion, recording_id: str
 ) -> TrueEvent:
-    event_time = exact_event_time(reach, motion, scene.times)
-    low, high = reach.centre - reach.half_world, reach.centre + reach.half_world
-    sight = first_sight(scene, low, high, event_time)
+    event_time = _exact_event_time(reach, motion, scene.times)
+    low = reach.centre - reach.half_world
+    high = reach.centre + reach.half_world
+    sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event_time)
     expected, margin = _expected(reach, sight, scene)
     return TrueEvent(
         event_id=f"{recording_id}/{reach.number:03d}{'b' if tag == 'hinge' and reach.action == 'put' else ''}",
@@ -99,7 +84,7 @@ def _true_event(
         prime_planned=None if prime is None else float(prime),
         prime_time=sight.lasting,
         prime_first=sight.first,
-        prime_kind="hit" if sight.kind == "hit" else "near_miss" if sight.kind else None,
+        prime_kind=sight.kind,
         motor_start=float(reach.motor_start),
         reach_start=float(reach.reach_start),
         expected=expected,
@@ -108,8 +93,8 @@ def _true_event(
     )
 
 
-def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> float:
-    """First (pick) or last (put) instant at which the object is more than 1 mm from its rest; crossing interpolated."""
+def _exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> float:
+    """Return the first (pick) or last (put) instant at which the object is 1 mm from its rest, interpolated."""
     if len(motion.position) == 1:
         return reach.event
     first, last = np.searchsorted(times, [reach.event - 1.0, reach.event + 1.5])
@@ -129,7 +114,7 @@ def exact_event_time(reach: Reach, motion: ObjectMotion, times: np.ndarray) -> f
 def seen_again(
     event: TrueEvent, performance: Performance, low: np.ndarray, high: np.ndarray, *, gaze_period: float
 ) -> TrueEvent:
-    """The same event for a dataset that knows another box of the goal, or samples gaze at another rate.
+    """Return the same event for a dataset that knows another box of the goal, or samples gaze at another rate.
 
     Args:
         event: Of that performance, one that is an event.
@@ -139,7 +124,7 @@ def seen_again(
         gaze_period: Seconds between two gaze samples.
     """
     scene = Scene(performance.times, performance.joints, performance.eye, performance.gaze)
-    sight = first_sight(scene, low, high, event.event_time, gaze_period=gaze_period)
+    sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event.event_time, gaze_period=gaze_period)
     expected, margin = _outcome(sight, scene, (low + high) / 2)
     return replace(
         event,
@@ -147,68 +132,14 @@ def seen_again(
         box_max=high,
         prime_time=sight.lasting,
         prime_first=sight.first,
-        prime_kind="hit" if sight.kind == "hit" else "near_miss" if sight.kind else None,
+        prime_kind=sight.kind,
         expected=expected,
         thin=sight.marginal or margin < _THIN_MOVEMENT,
     )
 
 
-def first_sight(
-    scene: Scene, low: np.ndarray, high: np.ndarray, event_time: float, *, gaze_period: float = _GAZE_PERIOD
-) -> Sight:
-    """First look at a box in the ten seconds before an event, with noise-free gaze."""
-    first, last = np.searchsorted(scene.times, [event_time - WINDOW, event_time], side="left")
-    last = min(int(last) + int(scene.times[min(last, scene.times.size - 1)] == event_time), scene.times.size)
-    origins, directions, times = scene.eye[first:last], scene.gaze[first:last], scene.times[first:last]
-    hit = slab_test(origins, directions, low[None], high[None]).hit[:, 0]
-    passed = near_miss(origins, directions, low[None], high[None])
-    distance = np.where(passed.along[:, 0] >= 0.0, passed.distance[:, 0], np.inf)
-    seen = hit | (distance <= NEAR_MISS)
-    begins = np.flatnonzero(seen & ~np.concatenate([[False], seen[:-1]]))
-    ends = np.flatnonzero(seen & ~np.concatenate([seen[1:], [False]])) + 1
-    step = float(scene.times[1] - scene.times[0])
-    lasting = [i for i in range(len(begins)) if (ends[i] - begins[i]) * step >= _LASTING]
-    start = None if not lasting else int(begins[lasting[0]])
-    settling = int(np.ceil(_SETTLING / step)) + 1
-    earliest = None if not len(begins) else int(begins[0])
-    marginal = _is_marginal(distance, hit, times, begins, ends, start, step, event_time, gaze_period)
-    return Sight(
-        None if start is None else float(times[start]),
-        None if earliest is None else float(times[earliest]),
-        None if start is None else ("hit" if hit[start : start + settling].mean() >= 0.5 else "near_miss"),
-        marginal,
-    )
-
-
-def _is_marginal(
-    distance: np.ndarray,
-    hit: np.ndarray,
-    times: np.ndarray,
-    begins: np.ndarray,
-    ends: np.ndarray,
-    start: int | None,
-    step: float,
-    event_time: float,
-    gaze_period: float,
-) -> bool:
-    """Whether a gaze sample more or less, or 5 mm, would change whether and when the event is primed."""
-    upto = len(times) if start is None else start
-    almost = (np.abs(distance[:upto] - NEAR_MISS) < _THIN_RAY) & ~hit[:upto]
-    if start is None:
-        return bool(almost.any() or len(begins))
-    settled = times[start] + 2 * gaze_period
-    brief = bool(np.any((ends - begins) * step < 2 * gaze_period)) and begins[0] < start
-    own_end = int(ends[int(np.searchsorted(begins, start))])
-    brief = brief or bool((own_end - start) * step < gaze_period)
-    distinct = bool(almost[: max(start - int(0.1 / step), 0)].any())
-    at_border = times[start] < event_time - WINDOW + gaze_period or settled > event_time
-    look = slice(start, min(start + max(2, int(2 * gaze_period / step)), len(times)))
-    grazing = bool(np.all(~hit[look] & (np.abs(distance[look] - NEAR_MISS) < _THIN_RAY)))
-    return bool(brief or distinct or at_border or grazing)
-
-
 def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
-    """The outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
+    """Return the outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
     if reach.tag == "hinge":
         return "excluded_category", np.inf
     if reach.action not in ("pick", "put"):
@@ -217,12 +148,14 @@ def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
 
 
 def _outcome(sight: Sight, scene: Scene, goal: np.ndarray) -> tuple[str, float]:
+    """Return the outcome of an event with a place (docs/specification/curation.md#minimum-movement), and its margin."""
+    curation = load_protocol().curation
     if sight.lasting is None:
         return "not_primed", np.inf
-    start = sight.lasting - _PREROLL
+    start = sight.lasting - curation.lead
     if start < scene.times[0]:
         return "too_short", np.inf
     wrists = scene.joints[int(np.searchsorted(scene.times, start)), WRISTS]
     nearest = float(np.linalg.norm(wrists - goal, axis=1).min())
-    margin = abs(nearest - _MINIMUM_MOVEMENT)
-    return ("minimum_movement" if nearest < _MINIMUM_MOVEMENT else "sequence"), margin
+    outcome = "minimum_movement" if nearest < curation.minimum_movement else "sequence"
+    return outcome, abs(nearest - curation.minimum_movement)

@@ -7,10 +7,13 @@ front edges of the furniture lie on its border, so that straight walks are free 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from prbench.randomness import named_generator
+from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.geometry import UP
 from prbench.synthetic.people.presets import ObjectKind, Preset, SurfaceKind
 
@@ -47,7 +50,7 @@ class Surface:
         return np.cross(UP, -self.normal)
 
     def point(self, lateral: float, depth: float) -> Float[np.ndarray, "3"]:
-        """The point ``lateral`` to the left of the middle and ``depth`` behind the front edge."""
+        """Return the point ``lateral`` to the left of the middle and ``depth`` behind the front edge."""
         return self.edge_centre + lateral * self.left - depth * self.normal
 
 
@@ -93,7 +96,7 @@ def draw_room(preset: Preset, room_id: str, rng: np.random.Generator, n_bystande
 
 
 def seated(room: Room, rng: np.random.Generator) -> Room:
-    """The same room with its one table lowered for a person who sits at it."""
+    """Return the same room with its one table lowered for a person who sits at it."""
     height = _SEATED_TABLE_HEIGHT + 0.04 * float(rng.standard_normal())
     drop = np.array([0.0, room.surfaces[0].height - height, 0.0])
     surfaces = tuple(replace(surface, edge_centre=surface.edge_centre - drop) for surface in room.surfaces)
@@ -102,15 +105,16 @@ def seated(room: Room, rng: np.random.Generator) -> Room:
 
 
 def draw_item_shape(kind: ObjectKind, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Half extents of an object's box and its yaw."""
+    """Draw half extents of an object's box and its yaw."""
     drawn = np.array([rng.uniform(0.025, 0.06), rng.uniform(0.03, 0.10), rng.uniform(0.025, 0.06)])
     yaw = float(rng.uniform(-np.pi, np.pi))
     return (drawn if kind.half_extents is None else np.array(kind.half_extents)), yaw
 
 
 def world_half_extents(half_extents: Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "3"]:
-    """Half extents of the world-aligned box around a box turned by ``yaw``."""
-    cosine, sine = abs(np.cos(yaw)), abs(np.sin(yaw))
+    """Return half extents of the world-aligned box around a box turned by ``yaw``."""
+    cosine = abs(np.cos(yaw))
+    sine = abs(np.sin(yaw))
     x, y, z = half_extents
     return np.array([cosine * x + sine * z, y, sine * x + cosine * z])
 
@@ -122,7 +126,7 @@ def draw_spot(
     rng: np.random.Generator,
     around: tuple[float, float] | None = None,
 ) -> Float[np.ndarray, "3"]:
-    """Centre of a box that stands on a free spot of a surface.
+    """Draw the centre of a box that stands on a free spot of a surface.
 
     Args:
         surface: Where.
@@ -151,7 +155,7 @@ def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, .
 
 
 def _draw_kinds(preset: Preset, rng: np.random.Generator) -> list[SurfaceKind]:
-    """One surface of each kind, as far as there is room, and the others by weight."""
+    """Draw one surface of each kind, as far as there is room, and the others by weight."""
     weights = np.array([kind.weight for kind in preset.surfaces])
     first = rng.permutation(len(preset.surfaces))
     rest = rng.choice(len(preset.surfaces), preset.n_surfaces, p=weights / weights.sum())
@@ -191,7 +195,7 @@ def _overlap(surface: Surface, other: Surface) -> bool:
 def _draw_bystander(
     preset: Preset, surfaces: tuple[Surface, ...], items: list[Item], number: int, rng: np.random.Generator
 ) -> Item:
-    """Somewhere on the furniture; beyond a dozen, on boards above it, out of everybody's way."""
+    """Draw a place on the furniture; beyond a dozen, on boards above it, out of everybody's way."""
     kind = preset.objects[int(rng.integers(len(preset.objects)))]
     half_extents, yaw = draw_item_shape(kind, rng)
     level = number // 12
@@ -202,3 +206,77 @@ def _draw_bystander(
         if all(np.linalg.norm(position - item.position) > 0.2 for item in items):
             break
     return Item(kind, half_extents, position, yaw)
+
+
+TEST_SHARE, VALIDATION_SHARE = 0.30, 0.10
+
+World = Literal["default", "large"]
+SplitRule = Literal["person_and_room", "recording"]
+Split = Literal["train", "validation", "test"]
+
+_PEOPLE = {"default": 24, "large": 400}
+_ROOMS = {"default": 12, "large": 200}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Names every generator of one preset and world."""
+
+    seed: int
+    preset: str
+    world: World
+
+    def generator(self, kind: str, index: int, purpose: str) -> np.random.Generator:
+        """Return the stream of one thing and one purpose; independent of every other."""
+        return named_generator(
+            "prbench-synth", GENERATOR_VERSION, self.seed, self.preset, self.world, kind, index, purpose
+        )
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Room, person and split of one recording."""
+
+    room: int
+    person: int
+    split: Split
+
+
+def assign(source: Source, index: int, rule: SplitRule) -> Assignment:
+    """Draw the side of the split, then room and person.
+
+    Args:
+        source: Seed, preset and world.
+        index: Of the recording.
+        rule: ``person_and_room`` keeps people and rooms of the test side out of training; ``recording`` reproduces
+            the study's split by recording, with its leakage.
+    """
+    rng = source.generator("recording", index, "split")
+    chance = rng.random()
+    people = _ranked(source, "person")
+    rooms = _ranked(source, "room")
+    if rule == "recording":
+        person = people[int(rng.integers(len(people)))]
+        room = rooms[int(rng.integers(len(rooms)))]
+        if chance < TEST_SHARE:
+            return Assignment(room, person, "test")
+        split = "validation" if chance < TEST_SHARE + 0.07 else "train"
+        return Assignment(room, person, split)
+    n_test_people = round(TEST_SHARE * len(people))
+    n_test_rooms = round(TEST_SHARE * len(rooms))
+    is_test = chance < TEST_SHARE
+    people_here = people[:n_test_people] if is_test else people[n_test_people:]
+    rooms_here = rooms[:n_test_rooms] if is_test else rooms[n_test_rooms:]
+    person = people_here[int(rng.integers(len(people_here)))]
+    room = rooms_here[int(rng.integers(len(rooms_here)))]
+    for_validation = people[n_test_people : n_test_people + round(VALIDATION_SHARE * len(people))]
+    if is_test:
+        return Assignment(room, person, "test")
+    split = "validation" if person in for_validation else "train"
+    return Assignment(room, person, split)
+
+
+def _ranked(source: Source, kind: str) -> list[int]:
+    """Return all people or rooms of the world in the order of a hash."""
+    count = (_PEOPLE if kind == "person" else _ROOMS)[source.world]
+    return [int(number) for number in source.generator(kind, 0, "rank").permutation(count)]

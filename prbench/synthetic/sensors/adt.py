@@ -18,9 +18,8 @@ from prbench.readers.aria_mps.format import device_from_cpf
 from prbench.skeleton import invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
-from prbench.synthetic.sensors.aria_gaze import (
+from prbench.synthetic.sensors.aria_mps import (
     GAZE_MARGIN,
-    gaze_bias,
     gaze_clock_us,
     gaze_measurements,
     lost_gaze,
@@ -29,11 +28,9 @@ from prbench.synthetic.sensors.errors import Switches, sensor_generator, strengt
 from prbench.synthetic.sensors.suit import suit_joints, suit_markers, suit_segments
 from prbench.timelines import interpolate, slerp
 
-__all__ = ["clock_start_us", "gaze_bias", "glasses_serial", "native_object_id", "sense"]
-
 RATE = 30.0
 """Glasses, gaze and objects, Hz."""
-BODY_RATE = 120.0
+_BODY_RATE = 120.0
 GLASSES_SIZE = "DVT-L"
 
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
@@ -47,7 +44,7 @@ _METRES, _QUATERNION = 6, 9  # decimals
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> adt.AdtReadings:
-    """What the sensors of an ADT recording say about a performance.
+    """Return what the sensors of an ADT recording say about a performance.
 
     Args:
         performance: The truth; any rate, usually 120 Hz.
@@ -59,7 +56,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     pose_us = clock_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
     return adt.AdtReadings(
         recording_id=performance.recording_id,
-        serial=glasses_serial(performance),
+        serial=_glasses_serial(performance),
         concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
         glasses_size=None,
         device_from_rgb=None,
@@ -71,7 +68,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 
 def clock_start_us(performance: Performance) -> int:
-    """Device time of the performance's first instant, microseconds.
+    """Return the device time of the performance's first instant, microseconds.
 
     Device seconds = performance seconds - ``performance.times[0]`` + this / 1e6: what turns the truth's times into
     those of the recording.
@@ -79,13 +76,13 @@ def clock_start_us(performance: Performance) -> int:
     return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
 
 
-def glasses_serial(performance: Performance, other: int = 0) -> str:
-    """An invented serial of the wearer's glasses, or of those of another person in the scene."""
+def _glasses_serial(performance: Performance, other: int = 0) -> str:
+    """Return a synthetic serial of the wearer's glasses, or of those of another person in the scene."""
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
 
 def native_object_id(object_id: str) -> int:
-    """The id under which the native files know an object: 16 digits, the given ones where it has that many."""
+    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
     if re.fullmatch(r"[1-9]\d{14,15}", object_id):
         return int(object_id)
     return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
@@ -102,7 +99,8 @@ def _sense_glasses(
     cpf_from_device = invert_rigid(device_from_cpf(GLASSES_SIZE))
     rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
     position = interpolate(performance.times, performance.eye, times) + cpf.apply(cpf_from_device[:3, 3])
-    rng, scale = sensor_generator(performance, "pose-noise"), strength(switches.pose_noise, noise)
+    rng = sensor_generator(performance, "pose-noise")
+    scale = strength(switches.pose_noise, noise)
     offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
     turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
     lost = sensor_generator(performance, "pose-losses").random(len(times)) < _POSE_LOSS * strength(
@@ -142,7 +140,7 @@ def _sense_gaze(
 
 
 def _gaze_depth(performance: Performance, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Distance from the eyes to the point fixated; 0, the file's "unknown", between fixations."""
+    """Return the distance from the eyes to the point fixated; 0, the file's "unknown", between fixations."""
     depth = np.zeros(len(times))
     eye = interpolate(performance.times, performance.eye, times)
     for look in performance.fixations:
@@ -191,7 +189,7 @@ def _sense_objects(
 def _object_poses(
     performance: Performance, motion: ObjectMotion, query: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
-    """Poses of an object's own frame, whose origin is the middle of the box's base."""
+    """Return the poses of an object's own frame, whose origin is the middle of the box's base."""
     track = performance.times[: len(motion.position)]
     rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
     centre = interpolate(track, motion.position, query)
@@ -201,14 +199,14 @@ def _object_poses(
 def _untracked(
     performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Instants of ``lost`` events, at which nobody sees the object."""
+    """Return the instants of ``lost`` events, at which nobody sees the object."""
     spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
     hidden = [(times >= start) & (times <= end) for start, end in spans]
     return np.any(hidden, axis=0) if hidden else np.zeros(len(times), dtype=bool)
 
 
 def _room_object() -> adt.AdtObject:
-    """The room itself as an object, as the real dataset has it; readers must leave it out."""
+    """Return the room itself as an object, as the real dataset has it; readers must leave it out."""
     half = np.array(_ROOM_HALF_EXTENTS)
     return adt.AdtObject(
         object_id=adt.SCENE_BOX_ID,
@@ -244,7 +242,7 @@ def _sense_suit(
     noise: float,
     switches: Switches,
 ) -> adt.AdtSkeleton:
-    times = performance.times[0] + np.arange(int((performance.duration + 1e-9) * BODY_RATE) + 1) / BODY_RATE
+    times = performance.times[0] + np.arange(int((performance.duration + 1e-9) * _BODY_RATE) + 1) / _BODY_RATE
     native = interpolate(performance.times, suit_joints(joints, finger_bases), times)
     native += _suit_noise(performance, times, number, noise, switches)
     markers = suit_markers(native)
@@ -259,7 +257,7 @@ def _sense_suit(
     return adt.AdtSkeleton(
         name=f"Skeleton_{participant_id}",
         skeleton_id=native_object_id(f"skeleton {participant_id}"),
-        serial=glasses_serial(performance, number),
+        serial=_glasses_serial(performance, number),
         time_ns=clock_start_us(performance) * 1000 + since_start,
         joints=np.round(native, _METRES),
         markers=np.round(markers, _METRES),
@@ -274,6 +272,7 @@ def _suit_noise(
     scale = strength(switches.body_wobble, noise)
     if scale == 0:
         return shift
-    rng, segments = sensor_generator(performance, f"body-wobble-{number}"), suit_segments()
+    rng = sensor_generator(performance, f"body-wobble-{number}")
+    segments = suit_segments()
     slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * (segments.max() + 1))]
     return shift + np.stack(slow, axis=1).reshape(len(times), -1, 3)[:, segments] * scale

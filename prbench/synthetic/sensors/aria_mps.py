@@ -12,17 +12,82 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.format import GazeKind, gaze_angles
 from prbench.skeleton import WRISTS, invert_rigid
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.aria_gaze import GAZE_MARGIN, gaze_clock_us, gaze_measurements, lost_gaze
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.timelines import interpolate, slerp
+
+GAZE_MARGIN = 0.02
+"""Radians, half of the written uncertainty interval."""
+_GAZE_BIAS, _GAZE_JITTER = np.deg2rad(1.0) / np.sqrt(2), np.deg2rad(0.5)
+_GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
+_GAZE_LOSS = 0.03
+_GAZE_CLOCK_US = 16
+_BLINKS_A_MINUTE, _BLINK = 15.0, 0.15  # s
+
+
+def gaze_bias(
+    performance: Performance, *, noise: float, switches: Switches, gaze_kind: GazeKind = "personalized"
+) -> tuple[float, float]:
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
+    size = _GAZE_BIAS * (_GENERAL if gaze_kind == "general" else 1.0)
+    bias = sensor_generator(performance, "gaze-bias").normal(0.0, size, 2)
+    yaw, pitch = bias * strength(switches.gaze_bias, noise)
+    return float(yaw), float(pitch)
+
+
+def gaze_measurements(
+    performance: Performance,
+    times: Float[np.ndarray, " n"],
+    *,
+    noise: float,
+    switches: Switches,
+    gaze_kind: GazeKind = "personalized",
+) -> Float[np.ndarray, "n 2"]:
+    """Return the yaw and pitch with bias and jitter, radians; NaN while the eyes are closed.
+
+    Args:
+        performance: The truth.
+        times: When the eyes are looked at, performance seconds.
+        noise: Multiplies every error.
+        switches: Which errors are on.
+        gaze_kind: Without the wearer's own calibration the bias is larger.
+    """
+    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
+    angles = np.column_stack(gaze_angles(head.inv().apply(interpolate(performance.times, performance.gaze, times))))
+    angles += gaze_bias(performance, noise=noise, switches=switches, gaze_kind=gaze_kind)
+    jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, (len(times), 2))
+    angles += jitter * strength(switches.gaze_jitter, noise)
+    angles[_blinks(performance, times, strength(switches.blinks, noise))] = np.nan
+    return angles
+
+
+def lost_gaze(performance: Performance, n: int, *, noise: float, switches: Switches) -> Bool[np.ndarray, " n"]:
+    """Return rows that the files lack."""
+    share = _GAZE_LOSS * strength(switches.gaze_losses, noise)
+    return np.asarray(sensor_generator(performance, "gaze-losses").random(n) < share)
+
+
+def gaze_clock_us(performance: Performance, n: int, *, noise: float, switches: Switches) -> Int[np.ndarray, " n"]:
+    """Return the errors of the time stamps, microseconds."""
+    shift = sensor_generator(performance, "gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, n)
+    return np.rint(shift * strength(switches.gaze_clock, noise)).astype(np.int64)
+
+
+def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: float) -> Bool[np.ndarray, " n"]:
+    rng = sensor_generator(performance, "blinks")
+    count = rng.poisson(_BLINKS_A_MINUTE / 60.0 * performance.duration)
+    starts = rng.uniform(times[0], times[-1], count)
+    closed = np.minimum(_BLINK * scale, 1.0)
+    return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
+
 
 POSE_RATE, GAZE_RATE, HAND_RATE = 1000, 10, 10
 """Hz."""
@@ -50,7 +115,7 @@ def sense_mps(
     hands: bool = True,
     slam_gaps: Sequence[tuple[float, float]] = (),
 ) -> mps.MpsReadings:
-    """Trajectory at 1 kHz (all rows), gaze at 10 Hz, wrists at 10 Hz.
+    """Sense the trajectory at 1 kHz (all rows), gaze at 10 Hz, wrists at 10 Hz.
 
     Args:
         performance: The truth.
@@ -77,7 +142,7 @@ def sense_mps(
 
 
 def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]]) -> mps.MpsReadings:
-    """The same without the poses strictly inside of some spans, device microseconds: tracking was lost there."""
+    """Return the readings without the poses strictly inside of some spans (device microseconds) of lost tracking."""
     time_us = readings.trajectory.time_us
     lost = [(time_us > start) & (time_us < end) for start, end in spans_us]
     if not lost:
@@ -86,7 +151,7 @@ def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]
 
 
 def device_from_rgb() -> Float[np.ndarray, "4 4"]:
-    """Nominal pose of the RGB camera, to the last bit as it comes back from a quaternion in a file."""
+    """Return the nominal pose of the RGB camera, to the last bit as it comes back from a quaternion in a file."""
     transform = mps.device_from_cpf(GLASSES_SIZE) @ mps.cpf_from_rgb()
     for _ in range(8):  # rounding settles after one or two steps
         quaternion = Rotation.from_matrix(transform[:3, :3]).as_quat(canonical=True)
@@ -95,15 +160,15 @@ def device_from_rgb() -> Float[np.ndarray, "4 4"]:
 
 
 def graph_uid(performance: Performance) -> str:
-    """The id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
+    """Return the id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
     identity = f"{performance.preset}/{performance.seed}/{performance.person.participant_id}"
     return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
 
 
-def true_device_poses(
+def _true_device_poses(
     performance: Performance, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
-    """Position and rotation of the device in the native world, noise-free; ``times`` in performance seconds."""
+    """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
     cpf = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
     cpf_from_device = invert_rigid(mps.device_from_cpf(GLASSES_SIZE))
     rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
@@ -119,9 +184,10 @@ def _sense_poses(
     since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(performance, n, switches, step_jitter_us)
     since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
     times = performance.times[0] + since_start / 1e6
-    position, rotation = true_device_poses(performance, times)
+    position, rotation = _true_device_poses(performance, times)
     shift, turn = _drift(performance, times, strength(switches.pose_drift, noise))
-    rng, scale = sensor_generator(performance, "mps-pose-noise"), strength(switches.pose_noise, noise)
+    rng = sensor_generator(performance, "mps-pose-noise")
+    scale = strength(switches.pose_noise, noise)
     shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
     turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
     quality = np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0)
@@ -149,7 +215,7 @@ def _step_errors(performance: Performance, n: int, switches: Switches, largest_u
 def _drift(
     performance: Performance, times: Float[np.ndarray, " n"], scale: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Slow errors of the estimated world: shift, metres, and rotation vector, radians."""
+    """Return the slow errors of the estimated world: shift, metres, and rotation vector, radians."""
     if scale == 0:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
     rng = sensor_generator(performance, "mps-pose-drift")
@@ -161,7 +227,8 @@ def _sense_gaze(
     performance: Performance, start_us: int, noise: float, switches: Switches, gaze_kind: mps.GazeKind
 ) -> mps.GazeAngles:
     since_start = _steps(performance, _GAZE_START_US, GAZE_RATE)
-    times, n = performance.times[0] + since_start / 1e6, len(since_start)
+    times = performance.times[0] + since_start / 1e6
+    n = len(since_start)
     angles = gaze_measurements(performance, times, noise=noise, switches=switches, gaze_kind=gaze_kind)
     time_us = start_us + since_start + gaze_clock_us(performance, n, noise=noise, switches=switches)
     depth = sensor_generator(performance, "mps-gaze-depth").uniform(*_DEPTH, n)
@@ -184,7 +251,8 @@ def _sense_hands(performance: Performance, start_us: int, noise: float, switches
     times = performance.times[0] + since_start / 1e6
     wrist = interpolate(performance.times, performance.joints[:, list(WRISTS)], times)
     palm = (wrist + interpolate(performance.times, performance.finger_bases, times)) / 2
-    rng, scale = sensor_generator(performance, "mps-hand-noise"), strength(switches.hand_noise, noise)
+    rng = sensor_generator(performance, "mps-hand-noise")
+    scale = strength(switches.hand_noise, noise)
     error = rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
     confidence = _hand_confidence(performance, times, wrist, strength(switches.hand_losses, noise))
     seen = (confidence > 0)[..., None]
@@ -199,7 +267,7 @@ def _sense_hands(performance: Performance, start_us: int, noise: float, switches
 def _hand_confidence(
     performance: Performance, times: Float[np.ndarray, " n"], wrist: Float[np.ndarray, "n 2 3"], scale: float
 ) -> Float[np.ndarray, "n 2"]:
-    """1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 where ``scale`` is 0."""
+    """Return 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 where ``scale`` is 0."""
     head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
     away = wrist - interpolate(performance.times, performance.eye, times)[:, None]
     ahead = np.einsum("nhk,nk->nh", away, head.apply((0.0, 0.0, 1.0))) / np.linalg.norm(away, axis=2)
@@ -212,12 +280,12 @@ def _hand_confidence(
 def _in_device(
     performance: Performance, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 2 3"]:
-    """Points of the performance's world in the true device frame."""
-    position, rotation = true_device_poses(performance, times)
+    """Return points of the performance's world in the true device frame."""
+    position, rotation = _true_device_poses(performance, times)
     native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
     return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
 
 
 def _steps(performance: Performance, first_us: int, rate: int) -> Int[np.ndarray, " n"]:
-    """Microseconds since the first instant, at a steady rate, until the performance ends."""
+    """Return the microseconds since the first instant, at a steady rate, until the performance ends."""
     return np.arange(first_us, int(performance.duration * 1e6) - 50, 1_000_000 // rate)

@@ -70,12 +70,12 @@ class Switches:
 
     @classmethod
     def ideal(cls) -> Switches:
-        """Every error off: readings are the truth, rounded."""
+        """Switch every error off: readings are the truth, rounded."""
         return cls(**dict.fromkeys((field.name for field in fields(cls)), False))
 
 
 def sensor_generator(performance: Performance, purpose: str) -> np.random.Generator:
-    """The random stream of one purpose of one recording; independent of all others and of the number of recordings."""
+    """Return the random stream of one purpose of one recording, independent of all others."""
     return named_generator(
         "prbench-synth",
         GENERATOR_VERSION,
@@ -89,5 +89,5 @@ def sensor_generator(performance: Performance, purpose: str) -> np.random.Genera
 
 
 def strength(switch: bool, noise: float) -> float:
-    """Factor on the size (or probability) of an error: the noise level, or 0 where it is off."""
+    """Return the factor on the size (or probability) of an error: the noise level, or 0 where it is off."""
     return noise if switch else 0.0

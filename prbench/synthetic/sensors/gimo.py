@@ -12,7 +12,6 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.randomness import named_generator
-from prbench.rays import slab_test
 from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
@@ -22,10 +21,10 @@ from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
 from prbench.timelines import interpolate, slerp
 
-SKELETON_RATE = 60.0
+_SKELETON_RATE = 60.0
 """Frames of the suit a second."""
-TRANSFORMATION = "transform_info_0.json"
-ACTIVITY = "take object"
+_TRANSFORMATION = "transform_info_0.json"
+_ACTIVITY = "take object"
 
 _FIRST_FRAMES = 300  # of the video, before the segment
 _SKELETON_LEAD = (20, 90)  # frames of the suit before the segment: its clock is its own
@@ -55,7 +54,7 @@ DEPTH_FIRST = _depth_first()
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> gimo.GimoReadings:
-    """What the sensors of a GIMO segment say about a performance.
+    """Return what the sensors of a GIMO segment say about a performance.
 
     Args:
         performance: The truth; any rate, usually 120 Hz.
@@ -63,7 +62,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         switches: Which errors are on; all if None.
     """
     switches = switches or Switches()
-    segment, transform = segment_of(performance), scene_transform(performance)
+    segment = _segment_of(performance)
+    transform = _scene_transform(performance)
     body_from_room = invert_rigid(transform.room_from_body())
     return gimo.GimoReadings(
         recording_id=performance.recording_id,
@@ -78,8 +78,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     )
 
 
-def segment_of(performance: Performance) -> gimo.Segment:
-    """The row of ``dataset.csv``: the whole performance is one segment."""
+def _segment_of(performance: Performance) -> gimo.Segment:
+    """Return the row of ``dataset.csv``: the whole performance is one segment."""
     start = first_frame(performance)
     known = [event_frame(performance, event) for event in picks(performance)]
     train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
@@ -88,39 +88,39 @@ def segment_of(performance: Performance) -> gimo.Segment:
         sequence=performance.recording_id,
         start_frame=start,
         end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
-        transformation=TRANSFORMATION,
+        transformation=_TRANSFORMATION,
         training=gimo.TEST if performance.split == "test" else train,
-        activity=ACTIVITY,
+        activity=_ACTIVITY,
         hint=known[0] if known and performance.index % 2 else None,
     )
 
 
 def first_frame(performance: Performance) -> int:
-    """Video frame of the performance's first instant: the segment was cut out of a longer video."""
+    """Return the video frame of the performance's first instant: the segment is a part of a longer video."""
     return int(sensor_generator(performance, "clock").integers(_FIRST_FRAMES))
 
 
 def event_frame(performance: Performance, event: TrueEvent) -> int:
-    """The frame that an annotator would name."""
+    """Return the frame that an annotator would name."""
     since = event.event_time - float(performance.times[0])
     return first_frame(performance) + round(since * gimo.FRAME_RATE)
 
 
 def picks(performance: Performance) -> tuple[TrueEvent, ...]:
-    """Events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
+    """Return events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
     others = ("not_an_event", "excluded_category", "other_wearer")
     return tuple(event for event in performance.events if event.action == "pick" and event.expected not in others)
 
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
     bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
     yaw, pitch = bias * strength(switches.gaze_bias, noise)
     return float(yaw), float(pitch)
 
 
-def scene_transform(performance: Performance) -> gimo.SceneTransform:
-    """How the suit and the scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
+def _scene_transform(performance: Performance) -> gimo.SceneTransform:
+    """Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
     room = named_generator(
         "prbench-synth",
         GENERATOR_VERSION,
@@ -150,7 +150,7 @@ def looked_at(
     origin: Float[np.ndarray, "n 3"],
     direction: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
+    """Return where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
 
     Args:
         performance: Whose room.
@@ -160,21 +160,31 @@ def looked_at(
     boxes = performance.objects
     places = np.concatenate([[motion.position[0] for motion in boxes], origin])
     margin = np.array([_BEHIND_FURNITURE, 0.0, _BEHIND_FURNITURE])
-    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    low = places.min(axis=0) - margin
+    high = places.max(axis=0) + margin
     low[1], high[1] = 0.0, max(float(high[1]), _CEILING)
-    room = slab_test(origin, direction, low[None], high[None])
-    distance = room.far[:, 0]
+    _, distance = _crossings(origin, direction, low, high)
     for motion in boxes:
         turned = Rotation.from_quat(motion.rotation[0], scalar_first=True).inv()
-        half = motion.half_extents[None]
-        hits = slab_test(turned.apply(origin - motion.position[0]), turned.apply(direction), -half, half)
-        seen = hits.hit[:, 0] & (hits.near[:, 0] > 0)
-        distance = np.where(seen, np.minimum(distance, hits.near[:, 0]), distance)
+        half = motion.half_extents
+        enters, leaves = _crossings(turned.apply(origin - motion.position[0]), turned.apply(direction), -half, half)
+        distance = np.where((enters > 0) & (enters < leaves), np.minimum(distance, enters), distance)
     return origin + distance[:, None] * direction
 
 
+def _crossings(
+    origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the distances at which rays cross the last plane of a box before it and the first one behind it."""
+    with np.errstate(divide="ignore"):  # a ray along a plane crosses it infinitely far away
+        inverse = 1.0 / direction
+    one = (low - origin) * inverse
+    other = (high - origin) * inverse
+    return np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+
+
 def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.ndarray, " n"]:
-    """Performance seconds of the segment's frames."""
+    """Return the performance seconds of the segment's frames."""
     return performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
 
 
@@ -189,7 +199,8 @@ def _sense_poses(
     pelvis = transform_points(
         body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     )
-    rng, scale = sensor_generator(performance, "fit-noise"), strength(switches.body_noise, noise)
+    rng = sensor_generator(performance, "fit-noise")
+    scale = strength(switches.body_noise, noise)
     pelvis = pelvis + rng.normal(0.0, _ROOT_NOISE, pelvis.shape) * scale
     turned = Rotation.from_quat(
         slerp(performance.times, performance.rotations[:, Joint.PELVIS], times), scalar_first=True
@@ -206,10 +217,10 @@ def _sense_poses(
 def _sense_skeleton(
     performance: Performance, body_from_room: Float[np.ndarray, "4 4"], noise: float, switches: Switches
 ) -> BvhMotion:
-    """The suit's own file: centimetres, starting earlier than the segment with the first pose held."""
+    """Return the suit's own file: centimetres, starting earlier than the segment with the first pose held."""
     lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
-    n = int((performance.duration + 1e-9) * SKELETON_RATE) + 1
-    times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / SKELETON_RATE
+    n = int((performance.duration + 1e-9) * _SKELETON_RATE) + 1
+    times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / _SKELETON_RATE
     turned = [
         Rotation.from_matrix(body_from_room[:3, :3])
         * Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
@@ -222,15 +233,16 @@ def _sense_skeleton(
         local = turned[joint] if parent < 0 else turned[parent].inv() * turned[joint]
         columns.append(local.as_euler("YXZ", degrees=True))
     values = np.concatenate(columns, axis=1)
-    rng, scale = sensor_generator(performance, "suit-noise"), strength(switches.body_noise, noise)
+    rng = sensor_generator(performance, "suit-noise")
+    scale = strength(switches.body_noise, noise)
     size = np.full(values.shape[1], _ANGLE_NOISE)
     size[:3] = _ROOT_NOISE * _CENTIMETRES
     values += rng.normal(0.0, 1.0, values.shape) * size * scale
-    return BvhMotion(_hierarchy(performance), 1.0 / SKELETON_RATE, np.round(values, _DECIMALS))
+    return BvhMotion(_hierarchy(performance), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
 
 
 def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
-    """Joints as a BVH file lists them: each with everything below it before its next sibling."""
+    """Return joints as a BVH file lists them: each with everything below it before its next sibling."""
     joints = []
     for joint in DEPTH_FIRST:
         parent = PARENTS[joint]

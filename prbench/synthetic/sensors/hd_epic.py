@@ -16,19 +16,18 @@ import numpy as np
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloOutput
 from prbench.readers.hd_epic import format as hd_epic
+from prbench.synthetic.egoallo import sense_egoallo
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.annotated_masks import Sighting, masks_of
-from prbench.synthetic.sensors.aria_gaze import gaze_bias as aria_gaze_bias
+from prbench.synthetic.sensors.aria_mps import gaze_bias as aria_gaze_bias
 from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.egoallo import sense_egoallo
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.invented_priming import invented_priming
+from prbench.synthetic.sensors.hd_epic_annotations import Sighting, masks_of, synthetic_priming
 
-GAZE_PERIOD = 0.1
+_GAZE_PERIOD = 0.1
 """Seconds."""
-STEP_JITTER_US = 2
-GAZE_KIND = "general"
+_STEP_JITTER_US = 2
+_GAZE_KIND = "general"
 """HD-EPIC has no personalized gaze."""
 
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
@@ -50,7 +49,7 @@ class SensedVideo:
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> SensedVideo:
-    """What glasses, body estimate and annotators say about a performance.
+    """Return what glasses, body estimate and annotators say about a performance.
 
     Args:
         performance: The truth.
@@ -64,8 +63,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         start_us=start_us,
         noise=noise,
         switches=switches,
-        gaze_kind=GAZE_KIND,
-        step_jitter_us=STEP_JITTER_US,
+        gaze_kind=_GAZE_KIND,
+        step_jitter_us=_STEP_JITTER_US,
     )
     glasses = _in_world_of(performance.person.participant_id, glasses)
     clock = sense_video_clock(performance, noise, switches)
@@ -75,7 +74,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         participant_id=performance.person.participant_id,
         clock=clock,
         tracks=tracks,
-        priming=invented_priming(performance, tracks),
+        priming=synthetic_priming(performance, tracks),
         glasses=glasses,
         body=None,
     )
@@ -84,36 +83,36 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 
 def _in_world_of(participant_id: str, glasses: MpsReadings) -> MpsReadings:
-    """All videos of one participant share a world."""
+    """Move a video into the world that all videos of one participant share."""
     uid = str(uuid.UUID(bytes=hashlib.sha256(f"kitchen of {participant_id}".encode()).digest()[:16]))
     return dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=(uid,)))
 
 
 def clock_start_us(performance: Performance) -> int:
-    """Device time of the performance's first instant, microseconds."""
+    """Return the device time of the performance's first instant, microseconds."""
     return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
 
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
-    return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=GAZE_KIND)
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
+    return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=_GAZE_KIND)
 
 
 def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
-    """The events as HD-EPIC can know them: places are points, gaze comes ten times a second.
+    """Return the events as HD-EPIC can know them: places are points, gaze comes ten times a second.
 
     People annotate what is lifted and put down again: no doors and drawers, no touches, nothing that somebody else
     does, and no movement that the video does not see through.
     """
     ends = [event for movement in movements(performance) for event in movement]
     return tuple(
-        seen_again(event, performance, event.goal, event.goal, gaze_period=GAZE_PERIOD)
+        seen_again(event, performance, event.goal, event.goal, gaze_period=_GAZE_PERIOD)
         for event in sorted(ends, key=lambda event: event.event_time)
     )
 
 
 def movements(performance: Performance) -> list[tuple[TrueEvent, TrueEvent]]:
-    """Every pick with the put of the same object that follows it."""
+    """Return every pick with the put of the same object that follows it."""
     ordered = sorted(performance.events, key=lambda event: event.event_time)
     known = [event for event in ordered if event.expected in _ANNOTATED]
     pairs = []
@@ -125,18 +124,19 @@ def movements(performance: Performance) -> list[tuple[TrueEvent, TrueEvent]]:
 
 
 def association_id(object_id: str) -> str:
-    """Sixteen hexadecimal digits for an object of a performance."""
+    """Return sixteen hexadecimal digits for an object of a performance."""
     return hashlib.sha256(f"association {object_id}".encode()).hexdigest()[:16]
 
 
 def sense_video_clock(performance: Performance, noise: float, switches: Switches) -> hd_epic.VideoClock:
-    """Device time of every frame: the image nearest to a regular time line, some shown twice, some skipped."""
+    """Return the device time of every frame: the image nearest to a regular time line, some twice, some skipped."""
     n = int((performance.duration + 1e-9) * hd_epic.FPS) + 1
     scale = strength(switches.video_clock, noise)
     rng = sensor_generator(performance, "video-clock")
     jitter = rng.uniform(-_CLOCK_JITTER_NS, _CLOCK_JITTER_NS, n) * scale
     image = np.arange(n)
-    repeated, skipped = rng.random(n) < _REPEATED * scale, rng.random(n) < _SKIPPED * scale
+    repeated = rng.random(n) < _REPEATED * scale
+    skipped = rng.random(n) < _SKIPPED * scale
     shown = np.maximum.accumulate(np.clip(image - repeated + skipped, 0, n - 1))
     since_start = np.rint(np.arange(n) * 1e9 / hd_epic.FPS + jitter).astype(np.int64)
     return hd_epic.VideoClock(clock_start_us(performance) * 1000 + since_start[shown])
@@ -145,7 +145,7 @@ def sense_video_clock(performance: Performance, noise: float, switches: Switches
 def _annotated_tracks(
     performance: Performance, clock: hd_epic.VideoClock, noise: float, switches: Switches
 ) -> tuple[hd_epic.ObjectTrack, ...]:
-    """One track a movement: the pick, and the put that ends it."""
+    """Return one track a movement: the pick, and the put that ends it."""
     rng = sensor_generator(performance, "annotated-times")
     device_start = clock_start_us(performance) / 1e6 - performance.times[0]
     last = (len(clock.device_ns) - 1) / hd_epic.FPS - _SHORTEST_TRACK

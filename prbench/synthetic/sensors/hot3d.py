@@ -20,11 +20,12 @@ from prbench.axes import z_up
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
 from prbench.skeleton import Joint
+from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.egoallo import NATIVE_FROM_WORLD, invented_smplh, sense_egoallo
 from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.hot3d_hand import finger_angles, invented_hand, wrist_rotation
+from prbench.synthetic.sensors.hot3d_hand import finger_angles, synthetic_hand, wrist_rotation
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 from prbench.timelines import interpolate, slerp
 
 RATE = 30.0
@@ -47,7 +48,7 @@ _METRES, _QUATERNION, _ANGLE = 6, 9, 6  # decimals
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> hot3d.Hot3dReadings:
-    """What the sensors of a HOT3D recording say about a performance.
+    """Return what the sensors of a HOT3D recording say about a performance.
 
     Args:
         performance: The truth; any rate, usually 120 Hz.
@@ -72,43 +73,43 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         headset=hot3d.PoseRows(time_ns, trajectory.position[row], trajectory.rotation[row]),
         objects=_sense_objects(performance, times, time_ns, noise, switches),
         hands=hands,
-        hand_model=invented_hand(hand_length),
+        hand_model=synthetic_hand(hand_length),
         masks=_masks(performance, time_ns, hands, noise, switches),
         mps=mps,
-        body=body_from_outputs(outputs, invented_smplh()),
+        body=body_from_outputs(outputs, synthetic_smplh()),
         egoallo_outputs=outputs,
     )
 
 
 def clock_start(performance: Performance) -> float:
-    """Time of the ground truth's clock at the performance's first instant, whole microseconds, seconds."""
+    """Return the time of the ground truth's clock at the performance's first instant, whole microseconds, seconds."""
     return round(float(sensor_generator(performance, "time-code").uniform(*_TIME_CODE_START)), 6)
 
 
 def clock_drift(performance: Performance, *, noise: float, switches: Switches) -> float:
-    """How much faster the ground truth's clock runs than the glasses'."""
+    """Return how much faster the ground truth's clock runs than the glasses'."""
     drift = sensor_generator(performance, "clock-drift").uniform(-_LARGEST_DRIFT, _LARGEST_DRIFT)
     return float(drift * strength(switches.clock_drift, noise))
 
 
 def frame_times(performance: Performance) -> Float[np.ndarray, " n"]:
-    """Seconds from the performance's first instant: every RGB frame and the SLAM frame after it."""
+    """Return the seconds from the performance's first instant: every RGB frame and the SLAM frame after it."""
     rgb = np.arange(int((performance.duration - SLAM_DELAY + 1e-9) * RATE) + 1) / RATE
     return np.column_stack([rgb, rgb + SLAM_DELAY]).ravel()
 
 
 def native_object_id(object_id: str) -> str:
-    """The uid under which the native files know an object: 15 digits."""
+    """Return the uid under which the native files know an object: 15 digits."""
     return str(10**14 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (9 * 10**14))
 
 
-def has_quality_mask(performance: Performance) -> bool:
-    """Whether the recording is one of a newer release, which says in which frames the hands are right."""
+def _has_quality_mask(performance: Performance) -> bool:
+    """Return True for a recording of a newer release, which says in which frames the hands are right."""
     return performance.index % 2 == 0
 
 
-def has_wrong_start(performance: Performance, noise: float, switches: Switches) -> bool:
-    """Whether the hands of the first 0.7 s are wrong, as in several real recordings."""
+def _has_wrong_start(performance: Performance, noise: float, switches: Switches) -> bool:
+    """Return True where the hands of the first 0.7 s are wrong, as in several real recordings."""
     return strength(switches.hand_start, noise) > 0 and performance.index % _WRONG_EVERY == _WRONG_FIRST
 
 
@@ -149,7 +150,7 @@ def _sense_objects(
 
 
 def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.ObjectMesh:
-    """A box as twelve triangles in the object's frame, metres, rounded to micrometres."""
+    """Return a box as twelve triangles in the object's frame, metres, rounded to micrometres."""
     corners = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))])
@@ -157,7 +158,7 @@ def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.ObjectMesh:
 
 
 def _lost(performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Instants of ``lost`` events, at which nobody sees the object."""
+    """Return the instants of ``lost`` events, at which nobody sees the object."""
     spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
     return _within(times, np.array(spans).reshape(-1, 2))
 
@@ -165,7 +166,7 @@ def _lost(performance: Performance, motion: ObjectMotion, times: Float[np.ndarra
 def _gaps(
     performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"], noise: float, switches: Switches
 ) -> Bool[np.ndarray, " n"]:
-    """Runs of missing rows."""
+    """Return the runs of missing rows."""
     rng = sensor_generator(performance, f"object-gaps-{motion.object_id}")
     share = _GAP_SHARE * strength(switches.object_gaps, noise)
     count = rng.poisson(share * performance.duration / np.mean(_GAP_LENGTH))
@@ -188,9 +189,10 @@ def _sense_hand(
     joint = Joint.LEFT_WRIST + side
     wrist = interpolate(performance.times, performance.joints[:, joint], times)
     segment = Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
-    rng, scale = sensor_generator(performance, f"hand-noise-{side}"), strength(switches.hand_noise, noise)
+    rng = sensor_generator(performance, f"hand-noise-{side}")
+    scale = strength(switches.hand_noise, noise)
     sensed = wrist + rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
-    if has_wrong_start(performance, noise, switches):
+    if _has_wrong_start(performance, noise, switches):
         sensed[times < times[0] + _WRONG_START] += (0.0, _WRONG_BY, 0.0)
     seen = np.ones(len(times), dtype=bool)
     if strength(switches.hand_losses, noise):
@@ -221,7 +223,7 @@ def _native_rows(
     rotation: Rotation,
     seen: Bool[np.ndarray, " n"],
 ) -> hot3d.PoseRows:
-    """Those poses that were seen, in the native world, rounded."""
+    """Return those poses that were seen, in the native world, rounded."""
     turned = Rotation.from_matrix(NATIVE_FROM_WORLD[:3, :3]) * rotation
     quaternion = turned.as_quat(canonical=True, scalar_first=True)
     return hot3d.PoseRows(
@@ -238,7 +240,7 @@ def _masks(
     noise: float,
     switches: Switches,
 ) -> dict[hot3d.MaskName, hot3d.MaskRows]:
-    """Flags of the RGB frames."""
+    """Return flags of the RGB frames."""
     rgb = time_ns[::2]
     good = np.ones(len(rgb), dtype=bool)
     tracked = np.isin(rgb, np.concatenate([hand.time_ns for hand in hands]))
@@ -247,8 +249,8 @@ def _masks(
         "object_pose_available": hot3d.MaskRows(rgb, good),
         "hand_pose_available": hot3d.MaskRows(rgb, tracked),
     }
-    if has_quality_mask(performance):
-        wrong = has_wrong_start(performance, noise, switches)
+    if _has_quality_mask(performance):
+        wrong = _has_wrong_start(performance, noise, switches)
         passed = (rgb - rgb[0] >= round(_WRONG_START * 1e9)) | ~np.array(wrong)
         masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
     return masks

@@ -1,4 +1,4 @@
-"""An invented hand in UmeTrack's form: 80 vertices, 21 landmarks, and how it follows a performance.
+"""A synthetic hand in UmeTrack's form: 80 vertices, 21 landmarks, and how it follows a performance.
 
 Model frame as in the dataset: x from the wrist along the middle finger, y out of the back of the hand, z towards the
 thumb. All lengths are shares of the distance from the wrist to the base of the middle finger.
@@ -36,12 +36,13 @@ _SPREAD = 0.03
 _ROOT, _WRIST = 0, 1
 
 
-def invented_hand(length: float) -> HandModel:
-    """The left hand of somebody whose middle finger begins ``length`` metres from the wrist."""
+def synthetic_hand(length: float) -> HandModel:
+    """Return the left hand of somebody whose middle finger begins ``length`` metres from the wrist."""
     joints = _joints()
     bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
     tips = np.array([joints[first + 3] + _TIP * _unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
-    points, weights = [], []
+    points = []
+    weights = []
     for bone, joint in enumerate(bones, start=2):
         end = tips[(bone - 2) // 3] if (bone - 2) % 3 == 2 else joints[joint + 1]
         # The middle joint of three belongs to the base: a base phalanx is skinned to the wrist as well.
@@ -65,7 +66,7 @@ def invented_hand(length: float) -> HandModel:
 
 
 def wrist_rotation(segment: Rotation, side: int) -> Rotation:
-    """UmeTrack's wrist rotation from the performance's hand segment (y along the hand, x to the left at neutral).
+    """Return UmeTrack's wrist rotation from a hand segment (y along the hand, x to the left at neutral).
 
     Args:
         segment: World from segment.
@@ -77,7 +78,7 @@ def wrist_rotation(segment: Rotation, side: int) -> Rotation:
 
 
 def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
-    """Joint angles of a hand between open (0) and closed around something (1), radians."""
+    """Return the joint angles of a hand between open (0) and closed around something (1), radians."""
     angles = np.zeros((len(closed), umetrack.N_JOINTS))
     bend = _OPEN + closed * (_CLOSED - _OPEN)
     for first in _firsts():
@@ -97,8 +98,9 @@ def _joints() -> Float[np.ndarray, "22 3"]:
 
 
 def _ring(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 3"]:
-    """Four points around a bone, a fifth of the way along it."""
-    centre, along = start + 0.2 * (end - start), _unit(end - start)
+    """Return four points around a bone, a fifth of the way along it."""
+    centre = start + 0.2 * (end - start)
+    along = _unit(end - start)
     aside = _unit(np.cross(along, (0.0, 1.0, 0.0)))
     above = np.cross(aside, along)
     return centre + _THICKNESS * np.array([aside, above, -aside, -above])
@@ -107,7 +109,7 @@ def _ring(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[n
 def _landmarks(
     joints: Float[np.ndarray, "22 3"], tips: Float[np.ndarray, "5 3"]
 ) -> tuple[Float[np.ndarray, "21 3"], Float[np.ndarray, "21 17"]]:
-    """Tips, wrist, two of the thumb, three of every other finger, palm; each fixed to one bone."""
+    """Return the tips, wrist, two of the thumb, three of every other finger, palm; each fixed to one bone."""
     thumb = [joints[2], joints[3]]
     others = [joints[first + step] for first in (4, 8, 12, 16) for step in (1, 2, 3)]
     points = np.array([*tips, np.zeros(3), *thumb, *others, (0.7, -0.12, 0.0)])
@@ -117,13 +119,13 @@ def _landmarks(
 
 
 def _triangles(n_vertices: int) -> Int[np.ndarray, "f 3"]:
-    """A strip over each group of four vertices; nothing is computed from them."""
+    """Return a strip over each group of four vertices; nothing is computed from them."""
     first = np.arange(0, n_vertices, 4)[:, None]
     return np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))])
 
 
 def _metres(shares: Float[np.ndarray, "n 3"], length: float) -> Float[np.ndarray, "n 3"]:
-    """Metres, as a reader computes them from rounded millimetres."""
+    """Return lengths in metres, as a reader computes them from rounded millimetres."""
     return np.round(shares * length / umetrack.METRES_A_UNIT, _DECIMALS) * umetrack.METRES_A_UNIT
 
 

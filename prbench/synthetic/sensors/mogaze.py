@@ -38,7 +38,7 @@ _Z_UP_KINDS = ("plate", "jug")
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> mogaze.MogazeReadings:
-    """What the sensors of a MoGaze recording say about a performance.
+    """Return what the sensors of a MoGaze recording say about a performance.
 
     Args:
         performance: The truth; any rate, usually 120 Hz.
@@ -69,19 +69,19 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 
 def events(performance: Performance) -> tuple[TrueEvent, ...]:
-    """Events as the annotators of this dataset would know them: nobody annotates doors."""
+    """Return events as the annotators of this dataset would know them: nobody annotates doors."""
     return tuple(event for event in performance.events if event.tag != "hinge")
 
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """The recording's constant gaze error, yaw and pitch, radians."""
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
     bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
     yaw, pitch = bias * strength(switches.gaze_bias, noise)
     return float(yaw), float(pitch)
 
 
 def body_names(performance: Performance) -> dict[str, str]:
-    """A name for each object, by id: its own, with a number where another object of the recording has it already."""
+    """Map each object's id to a name: its own, with a number where another object has it already."""
     names: dict[str, str] = {}
     used = Counter[str]()
     for motion in performance.objects:
@@ -97,7 +97,8 @@ def _sense_body(
     joints = interpolate(performance.times, performance.joints, times)
     turned = [_turned(performance, performance.rotations[:, joint], times) for joint in range(joints.shape[1])]
     solved = solve_body(joints, np.stack(turned, axis=1))
-    rng, scale = sensor_generator(performance, "body-noise-0"), strength(switches.body_noise, noise)
+    rng = sensor_generator(performance, "body-noise-0")
+    scale = strength(switches.body_noise, noise)
     shift = rng.normal(0.0, _ROOT_NOISE, (len(times), 3))
     tremble = rng.normal(0.0, _BODY_TURN, (len(times), solved.state.shape[1] - 3))
     return solved.state + np.hstack([shift, tremble]) * scale, solved.fixed
@@ -106,14 +107,14 @@ def _sense_body(
 def _turned(
     performance: Performance, rotation: Float[np.ndarray, "m 4"], times: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 4"]:
-    """Rotations at the sensors' times; at the performance's own, the usual case, as they are."""
+    """Interpolate rotations at the sensors' times; at the performance's own, the usual case, take them as they are."""
     if len(rotation) == len(times) and np.array_equal(performance.times, times):
         return rotation
     return slerp(performance.times[: len(rotation)], rotation, times)
 
 
 def _calibration(performance: Performance) -> Rotation:
-    """Eye tracker's camera to goggles: any rotation, another one in every recording."""
+    """Draw the rotation from the eye tracker's camera to the goggles, another one in every recording."""
     return Rotation.from_quat(sensor_generator(performance, "calibration").normal(size=4))
 
 
@@ -130,7 +131,7 @@ def _sense_goggles(
 def _sense_gaze(
     performance: Performance, times: Float[np.ndarray, " n"], noise: float, switches: Switches
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Gaze points in the eye tracker's camera, millimetres, and confidence."""
+    """Return the gaze points in the eye tracker's camera, millimetres, and confidence."""
     head = Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
     angles = np.column_stack(gaze_angles(head.inv().apply(interpolate(performance.times, performance.gaze, times))))
     angles += gaze_bias(performance, noise=noise, switches=switches)
@@ -139,7 +140,8 @@ def _sense_gaze(
     points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * _depth(performance, times)[:, None] * 1e3
     rng = sensor_generator(performance, "gaze-quality")
     points[rng.random(len(times)) < _MIRRORED] *= -1.0
-    confidence, doubt = rng.uniform(*_CONFIDENT, len(times)), rng.uniform(*_BLINKING, len(times))
+    confidence = rng.uniform(*_CONFIDENT, len(times))
+    doubt = rng.uniform(*_BLINKING, len(times))
     garbage = rng.normal(0.0, 300.0, points.shape)
     closed = _blinks(performance, times, strength(switches.blinks, noise))
     return np.where(closed[:, None], garbage, points), np.where(closed, doubt, confidence)
@@ -154,7 +156,7 @@ def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: flo
 
 
 def _depth(performance: Performance, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Distance from the eyes to the point fixated, as far as the tracker tells distances."""
+    """Return the distance from the eyes to the point fixated, as far as the tracker tells distances."""
     depth = np.full(len(times), _DEPTH[1])
     eye = interpolate(performance.times, performance.eye, times)
     for look in performance.fixations:
@@ -183,7 +185,7 @@ def _sense_object(
 
 
 def _shape(motion: ObjectMotion, name: str) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Rotation]:
-    """Box in the body's own frame, and that frame's axes in the performance's: the dataset's kinds as they are."""
+    """Return the box in the body's own frame, and that frame's axes in the performance's."""
     kind = mogaze.kind_of_body(name)
     upright = Rotation.identity()
     if kind != motion.category or kind not in load_manifest("mogaze").object_extents or mogaze.is_furniture(name):
@@ -195,7 +197,7 @@ def _shape(motion: ObjectMotion, name: str) -> tuple[Float[np.ndarray, "3"], Flo
 def _tracked(
     performance: Performance, name: str, position: Float[np.ndarray, "n 3"], rotation: Rotation, scale: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
-    """Poses with the noise of marker tracking; quaternions x y z w."""
+    """Return the poses with the noise of marker tracking; quaternions x y z w."""
     rng = sensor_generator(performance, f"object-noise-{name}")
     moved = position + rng.normal(0.0, _OBJECT_NOISE, position.shape) * scale
     turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _OBJECT_TURN, position.shape) * scale)
@@ -205,14 +207,14 @@ def _tracked(
 def _untracked(
     performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Instants of ``lost`` events, at which nobody sees the object."""
+    """Return the instants of ``lost`` events, at which nobody sees the object."""
     spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
     hidden = [(times >= start) & (times <= end) for start, end in spans]
     return np.any(hidden, axis=0) if hidden else np.zeros(len(times), dtype=bool)
 
 
 def _segments(performance: Performance, names: dict[str, str], n_frames: int) -> tuple[mogaze.Segment, ...]:
-    """Alternately nothing and an object; a segment begins with the last frame of the one before it, or one later."""
+    """Alternate nothing and an object; a segment begins with the last frame of the one before it, or one later."""
     rng = sensor_generator(performance, "segment-borders")
     segments: list[mogaze.Segment] = []
     free_from = 0
@@ -226,8 +228,9 @@ def _segments(performance: Performance, names: dict[str, str], n_frames: int) ->
 
 
 def _carries(performance: Performance, names: dict[str, str], n_frames: int) -> list[tuple[int, int, str]]:
-    """First and last frame of every movement, in order; an object that is never put down moves until the end."""
-    carries, held = [], dict[str, int]()
+    """Return first and last frame of every movement, in order; an object never put down moves until the end."""
+    carries = []
+    held = dict[str, int]()
     for event in sorted(events(performance), key=lambda event: event.event_time):
         frame = round((event.event_time - float(performance.times[0])) * mogaze.RATE)
         if event.expected == "not_an_event":

@@ -47,7 +47,7 @@ class SolvedBody:
 
 
 def solve_body(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray, "n 22 4"]) -> SolvedBody:
-    """Joint state and fixed offsets of a performance.
+    """Solve the joint state and the fixed offsets of a performance.
 
     Args:
         joints: World frame, Y up, metres.
@@ -65,10 +65,12 @@ def solve_body(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray,
 
 
 def _link_rotations(places: dict[str, np.ndarray], rotations: np.ndarray) -> dict[str, Rotation]:
-    """World (Y up) from each link."""
+    """Return the rotations that take each link to the world (Y up)."""
     segment = {joint: Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint}
-    trunk, leg = Rotation.from_matrix(_SEGMENT_AXES), Rotation.from_matrix(_LEG_AXES)
-    pelvis, chest = segment[Joint.PELVIS] * trunk, segment[Joint.SPINE3] * trunk
+    trunk = Rotation.from_matrix(_SEGMENT_AXES)
+    leg = Rotation.from_matrix(_LEG_AXES)
+    pelvis = segment[Joint.PELVIS] * trunk
+    chest = segment[Joint.SPINE3] * trunk
     turned = {
         "base": _tipped(pelvis, "Z", places["pelvis"] - places["base"]),
         "pelvis": _tipped(pelvis, "Z", places["torso"] - places["pelvis"]),
@@ -95,17 +97,18 @@ def _link_rotations(places: dict[str, np.ndarray], rotations: np.ndarray) -> dic
 
 
 def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> Rotation:
-    """Frames turned by the smallest angle that brings one of their axes onto a direction."""
+    """Turn frames by the smallest angle that brings one of their axes onto a direction."""
     present = frames.as_matrix()[:, :, "XYZ".index(axis)]
     wanted = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     about = np.cross(present, wanted)
-    sine, cosine = np.linalg.norm(about, axis=1, keepdims=True), np.einsum("ni,ni->n", present, wanted)[:, None]
+    sine = np.linalg.norm(about, axis=1, keepdims=True)
+    cosine = np.einsum("ni,ni->n", present, wanted)[:, None]
     angle = np.arctan2(sine, cosine)
     return Rotation.from_rotvec(about * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-12)) * frames
 
 
 def _fixed_offsets(places: dict[str, np.ndarray], turned: dict[str, Rotation]) -> dict[str, float]:
-    """The 60 values; those without a joint in the model are nothing but zeros."""
+    """Return the 60 values; those without a joint in the model are nothing but zeros."""
     fixed = dict.fromkeys(OFFSET_KEYS, 0.0)
     for link in LINKS[1:]:
         parent = PARENT_LINKS[link]

@@ -1,4 +1,4 @@
-"""An invented body model with SMPL-H's keys, and procedural people in its terms.
+"""A synthetic body model with SMPL-H's keys, and procedural people in its terms.
 
 Sixteen shape directions are the sixteen lengths in which people of all presets differ, so that rest joints are exact
 (docs/specification/synthetic-recordings.md#native-layouts). Nothing of the licensed model is in it.
@@ -53,8 +53,8 @@ _EXACT = 1e-7  # metres; people are made of these lengths
 
 
 @cache
-def invented_smplh() -> ego.SmplhRest:
-    """The invented model: rest joints of a mean person, and what each of the 16 shape numbers adds to them."""
+def synthetic_smplh() -> ego.SmplhRest:
+    """Return the synthetic model: rest joints of a mean person, and what each of the 16 shape numbers adds to them."""
     bones = np.stack([_group_bones(group) for group in _GROUPS], axis=-1) * _STATURE
     joints = np.zeros_like(bones)
     for child in range(1, N_JOINTS):
@@ -63,7 +63,7 @@ def invented_smplh() -> ego.SmplhRest:
 
 
 def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
-    """The shape numbers that give the person's own rest joints, but for the head.
+    """Return the shape numbers that give the person's own rest joints, but for the head.
 
     Whoever is seen, a body model puts the head joint where *it* has one: the neck-head bone leans by 38.3 degrees,
     also in people whose own suit says 7.4 (the head tilts of the manifests).
@@ -71,10 +71,11 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
     Raises:
         ValueError: if the model cannot express the person: a preset whose bodies differ in other lengths.
     """
-    rest, wanted = invented_smplh(), rest_bones(performance)
+    rest = synthetic_smplh()
+    wanted = _rest_bones(performance)
     wanted[Joint.HEAD] = _HEAD_BONE * performance.person.stature
-    directions = np.stack([bones_of(rest.directions[..., k]) for k in range(ego.N_BETAS)], axis=-1)
-    missing = (wanted - bones_of(rest.template)).reshape(-1)
+    directions = np.stack([_bones_of(rest.directions[..., k]) for k in range(ego.N_BETAS)], axis=-1)
+    missing = (wanted - _bones_of(rest.template)).reshape(-1)
     betas, *_ = np.linalg.lstsq(directions.reshape(-1, ego.N_BETAS), missing, rcond=None)
     left_over = np.abs(directions.reshape(-1, ego.N_BETAS) @ betas - missing).max()
     if left_over > _EXACT:
@@ -82,14 +83,14 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
     return betas
 
 
-def bones_of(joints: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
-    """Each joint minus its parent; zero for the pelvis."""
+def _bones_of(joints: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
+    """Return each joint minus its parent; zero for the pelvis."""
     parents = np.maximum(np.array(PARENTS), 0)
     return joints - joints[parents]
 
 
-def rest_bones(performance: Performance) -> Float[np.ndarray, "22 3"]:
-    """The person's bones in the model's rest pose: measured in the parents' frames, where they never change."""
+def _rest_bones(performance: Performance) -> Float[np.ndarray, "22 3"]:
+    """Return the person's bones in the model's rest pose: measured in the parents' frames, where they never change."""
     bones = np.zeros((N_JOINTS, 3))
     rotations = model_rotations(performance.rotations[:1])
     for child in range(1, N_JOINTS):
@@ -100,7 +101,7 @@ def rest_bones(performance: Performance) -> Float[np.ndarray, "22 3"]:
 
 
 def model_rotations(segments: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 22 4"]:
-    """World rotations of the model's joints from those of a performance's segments.
+    """Return the world rotations of the model's joints from those of a performance's segments.
 
     The two differ in the limbs: a segment has y along its bone, the model's rest pose has legs downwards and arms
     sideways.

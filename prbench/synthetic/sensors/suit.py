@@ -42,7 +42,7 @@ _MARKERS_ALONG_BONE = (0.2, 0.5, 0.8)
 def suit_joints(
     joints: Float[np.ndarray, "n 22 3"], finger_bases: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 51 3"]:
-    """The 51 native joints: 21 of the body as they are, and straight fingers.
+    """Return the 51 native joints: 21 of the body as they are, and straight fingers.
 
     Args:
         joints: The 22 joints, metres; spine2 has no native joint, the reader takes it between spine1 and spine3.
@@ -67,7 +67,7 @@ def suit_joints(
 
 
 def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:
-    """Invented markers: three along each of 19 bones."""
+    """Return synthetic markers: three along each of 19 bones."""
     first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
     share = np.array(_MARKERS_ALONG_BONE)[:, None]
     points = joints[:, first, None] * (1 - share) + joints[:, second, None] * share
@@ -75,7 +75,7 @@ def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57
 
 
 def suit_segments() -> Int[np.ndarray, "51"]:
-    """Which joints the suit shifts together: a hand with its fingers, every other joint alone."""
+    """Return which joints the suit shifts together: a hand with its fingers, every other joint alone."""
     hands = {"L": adt.JOINT_NAMES.index("LHand"), "R": adt.JOINT_NAMES.index("RHand")}
     is_finger = [name[1:-1] in _FINGERS for name in adt.JOINT_NAMES]
     owner = [hands[n[0]] if finger else i for i, (n, finger) in enumerate(zip(adt.JOINT_NAMES, is_finger, strict=True))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,22 +11,20 @@ from jaxtyping import Int
 from prbench.errors import MissingExtraError, StorageError
 from prbench.locks import sole_file
 from prbench.viewing.replay.film_stage import FilmStage
-from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.scene import Progress, Scene
 
 FPS = 20
-"""Pictures a second; whatever the rate of a sequence, it plays in real time."""
+"""Pictures per second; a sequence of any frame rate plays in real time."""
 SIZE = (1280, 720)
 _HOLD = 1.0  # seconds that the last picture of a sequence stays
 _QUALITY = 7  # of 10, as the encoder's wrapper counts
-
-Progress = Callable[[int, int, str], None]
 
 
 def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
     """Show sequences one after another, and write the film.
 
     Args:
-        scenes: What to show.
+        scenes: Scenes to show.
         path: MP4 (H.264) to write; replaced when it exists.
         progress: Called after every picture.
 
@@ -60,19 +58,23 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
 
 def _pictures(scenes: Sequence[Scene], progress: Progress) -> Iterator[bytes]:
     plans = [shown_frames(scene) for scene in scenes]
-    done, total = 0, sum(len(plan) for plan in plans)
+    total = sum(len(plan) for plan in plans)
+    done = 0
     for scene, plan in zip(scenes, plans, strict=True):
-        stage, picture, shown = FilmStage(scene, SIZE), b"", -1
+        stage = FilmStage(scene, SIZE)
+        picture = b""
+        shown = -1
         for frame in plan:
-            if frame != shown:
-                picture, shown = stage.picture(int(frame)), frame
+            if frame != shown:  # a slow sequence shows a frame in several pictures; drawing is what takes time
+                picture = stage.picture(int(frame))
+                shown = frame
             yield picture
             done += 1
             progress(done, total, scene.sequence_id)
 
 
 def shown_frames(scene: Scene) -> Int[np.ndarray, " pictures"]:
-    """The frame that each picture shows: the nearest one in time, and the last for a moment longer."""
+    """Return the frame that each picture shows: the nearest one in time, and the last one for a second more."""
     times = np.arange(int(scene.event_time * FPS + 1e-6) + 1) / FPS
     moving = np.minimum(np.round(times * scene.fps).astype(int), scene.n_frames - 1)
     return np.concatenate([moving, np.full(round(_HOLD * FPS), scene.n_frames - 1)])

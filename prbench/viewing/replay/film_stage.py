@@ -1,4 +1,4 @@
-"""One picture after another of one sequence: what stands still is drawn once, what moves is drawn over it."""
+"""The pictures of one sequence in a film: still parts are drawn once, moving parts are drawn over them."""
 
 from __future__ import annotations
 
@@ -10,26 +10,68 @@ from jaxtyping import Float
 
 from prbench.shown import figure_text
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.body_lines import bone_segments, draw_bodies, side_view, top_view
-from prbench.viewing.replay.captions import phase, verdict
-from prbench.viewing.replay.curves import mark_times
-from prbench.viewing.replay.dots import beside, draw_dots
-from prbench.viewing.replay.film_layout import curve_panels, fit_limits, side_panels, top_panel
-from prbench.viewing.replay.measures import gaze_distance, measure
-from prbench.viewing.replay.rays import head_rays, lengths_to, rays
-from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Goal, Scene, ShownMotion
+from prbench.viewing.figures import new_figure
+from prbench.viewing.replay.measures import gaze_distance, measure, phase, verdict
+from prbench.viewing.replay.parts import (
+    GAZE_COLOUR,
+    MARK_COLOUR,
+    METHOD_COLOURS,
+    beside,
+    bone_segments,
+    draw_bodies,
+    draw_dots,
+    draw_goal,
+    extent,
+    head_rays,
+    limit_top_view,
+    mark_times,
+    rays,
+    side_view,
+    top_view,
+)
+from prbench.viewing.replay.scene import RECORDED, Goal, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+
+_LEFT, _WIDTH = 0.04, 0.56
+_BOTTOM, _TOP = 0.09, 0.895
 _DPI = 100
 _LONGEST_RAY = 6.0  # metres
 _FOOTPRINT = 0.5  # metres around what must be seen
+_Flatten = Callable[[np.ndarray], np.ndarray]
+_Update = Callable[[int], None]
 
-Flatten = Callable[[np.ndarray], np.ndarray]
-Update = Callable[[int], None]
+
+def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
+    """Add one panel a motion, in one column for up to two motions, two for up to six, else three."""
+    columns = 1 + (n_motions > 2) + (n_motions > 6)
+    rows = -(-n_motions // columns)
+    width = _WIDTH / columns
+    height = (_TOP - _BOTTOM) / rows
+    panels = []
+    for number in range(n_motions):
+        row, column = divmod(number, columns)
+        left = _LEFT + column * width
+        bottom = _TOP - (row + 1) * height + 0.035
+        panels.append(figure.add_axes((left, bottom, width - 0.025, height - 0.065)))
+    return panels
+
+
+def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
+    """Show at least this range with equal scales; the rest of the panel goes to both sides, or to the top."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None, "the axes stand in a figure"
+    place = axes.get_position()
+    ratio = (place.width * figure.get_figwidth()) / (place.height * figure.get_figheight())
+    width, height = across[1] - across[0], up[1] - up[0]
+    more_across = max(height * ratio - width, 0.0)
+    more_up = max(width / ratio - height, 0.0)
+    axes.set_xlim(across[0] - more_across / 2, across[1] + more_across / 2)
+    axes.set_ylim(up[0], up[1] + more_up)
 
 
 class FilmStage:
@@ -37,17 +79,16 @@ class FilmStage:
 
     Args:
         scene: The sequence.
-        size: Of the picture, pixels.
+        size: Width and height of the picture, pixels.
     """
 
     def __init__(self, scene: Scene, size: tuple[int, int]) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
 
         self._scene = scene
         self._moving: list[tuple[Axes, Artist]] = []
-        self._updates: list[Update] = []
-        self._figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+        self._updates: list[_Update] = []
+        self._figure = new_figure(size[0] / _DPI, size[1] / _DPI, dpi=_DPI)
         self._canvas = FigureCanvasAgg(self._figure)
         self._write_texts()
         self._build_side_views()
@@ -58,7 +99,7 @@ class FilmStage:
         self._background = self._canvas.copy_from_bbox(self._figure.bbox)
 
     def picture(self, frame: int) -> bytes:
-        """RGB bytes, row by row from the top, of one frame."""
+        """Return the RGB bytes of one frame, row by row from the top."""
         self._canvas.restore_region(self._background)
         for update in self._updates:
             update(frame)
@@ -72,13 +113,13 @@ class FilmStage:
         write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
         write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
         if scene.notice:
-            write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=palette.METHODS[1])
+            write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=METHOD_COLOURS[1])
 
     def _build_side_views(self) -> None:
         scene, axis = self._scene, self._scene.picture_axis
-        low, high = self._extent(lambda points: points @ axis)
-        for panel, motion in zip(side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
-            fit_limits(panel, (low - _FOOTPRINT, high + _FOOTPRINT), (-0.05, self._height()))
+        low, high = extent(scene, lambda points: side_view(points, axis))
+        for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
+            _fit_limits(panel, (low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), (-0.05, self._height()))
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
             panel.tick_params(labelsize=7, length=2)
             panel.set_ylabel("m", fontsize=7.5)
@@ -95,7 +136,8 @@ class FilmStage:
             self._add_body(panel, motion, lambda points: side_view(points, axis))
 
     def _build_top_view(self) -> None:
-        scene, panel = self._scene, top_panel(self._figure)
+        scene = self._scene
+        panel = self._figure.add_axes((0.66, 0.47, 0.25, 0.445))
         if scene.surroundings is not None:
             draw_dots(panel, top_view(scene.surroundings))
         self._add_goal(panel, top_view)
@@ -103,28 +145,26 @@ class FilmStage:
             path = top_view(motion.joints[:, Joint.PELVIS])
             panel.plot(*path.T, color=motion.colour, linewidth=0.9, alpha=0.5)
             self._add_body(panel, motion, top_view)
-        (low_x, high_x), (low_z, high_z) = (self._extent(lambda points, k=k: points[..., k]) for k in (0, 2))
-        half = max(high_x - low_x, high_z - low_z, 1.4) / 2 + _FOOTPRINT
-        middle = (low_x + high_x) / 2, (low_z + high_z) / 2
-        panel.set(xlim=(middle[0] + half, middle[0] - half), ylim=(middle[1] - half, middle[1] + half))
-        panel.set_aspect("equal", adjustable="box")
+        limit_top_view(panel, scene, least=1.4, margin=_FOOTPRINT)
         panel.set_title("seen from above (m)", fontsize=8, loc="left", pad=3)
         self._add_clock(panel)
         panel.tick_params(labelsize=7)
         panel.grid(alpha=0.25, linewidth=0.6)
 
     def _build_curves(self, goal: Goal) -> None:
-        scene, (ray, wrist) = self._scene, curve_panels(self._figure)
+        scene = self._scene
+        ray = self._figure.add_axes((0.65, 0.27, 0.33, 0.12))
+        wrist = self._figure.add_axes((0.65, 0.09, 0.33, 0.12))
         for motion in scene.motions:
             values = measure(motion, goal, scene.head_tilt_deg)
             ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
             wrist.plot(scene.times, values.wrist_distance, color=motion.colour, linewidth=1.3)
-        if scene.gaze is not None and scene.shows_recorded:
-            ray.plot(scene.times, gaze_distance(scene.gaze, goal), color=palette.GAZE, linewidth=0.9, zorder=1.5)
+        if scene.gaze is not None:
+            ray.plot(scene.times, gaze_distance(scene.gaze, goal), color=GAZE_COLOUR, linewidth=0.9, zorder=1.5)
         limits = scene.thresholds.prime_distance, scene.thresholds.reach_distance
         titles = "goal to head ray (m)", "goal to nearer wrist (m)"
         for panel, limit, title, what in zip((ray, wrist), limits, titles, ("primed", "reached"), strict=True):
-            panel.axhline(limit, color=palette.MARK, linewidth=0.8, linestyle=":")
+            panel.axhline(limit, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
             panel.set(xlim=(0, scene.event_time * 1.01), ylim=(0, min(panel.get_ylim()[1], 2.5)))
             panel.set_title(f"{title}; {what} below {limit * 100:.0f} cm", fontsize=8, loc="left", pad=3)
             panel.tick_params(labelsize=7)
@@ -132,28 +172,21 @@ class FilmStage:
             self._add_cursor(panel)
         wrist.set_xlabel(f"time (s); grey: prime time ± {scene.thresholds.prime_window:g} s", fontsize=7.5)
 
-    def _add_goal(self, panel: Axes, flat: Flatten) -> None:
+    def _add_goal(self, panel: Axes, flat: _Flatten) -> None:
         if self._scene.goal is not None:
-            box = flat(self._scene.goal.box_corners)
-            for one, other in BOX_EDGES:
-                panel.plot(*box[[one, other]].T, color=palette.GOAL_EDGE, linewidth=1.0, zorder=1)
-            panel.plot(*flat(self._scene.goal.location), "s", color=palette.GOAL, markersize=4, zorder=1)
+            corners = flat(self._scene.goal.box_corners)
+            draw_goal(panel, corners, flat(self._scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
 
-    def _add_body(self, panel: Axes, motion: ShownMotion, flat: Flatten) -> None:
+    def _add_body(self, panel: Axes, motion: ShownMotion, flat: _Flatten) -> None:
         scene = self._scene
-        location = None if scene.goal is None else scene.goal.location
+        goal = scene.goal_location
         points = flat(motion.joints)
-        lengths = lengths_to(motion.joints[:, Joint.HEAD], location, _LONGEST_RAY)
-        self._add_ray(
-            panel,
-            flat(head_rays(motion.joints, scene.head_tilt_deg, lengths)),
-            {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))},
-        )
+        head_segments = flat(head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
+        self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
         if motion.label == RECORDED and scene.gaze is not None:
-            lengths = lengths_to(scene.gaze.origin, location, _LONGEST_RAY)
-            segments = flat(rays(scene.gaze.origin, scene.gaze.direction, lengths))
+            segments = flat(rays(scene.gaze.origin, scene.gaze.direction, goal, _LONGEST_RAY))
             segments = np.where(scene.gaze.valid[:, None, None], segments, np.nan)
-            self._add_ray(panel, segments, {"color": palette.GAZE, "linewidth": 1.6})
+            self._add_ray(panel, segments, {"color": GAZE_COLOUR, "linewidth": 1.6})
         lines, head = draw_bodies(panel, points[:1], motion.colour)
         bones = bone_segments(points)
         self._add(panel, lines, lambda frame: lines.set_segments(list(bones[frame])))
@@ -174,7 +207,7 @@ class FilmStage:
         clock = panel.text(0.98, 0.962, "", fontsize=13, weight="bold", **place)
         self._add(panel, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
 
-    def _add(self, panel: Axes, artist: Artist, update: Update) -> None:
+    def _add(self, panel: Axes, artist: Artist, update: _Update) -> None:
         artist.set_animated(True)
         self._moving.append((panel, artist))
         self._updates.append(update)
@@ -182,12 +215,3 @@ class FilmStage:
     def _height(self) -> float:
         highest = max(float(motion.joints[..., 1].max()) for motion in self._scene.motions)
         return max(2.0, highest + 0.1)
-
-    def _extent(self, coordinate: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-        """Least and greatest value of a coordinate over all pelvis ways, last poses and the goal."""
-        values = [coordinate(motion.joints[:, Joint.PELVIS]) for motion in self._scene.motions]
-        values += [coordinate(motion.joints[-1]) for motion in self._scene.motions]
-        if self._scene.goal is not None:
-            values.append(coordinate(self._scene.goal.box_corners))
-        everything = np.concatenate(values)
-        return float(everything.min()), float(everything.max())

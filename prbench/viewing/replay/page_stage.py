@@ -9,25 +9,32 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.body_lines import BONE_WIDTHS, THICK, bone_segments
-from prbench.viewing.replay.captions import phase
-from prbench.viewing.replay.rays import head_rays, lengths_to, rays
-from prbench.viewing.replay.scene import BOX_EDGES, RECORDED, Scene, ShownMotion
+from prbench.viewing.figures import BOX_EDGES
+from prbench.viewing.replay.measures import phase
+from prbench.viewing.replay.parts import (
+    BOX_COLOUR,
+    GAZE_COLOUR,
+    GOAL_COLOUR,
+    IS_THICK,
+    SURROUNDINGS_COLOUR,
+    bone_segments,
+    head_rays,
+    rays,
+    rgb,
+)
+from prbench.viewing.replay.scene import RECORDED, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-_WIDTHS = {True: 0.03, False: 0.016}  # metres: right limbs and trunk, left limbs
 _HEAD_RADIUS = 0.07
 _LONGEST_RAY = 6.0
 _BETWEEN = 0.8  # metres between lanes
 _LEAST_LANE = 1.0
-_THICK = np.array([width == THICK for width in BONE_WIDTHS])
 
 
 def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
-    """Where the lane of each motion lies: beside one another, across the way towards the goal, around the middle."""
+    """Return the offset of each motion's lane, metres: side by side, across the way to the goal, around the middle."""
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
     spans = [np.ptp(motion.joints[:, Joint.PELVIS] @ across) for motion in scene.motions]
     step = max(_LEAST_LANE, float(max(spans))) + _BETWEEN
@@ -35,8 +42,8 @@ def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
     return places[:, None] * across
 
 
-def set_up_room(server: ViserServer, scenes: Sequence[Scene]) -> None:
-    """Floor, light, and a camera that sees the first sequence from where its goal is."""
+def set_up_scene(server: ViserServer, scenes: Sequence[Scene]) -> None:
+    """Add a floor, and a camera that sees the first sequence from the side of its goal."""
     server.scene.set_up_direction("+y")
     server.scene.add_grid(
         "/floor",
@@ -55,12 +62,17 @@ def set_up_room(server: ViserServer, scenes: Sequence[Scene]) -> None:
 
 
 def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Place of a camera and what it looks at: ahead of the bodies and to their side, far enough to see all lanes."""
+    """Place a camera ahead of the bodies and to their side, far enough to see all lanes.
+
+    Returns:
+        Position of the camera, and the point that it looks at; canonical frame, metres.
+    """
     lanes = lane_offsets(scene)
     pelvis = np.concatenate(
         [motion.joints[:, Joint.PELVIS] + lane for motion, lane in zip(scene.motions, lanes, strict=True)]
     )
-    low, high = pelvis.min(axis=0), pelvis.max(axis=0)
+    low = pelvis.min(axis=0)
+    high = pelvis.max(axis=0)
     look_at = np.array([(low[0] + high[0]) / 2, 0.9, (low[2] + high[2]) / 2])
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
     away = 0.8 * scene.picture_axis - 0.6 * across
@@ -71,11 +83,11 @@ def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "
 
 
 class PageStage:
-    """The nodes of one sequence, hidden until it is its turn.
+    """The nodes of one sequence, hidden until its turn.
 
     Args:
-        server: Keeps the scene.
-        number: Of the sequence on the page.
+        server: Server that keeps the scene.
+        number: Number of the sequence on the page.
         scene: The sequence.
     """
 
@@ -114,19 +126,22 @@ class _Body:
         self, server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
     ) -> None:
         joints = motion.joints + offset
-        location = None if scene.goal is None else scene.goal.location + offset
-        lengths = lengths_to(joints[:, Joint.HEAD], location, _LONGEST_RAY)
-        colour = palette.rgb(motion.colour)
+        goal = None if scene.goal is None else scene.goal.location + offset
+        colour = rgb(motion.colour)
         self._heads = joints[:, Joint.HEAD]
         self._head = server.scene.add_icosphere(f"{name}/head", radius=_HEAD_RADIUS, color=colour, subdivisions=2)
         bones = bone_segments(joints)
         segments = {
-            "right": (bones[:, _THICK], colour, _WIDTHS[True]),
-            "left": (bones[:, ~_THICK], colour, _WIDTHS[False]),
-            "head_ray": (head_rays(joints, scene.head_tilt_deg, lengths)[:, None], colour, 0.008),
+            "right": (bones[:, IS_THICK], colour, 0.03),
+            "left": (bones[:, ~IS_THICK], colour, 0.016),
+            "head_ray": (head_rays(joints, scene.head_tilt_deg, goal, _LONGEST_RAY)[:, None], colour, 0.008),
         }
         if motion.label == RECORDED and scene.gaze is not None:
-            segments["gaze"] = _gaze_segments(scene, offset, location), palette.rgb(palette.GAZE), 0.012
+            origin = scene.gaze.origin + offset
+            gaze = rays(origin, scene.gaze.direction, goal, _LONGEST_RAY)
+            # A ray without length where the gaze is not valid: the viewer shows no NaN.
+            gaze = np.where(scene.gaze.valid[:, None, None], gaze, origin[:, None])
+            segments["gaze"] = (gaze[:, None], rgb(GAZE_COLOUR), 0.012)
         self._moving = [
             (
                 positions.astype(np.float32),
@@ -145,21 +160,11 @@ class _Body:
             handle.points = positions[frame]
 
 
-def _gaze_segments(
-    scene: Scene, offset: Float[np.ndarray, "3"], location: Float[np.ndarray, "3"] | None
-) -> Float[np.ndarray, "n 1 2 3"]:
-    """Recorded gaze rays; of no length where the gaze is not valid."""
-    assert scene.gaze is not None, "asked for only where there is gaze"
-    origin = scene.gaze.origin + offset
-    lengths = np.where(scene.gaze.valid, lengths_to(origin, location, _LONGEST_RAY), 0.0)
-    return rays(origin, scene.gaze.direction, lengths)[:, None]
-
-
 def _add_still(
     server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
 ) -> None:
-    """Label, way of the pelvis on the floor, and goal."""
-    colour = palette.rgb(motion.colour)
+    """Add the parts that do not move: label, path of the pelvis on the floor, surroundings and goal."""
+    colour = rgb(motion.colour)
     floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
     way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
     server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
@@ -168,16 +173,16 @@ def _add_still(
         server.scene.add_point_cloud(
             f"{name}/surroundings",
             (scene.surroundings + offset).astype(np.float32),
-            colors=palette.rgb(palette.SURROUNDINGS),
+            colors=rgb(SURROUNDINGS_COLOUR),
             point_size=0.012,
         )
     if scene.goal is not None:
         edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
-        server.scene.add_line_segments(f"{name}/goal_box", edges, colors=palette.rgb(palette.GOAL_EDGE), thickness=0.01)
+        server.scene.add_line_segments(f"{name}/goal_box", edges, colors=rgb(BOX_COLOUR), thickness=0.01)
         server.scene.add_icosphere(
             f"{name}/goal",
             radius=0.03,
-            color=palette.rgb(palette.GOAL),
+            color=rgb(GOAL_COLOUR),
             subdivisions=2,
             position=tuple(scene.goal.location + offset),
         )

@@ -1,26 +1,107 @@
-"""Scenes out of a table and the runs that were made on it."""
+"""Read scenes from a table and from the runs that were made on it."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 from jaxtyping import Float
 
+from prbench.errors import PredictionsError, RunError
 from prbench.manifests import MetricConstants, load_protocol
 from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.runs import DatasetFolder, Predictions, RunFolder, RunRecord, read_scores
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
 from prbench.skeleton import invert_rigid, transform_points
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.run_motions import RunMotions
+from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
 
 _SIDES = {"left": 0, "right": 1}
+_Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
+"""Returns points on the surroundings of one sequence (:attr:`Scene.surroundings`)."""
 
-Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
-"""Tells what stood around one sequence (:attr:`Scene.surroundings`)."""
+
+@dataclass(frozen=True, eq=False)
+class RunMotions:
+    """The motions that one run generated for one dataset, and their scores."""
+
+    label: str
+    run: RunFolder
+    dataset: str
+    predictions: Predictions
+    sample: int
+
+    @classmethod
+    def open(cls, run: RunFolder, dataset: str, *, label: str, sample: int = 0) -> RunMotions:
+        """Open the predictions of a dataset.
+
+        Raises:
+            RunError: if the run has no predictions yet, is of other datasets, or drew fewer samples.
+        """
+        folder = run.dataset(dataset).predictions
+        if not folder.is_dir() or not any(folder.glob("part-*.parquet")):
+            raise RunError(
+                f"{folder}: expected the predictions of a run, found none. Run the same `prbench run` again: it resumes"
+                " where it was interrupted."
+            )
+        if not 0 <= sample < run.record.samples:
+            raise RunError(f"{run.path}: expected a sample from 0 to {run.record.samples - 1}, found {sample}.")
+        return cls(label, run, dataset, Predictions.open(folder), sample)
+
+    @property
+    def files(self) -> DatasetFolder:
+        """The run's files of the dataset."""
+        return self.run.dataset(self.dataset)
+
+    def __contains__(self, sequence_id: str) -> bool:
+        return (sequence_id, self.sample) in self.predictions
+
+    def joints(self, sequence_id: str, n_frames: int) -> Float[np.ndarray, "n 22 3"]:
+        """Read the motion of a sequence, canonical frame, metres.
+
+        Raises:
+            PredictionsError: if it has another length than the recorded one, or holds NaN.
+        """
+        joints = self.predictions.motions([sequence_id], self.sample).values.astype(np.float64)
+        if len(joints) != n_frames:
+            raise PredictionsError(
+                f"{self.files.predictions}, {sequence_id}: expected {n_frames} frames, found {len(joints)}."
+            )
+        if not np.isfinite(joints).all():
+            raise PredictionsError(f"{self.files.predictions}, {sequence_id}: expected finite positions, found NaN.")
+        return joints
+
+    def scores(self, sequence_ids: Sequence[str]) -> Mapping[str, Mapping[str, float]]:
+        """Map each sequence id to its metric values; to none for a run that was interrupted before it was scored.
+
+        Raises:
+            RunError: if the scores cannot be read.
+        """
+        found: dict[str, dict[str, float]] = {name: {} for name in sequence_ids}
+        if not self.files.scores.is_file():
+            return found
+        table = read_scores(self.files.scores)
+        table = table.filter((pc.field("sample") == self.sample) & pc.field("sequence_id").isin(list(sequence_ids)))
+        for row in table.select(["sequence_id", "metric", "value"]).to_pylist():
+            found[row["sequence_id"]][row["metric"]] = row["value"]
+        return found
+
+
+def run_labels(paths: Sequence[Path], records: Sequence[RunRecord]) -> list[str]:
+    """Return a short label for each run: method and condition, and the folder's name where two would be equal."""
+    labels = []
+    for record in records:
+        control = f", {record.control}" if record.control else ""
+        labels.append(f"{record.method.name}, {record.condition}{control}")
+    return [
+        f"{label} ({path.name})" if labels.count(label) > 1 else label
+        for path, label in zip(paths, labels, strict=True)
+    ]
 
 
 def read_scenes(
@@ -29,37 +110,37 @@ def read_scenes(
     runs: Sequence[RunMotions] = (),
     *,
     permitted: Collection[str] = (),
-    around: Around | None = None,
+    around: _Around | None = None,
 ) -> Iterator[Scene]:
-    """Read sequences with what each run made of them, in the order given.
+    """Read sequences with each run's motions of them, in the order given.
 
     Where the dataset's licence keeps recorded motion (``redistribution``), the recorded motion, its gaze and its goal
     are left out; generated motions stay.
 
     Args:
-        table: Where the sequences are.
-        sequence_ids: Of the table, and of every run.
-        runs: Made on that very table.
+        table: Table of the sequences.
+        sequence_ids: Ids that the table and every run have.
+        runs: Runs that were made on this table.
         permitted: Datasets for which the user has permission to pass recorded motion on.
-        around: Tells what stood around a sequence; None draws the motions alone.
+        around: Returns points on the surroundings of a sequence; None draws the motions alone.
 
     Raises:
         RedistributionError: if nothing is left that may be shown.
         PredictionsError: if a motion does not fit its sequence.
     """
-    require_something_to_show(table.info, runs, permitted)
+    _require_something_to_show(table.info, runs, permitted)
     scores = [run.scores(sequence_ids) for run in runs]
     chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
     for name in sequence_ids:
         motions = [
             ShownMotion(run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name])
-            for run, colour, values in zip(runs, palette.METHODS, scores, strict=False)
+            for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
         yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around)
 
 
-def require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
-    """Refuse a view in which only recorded motion would stand, or a control's, which is made of it, if that is kept.
+def _require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
+    """Refuse a view of recorded motion alone, or of a control made from it, where the licence keeps recorded motion.
 
     Raises:
         RedistributionError: naming the dataset and how permission is stated.
@@ -77,23 +158,23 @@ def scene_of(
     motions: Sequence[ShownMotion] = (),
     *,
     permitted: Collection[str] = (),
-    around: Around | None = None,
+    around: _Around | None = None,
 ) -> Scene:
-    """One row of a table with generated motions beside it.
+    """Make the scene of one row of a table, with generated motions beside the recorded one.
 
     Args:
         chunk: The row, with all columns.
-        info: Of its dataset.
-        motions: What methods made of it.
+        info: Description of its dataset.
+        motions: Motions that methods generated for it.
         permitted: See :func:`read_scenes`.
         around: See :func:`read_scenes`.
     """
     constants = load_protocol().metrics
     shown = may_pass_on(info, permitted)
     gaze = _gaze(chunk)
-    placed = info.why_not_scored is None  # else nobody knows where the goal is, so that no distance means anything
-    scores = _own_scores(chunk, constants) if placed else {}
-    recorded = ShownMotion(RECORDED, palette.RECORDED, chunk.joints.astype(np.float64), scores)
+    placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything
+    scores = _own_scores(chunk, gaze, constants) if placed else {}
+    recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores)
     return Scene(
         sequence_id=chunk.sequence_ids[0],
         dataset=info.dataset,
@@ -118,7 +199,8 @@ def _title(chunk: SequenceChunk) -> str:
 
 
 def _goal(chunk: SequenceChunk) -> Goal:
-    low, high = chunk.vectors("goal_box_world_min")[0], chunk.vectors("goal_box_world_max")[0]
+    low = chunk.vectors("goal_box_world_min")[0]
+    high = chunk.vectors("goal_box_world_max")[0]
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
     canonical_from_world = invert_rigid(chunk.vectors("world_from_canonical").reshape(4, 4))
     return Goal(chunk.vectors("goal_location")[0].astype(np.float64), transform_points(canonical_from_world, corners))
@@ -132,16 +214,9 @@ def _gaze(chunk: SequenceChunk) -> Gaze:
     )
 
 
-def _own_scores(chunk: SequenceChunk, constants: MetricConstants) -> dict[str, float]:
-    """What the recorded motion itself scores: the ceiling that a method is compared with."""
-    recorded = MotionBatch(chunk.joints, chunk.offsets)
-    gaze = _gaze(chunk)
-    values = score(recorded, recorded, _targets(chunk, gaze), constants)
-    return {metric: float(column.value[0]) for metric, column in values.items()}
-
-
-def _targets(chunk: SequenceChunk, gaze: Gaze) -> ScoringTargets:
-    return ScoringTargets(
+def _own_scores(chunk: SequenceChunk, gaze: Gaze, constants: MetricConstants) -> dict[str, float]:
+    """Score the recorded motion itself, as the ceiling that a method is compared with."""
+    targets = ScoringTargets(
         goal_location=chunk.vectors("goal_location").astype(np.float64),
         prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
         hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
@@ -149,3 +224,6 @@ def _targets(chunk: SequenceChunk, gaze: Gaze) -> ScoringTargets:
         fps=chunk.numbers("fps"),
         gaze=GazeRays(gaze.origin, gaze.direction, gaze.valid),
     )
+    recorded = MotionBatch(chunk.joints, chunk.offsets)
+    values = score(recorded, recorded, targets, constants)
+    return {metric: float(column.value[0]) for metric, column in values.items()}

@@ -1,17 +1,21 @@
-"""What one picture, film or page shows of one sequence."""
+"""The data that one picture, film or page shows of one sequence."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.skeleton import Joint
+from prbench.viewing.figures import horizontal_direction
 
 RECORDED = "ground truth"
 """Label of the recorded motion."""
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished steps, all steps, and the sequence that was worked on last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +43,16 @@ class Gaze:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Where the object is, or will be; canonical frame, metres."""
+    """Place of the object at the event; canonical frame, metres."""
 
     location: Float[np.ndarray, "3"]
     box_corners: Float[np.ndarray, "8 3"]
-    """In the order of :data:`BOX_EDGES`."""
-
-
-BOX_EDGES: tuple[tuple[int, int], ...] = (
-    (0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7),
-)  # fmt: skip
-"""Corners of a box that an edge joins, where a corner's number has a bit for each axis."""
+    """In the order that :data:`prbench.viewing.figures.BOX_EDGES` expects."""
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What the protocol asks of priming and reaching, drawn beside the measured values."""
+    """The protocol's limits of priming and reaching, drawn beside the measured values."""
 
     prime_distance: float
     """Metres between head ray and goal."""
@@ -71,7 +69,7 @@ class Scene:
     sequence_id: str
     dataset: str
     title: str
-    """What is done with which hand, for people."""
+    """Action, object, hand and split in words."""
     action: str
     """``pick`` or ``put``."""
     fps: float
@@ -84,29 +82,34 @@ class Scene:
     """The recorded motion first, unless it is withheld."""
     thresholds: Thresholds
     goal: Goal | None = None
-    """None where the licence keeps it, or nobody knows where it is."""
+    """None where the recorded motion is withheld, and where the goal's place is unknown."""
     gaze: Gaze | None = None
-    """None where the licence keeps it, or there is none."""
+    """None where the recorded motion is withheld, and where the table has no valid gaze."""
     notice: str = ""
-    """What the dataset's terms ask a view of it to say."""
+    """Sentence that the dataset's terms ask a view to show."""
     surroundings: Float[np.ndarray, "k 3"] | None = None
-    """Points on what stood around when the event came, canonical frame, metres. None unless asked for, and where the
-    licence keeps it."""
+    """Points on the surroundings at the time of the event, canonical frame, metres. None unless asked for, and where
+    the licence keeps them."""
 
     @property
     def shows_recorded(self) -> bool:
-        """Whether the first motion is the recorded one."""
+        """True if the first motion is the recorded one."""
         return self.motions[0].label == RECORDED
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
-        """Of the frames, seconds after the first."""
+        """Times of the frames, seconds after the first."""
         return np.arange(self.n_frames) / self.fps
 
     @property
     def event_time(self) -> float:
-        """Seconds after the first frame."""
+        """Time of the event, seconds after the first frame."""
         return (self.n_frames - 1) / self.fps
+
+    @property
+    def goal_location(self) -> Float[np.ndarray, "3"] | None:
+        """Location of the goal, canonical frame, metres; None without a goal."""
+        return None if self.goal is None else self.goal.location
 
     @property
     def prime_frame(self) -> int:
@@ -115,12 +118,12 @@ class Scene:
 
     @property
     def picture_axis(self) -> Float[np.ndarray, "3"]:
-        """Horizontal unit vector that points to the right in side views: towards the goal when the event comes.
+        """Horizontal unit vector that points to the right in side views, so that the reach is seen from the side.
 
-        Without a goal, the way that the first motion's pelvis went; the reach is then seen from the side all the same.
+        It points from the first motion's pelvis to the goal at the event; without a goal, from where that pelvis began
+        to where it ends.
         """
         pelvis = self.motions[0].joints[:, Joint.PELVIS]
-        towards = (pelvis[-1] - pelvis[0]) if self.goal is None else (self.goal.location - pelvis[-1])
-        towards = towards * [1.0, 0.0, 1.0]
-        length = float(np.linalg.norm(towards))
-        return towards / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+        if self.goal is None:
+            return horizontal_direction(pelvis[-1] - pelvis[0])
+        return horizontal_direction(self.goal.location - pelvis[-1])

@@ -1,4 +1,4 @@
-"""How to run EgoAllo on this machine: a small TOML file that the user writes once."""
+"""Configuration of EgoAllo on this machine: a small TOML file that the user writes once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLACEHOLDERS = {
     "guidance": "aria_wrist_only where wrists were tracked, else no_hands: EgoAllo's --guidance-mode",
     "model": "the SMPL-H model",
 }
-"""What may stand in braces in a command, and what it becomes."""
+"""Placeholders that may stand in braces in a command, and their meanings."""
 
 DEFAULT_COMMAND = (
     "{python}", "3_aria_inference.py", "--traj-root", "{mps}", "--traj-length", "{frames}",
@@ -48,9 +48,9 @@ class PosesConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     model: Path | None = None
     """The SMPL-H model; found as the readers find it if None."""
     needs: frozenset[Need] = frozenset(("vrs", "points"))
-    """What EgoAllo cannot do without; ``points`` tell it the floor, ``vrs`` the calibration."""
+    """Inputs that EgoAllo cannot do without; ``points`` tell it the floor, ``vrs`` the calibration."""
     timeout_minutes: Annotated[float, msgspec.Meta(gt=0)] = 120.0
-    """Of one recording."""
+    """Longest time for one recording."""
     environment: dict[str, str] = {}
     """Further environment variables, for example ``CUDA_VISIBLE_DEVICES``."""
 

@@ -1,4 +1,4 @@
-"""Whether outputs are whole: readable, of this recording, and over all of its time."""
+"""Check that outputs are whole: readable, of this recording, and over all of its time."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _MISSING_ALLOWED, _MISSING_SHARE = 0.5, 0.1  # seconds, share of a short recordi
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a recording some outputs cover."""
+    """The part of a recording that some outputs cover."""
 
     seconds: float
-    """Of the recording."""
+    """Length of the recording."""
     missing: float
-    """Of these, without a body within 0.1 s."""
+    """Time without a body within 0.1 s, seconds."""
     first_missing: float | None
-    """When the first such instant is, seconds from the start; None if there is none."""
+    """The first instant without a body, seconds from the start; None if there is none."""
 
     @property
     def complete(self) -> bool:
-        """Whether nothing but the ends of windows is missing."""
+        """Return True if nothing but the ends of windows is missing."""
         return self.missing <= min(_MISSING_ALLOWED, _MISSING_SHARE * self.seconds) + 1e-9
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""What a recording offers to EgoAllo: trajectory, points, wrists, and the VRS recording with the calibration."""
+"""Find what a recording offers to EgoAllo: trajectory, points, wrists, and the VRS recording with the calibration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from prbench.workflows.poses.config import Need
 
 POINT_FILES = ("semidense_points.csv.gz", "global_points.csv.gz")
 VRS_NAMES = ("video.vrs", "recording.vrs")
-"""What ADT and HOT3D call the recording itself; other VRS files beside it are renderings."""
+"""Names that ADT and HOT3D give the recording itself; other VRS files beside it are renderings."""
 ADT = "adt"
 
 
@@ -31,10 +31,10 @@ class Inputs:
     wrists: Source | None
     vrs: Path | None
     y_up: bool
-    """Whether trajectory and points must be turned first (ADT)."""
+    """True if trajectory and points must be turned first (ADT)."""
 
     def lacking(self, needs: frozenset[Need]) -> str:
-        """What is missing of what EgoAllo needs, as a sentence; empty if nothing."""
+        """Say in a sentence what EgoAllo needs and the recording lacks; empty if nothing."""
         missing = []
         if "vrs" in needs and self.vrs is None:
             missing.append("the VRS recording, from which it takes the calibration")

@@ -1,4 +1,4 @@
-"""What to install and what to run, for whoever has not got EgoAllo yet."""
+"""Instructions for whoever has not got EgoAllo yet: what to install and what to run."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _REPLACED = ".replaced"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one recording."""
+    """The outcome of one recording."""
 
     recording_id: str
     state: Literal["made", "kept", "failed", "skipped"]
@@ -36,7 +36,7 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether a body is still lacking."""
+        """Return True if a body is still lacking."""
         return self.state == "failed"
 
 
@@ -50,8 +50,8 @@ def make_poses(
 ) -> tuple[Outcome, ...]:
     """Make the bodies that are lacking, one recording after the other; what is complete is kept.
 
-    A recording that fails is told and does not stop the others. Interrupted, the same call goes on where it stopped:
-    outputs take their place only when they are whole.
+    A recording that fails is reported and does not stop the others. After an interruption the same call goes on where
+    it stopped: outputs take their place only when they are whole.
 
     Args:
         states: What there is.

@@ -48,7 +48,7 @@ class Prepared:
 
     @property
     def outputs(self) -> Path:
-        """Where EgoAllo writes."""
+        """The folder into which EgoAllo writes."""
         return self.folder / ego.OUTPUT_FOLDER
 
 

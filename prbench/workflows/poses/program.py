@@ -20,7 +20,7 @@ _UNPRINTABLE = re.compile(r"[^\x20-\x7e]+")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a program ended."""
+    """The end of a program."""
 
     code: int | None
     """Exit code; None if it ran out of time."""
@@ -28,7 +28,7 @@ class Ended:
 
     @property
     def problem(self) -> str:
-        """What went wrong, with the last words of the log; empty if nothing."""
+        """Say what went wrong, with the last words of the log; empty if nothing."""
         if self.code == 0:
             return ""
         how = "ran out of time" if self.code is None else f"ended with exit code {self.code}"
@@ -102,7 +102,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _signal(process: subprocess.Popen[bytes], number: int) -> None:
-    """To the whole group where there are groups, so that children of the program end too."""
+    """Send a signal to the whole group where there are groups, so that children of the program end too."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         if os.name == "posix":
             os.killpg(process.pid, number)

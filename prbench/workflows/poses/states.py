@@ -1,4 +1,4 @@
-"""Which recordings have a body from EgoAllo, and which lack one."""
+"""Find out which recordings have a body from EgoAllo, and which lack one."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ class PoseState:
     message: str
     """Details for the user."""
     target: Path
-    """Where outputs belong, so that readers find them."""
+    """The folder in which readers look for outputs."""
     inputs: Inputs | None
-    """None where there is no trajectory to start from."""
+    """The inputs; None where there is no trajectory to start from."""
 
     @property
     def lacking(self) -> bool:
-        """Whether a body is still to be made."""
+        """Return True if a body is still to be made."""
         return self.state in ("partial", "refused", "missing", "unreadable")
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which recordings are meant."""
+    """The choice of recordings."""
 
     dataset: str | None = None
     """One of :data:`DATASETS`; found out from the folder if None."""
@@ -90,7 +90,7 @@ def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
 
 
 def pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None) -> PoseState:
-    """What there is of one recording's body."""
+    """Look at one recording's outputs and inputs."""
     outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
     target = outputs[0].parent if outputs else poses_folder(root, found.recording_id, poses_root)
     manifest = load_manifest(found.dataset.removeprefix(SYNTHETIC_PREFIX))

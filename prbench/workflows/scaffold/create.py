@@ -11,18 +11,25 @@ from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
 from prbench.locks import sole_writer
 from prbench.storage import atomic_folder
-from prbench.workflows.scaffold.names import MethodNames, method_names, taken_by
 from prbench.workflows.scaffold.one_file import ONE_FILE, converters_file
-from prbench.workflows.scaffold.templating import filled, read_template
-from prbench.workflows.scaffold.values import command_lines, template_flags, template_values
+from prbench.workflows.scaffold.values import (
+    MethodNames,
+    command_lines,
+    filled,
+    method_names,
+    read_template,
+    taken_by,
+    template_flags,
+    template_values,
+)
 
 
 @dataclass(frozen=True)
 class ScaffoldRequest:
-    """What is to be written."""
+    """The method that is to be written."""
 
     name: str
-    """Of the method."""
+    """Name of the method."""
     conditions: tuple[str, ...] = (Condition.GOAL_LOCATION.value,)
     out: Path | None = None
     """The new folder; None for one in the current folder, named after the package or the program."""
@@ -33,7 +40,7 @@ class ScaffoldRequest:
 
 @dataclass(frozen=True)
 class ScaffoldReport:
-    """What was written."""
+    """The files that were written."""
 
     folder: Path
     files: tuple[Path, ...]

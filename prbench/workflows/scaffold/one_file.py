@@ -27,7 +27,7 @@ _FOR_TYPES_ONLY = "jaxtyping"
 _CONVERTERS = "prbench.representation.converters"
 _LEFT_OUT = frozenset({"SmplxModel"})
 """Needs torch and the package ``smplx``; ``smpl_joints`` gives the same joints."""
-ROOTS: Mapping[str, tuple[str, ...]] = {
+_ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.errors": ("PrbenchError", "InputFileError", "UsageError"),
     "prbench.skeleton": ("Joint", "PARENTS"),
     "prbench.axes": ("y_up", "z_up"),
@@ -35,7 +35,7 @@ ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.contract.noise": ("batch_noise", "sequence_noise"),
     "prbench.representation": ("Statistics", "UniformSkeleton", "canonicalise", "rest_offsets", "retarget"),
 }
-"""What the file offers besides the converters."""
+"""Names that the file offers besides the converters."""
 
 _MARK = "Written by `prbench adapters converters`"
 _HEADER = '''# ruff: noqa
@@ -85,7 +85,7 @@ class _Module:
 def converters_file() -> str:
     """The text of :data:`ONE_FILE`."""
     offered = importlib.import_module(_CONVERTERS).__all__
-    roots = {**ROOTS, _CONVERTERS: tuple(name for name in offered if name not in _LEFT_OUT)}
+    roots = {**_ROOTS, _CONVERTERS: tuple(name for name in offered if name not in _LEFT_OUT)}
     return one_file(roots, _HEADER.format(version=prbench.__version__))
 
 
@@ -126,7 +126,7 @@ _Needed = dict[str, list[_Statement]]
 
 
 def _needed(found: Iterable[tuple[str, str]]) -> _Needed:
-    """By module, the statements behind some names, and behind all that these use."""
+    """Collect, by module, the statements behind some names and behind all that these use."""
     needed: _Needed = {}
     waiting = list(found)
     while waiting:

@@ -1,10 +1,16 @@
-"""A table as Markdown: the study's layout, an interval under every mean, cost columns at the end."""
+"""A finished table as Markdown and as values for JSON.
+
+Markdown has the study's layout, an interval under every mean, and cost columns at the end. JSON has rates in %, as
+printed, and null where Markdown prints a dash.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
+from prbench.metrics import exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     BlockLayout,
@@ -16,14 +22,15 @@ from prbench.workflows.table_two.layout import (
 )
 from prbench.workflows.table_two.order import Step
 
-DASH = "–"
-MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
-"""Of the study's row labels."""
+_DASH = "–"
+_MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
+"""Marks of the study's row labels."""
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
+SCHEMA_VERSION = 1
 
 
 def as_markdown(layout: TableLayout) -> str:
-    """The whole document."""
+    """Return the whole document."""
     parts = ["# Table 2"]
     for dataset in layout.datasets:
         parts += [f"## {markdown(heading(dataset, layout))}", _grid(dataset)]
@@ -40,7 +47,7 @@ def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
 
 
 def orders(dataset: DatasetLayout) -> Iterable[str]:
-    """For each block the order by Prime Success, with the difference at each step and what the data say of it."""
+    """Yield each block's order by Prime Success, with the difference at each step and whether the data support it."""
     for block in (block for block in dataset.blocks if block.order):
         labels = {line.name: line.label for line in block.lines}
         steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
@@ -54,12 +61,12 @@ def _step(step: Step) -> str:
 
 
 def notes(layout: TableLayout) -> Iterable[str]:
-    """What a reader has to know, one sentence or two each."""
+    """Yield the notes that a reader needs, one sentence or two each."""
     if layout.minutes is not None:
         yield f"n is what fitted into {layout.minutes} min on the machine that it was run on."
     lines = [line for block in layout.datasets[0].blocks for line in block.lines]
-    if any(line.label[-1] in MARKS for line in lines):
-        yield "; ".join(f"{mark}: {meaning}" for mark, meaning in MARKS.items()) + "; no mark: fine-tuned."
+    if any(line.label[-1] in _MARKS for line in lines):
+        yield "; ".join(f"{mark}: {meaning}" for mark, meaning in _MARKS.items()) + "; no mark: fine-tuned."
     yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
     few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
     if few:
@@ -101,7 +108,7 @@ def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
 
 def _cell(cell: Cell | None) -> str:
     if cell is None:
-        return DASH
+        return _DASH
     mean = f"{cell.mean:.2f}"
     marked = {1: f"**{mean}**", 2: f"<u>{mean}</u>"}.get(cell.rank or 0, mean)
     return f"{marked} {cell.interval}".rstrip()
@@ -109,6 +116,20 @@ def _cell(cell: Cell | None) -> str:
 
 def cost_cells(cost: LineCost) -> tuple[str, str, str]:
     """Seconds and network passes of a motion, memory of a process."""
-    seconds = DASH if cost.seconds is None else f"{cost.seconds:.2f}"
-    passes = DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
-    return seconds, passes, DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
+    seconds = _DASH if cost.seconds is None else f"{cost.seconds:.2f}"
+    passes = _DASH if cost.network_passes is None else f"{cost.network_passes:.0f}"
+    return seconds, passes, _DASH if cost.memory_mebibytes is None else f"{cost.memory_mebibytes:.0f}"
+
+
+def as_builtins(layout: TableLayout) -> dict[str, object]:
+    """The whole layout with what its numbers mean."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "table": "2",
+        "metrics": [
+            {"id": info.id, "unit": exported_unit(info.unit), "higher_is_better": info.higher_is_better}
+            for info in MAIN_METRICS
+        ],
+        "ranked_from": FEWEST_RANKED,
+        **asdict(layout),
+    }

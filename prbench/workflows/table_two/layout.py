@@ -21,23 +21,23 @@ from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.order import METRIC, Step, order_of
 from prbench.workflows.table_two.plan import PlannedRow
-from prbench.workflows.table_two.rows import load_table_two
+from prbench.workflows.table_two.request import load_table_two
 
-CONTROLS_TITLE = "Controls"
+_CONTROLS_TITLE = "Controls"
 _CONTROL = "control"
 _MEBIBYTE = 2**20
 
 
 @dataclass(frozen=True)
 class RowOutcome:
-    """What became of one line."""
+    """The outcome of one line."""
 
     planned: PlannedRow
     state: Literal["run", "skipped", "failed"]
     reason: str = ""
-    """Why it has no numbers."""
+    """The reason why it has no numbers."""
     folder: Path | None = None
-    """Of its run."""
+    """Folder of its run."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class LineCost:
-    """What generating one motion took; None where it says nothing, as of a control."""
+    """The cost of generating one motion; None where it says nothing, as for a control."""
 
     seconds: float | None
     network_passes: float | None
@@ -77,13 +77,13 @@ class Line:
     weights_used: str
     """File that was run."""
     variant: str
-    """In the words of the published tables."""
+    """Variant in the words of the published tables."""
     trained_on: str
     stands_in: bool
     state: Literal["run", "skipped", "failed"]
     reason: str
     cells: dict[str, Cell | None]
-    """By main metric; None is a dash."""
+    """Maps each main metric to its cell; None is a dash."""
     unsupported: int
     """Sequences that are longer than the method can generate, and were left out."""
     cost: LineCost
@@ -98,7 +98,7 @@ class BlockLayout:
     """``control`` for the controls."""
     lines: tuple[Line, ...]
     order: tuple[Step, ...] = ()
-    """From the best to the worst by Prime Success; empty where nothing is ranked."""
+    """Steps from the best to the worst by Prime Success; empty where nothing is ranked."""
 
 
 @dataclass(frozen=True)
@@ -116,13 +116,13 @@ class DatasetLayout:
 
     @property
     def is_ranked(self) -> bool:
-        """Whether there are sequences enough to rank anything."""
+        """Return True if there are sequences enough to rank anything."""
         return self.sequences >= FEWEST_RANKED
 
 
 @dataclass(frozen=True)
 class TableLayout:
-    """All of it."""
+    """The whole table."""
 
     split: str
     limit: int
@@ -175,7 +175,7 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
         under[_CONTROL if planned.is_control else planned.run.condition.value].append(line)
-    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: CONTROLS_TITLE}
+    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: _CONTROLS_TITLE}
     return DatasetLayout(
         dataset=info.dataset,
         title=info.title,
@@ -233,7 +233,7 @@ def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
 
 
 def _seconds(cost: RunCost) -> float | None:
-    """Of one motion; with what loads on first use only where nothing else was timed."""
+    """Return the seconds of one motion; loading on first use counts only where nothing else was timed."""
     if cost.seconds_per_motion is not None:
         return cost.seconds_per_motion
     return cost.warm_up_seconds / cost.warm_up_motions if cost.warm_up_motions else None

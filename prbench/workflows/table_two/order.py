@@ -17,7 +17,7 @@ METRIC = "prime_success"
 
 @dataclass(frozen=True)
 class Step:
-    """From one method to the next worse one; points of Prime Success."""
+    """The step from one method to the next worse one; points of Prime Success."""
 
     better: str
     """Name of the line."""
@@ -26,7 +26,7 @@ class Step:
     low: float | None
     high: float | None
     p: float | None
-    """Of sign flips by recording, after Holm's correction for the steps of the block."""
+    """p-value of sign flips by recording, after Holm's correction for the steps of the block."""
     supported: bool
 
 

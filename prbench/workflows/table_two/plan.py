@@ -1,4 +1,4 @@
-"""From rows to runs: which can be run here, with which weights, and why the others cannot."""
+"""Plan the runs of the rows: which can be run here, with which weights, and why the others cannot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
 from prbench.evaluation.request import RunRequest
 from prbench.methods.adapters import load_adapter
 from prbench.methods.installed import list_adapters
-from prbench.workflows.table_two.request import CONTROLS, TableRequest
-from prbench.workflows.table_two.rows import Row, load_table_two
+from prbench.workflows.table_two.request import CONTROLS, Row, TableRequest, load_table_two
 
 ALL = "all"
-"""As ``--method`` or ``--condition``: all that Table 2 has."""
-ROWS_FOLDER = "rows"
+"""The value of ``--method`` or ``--condition`` that asks for all that Table 2 has."""
+_ROWS_FOLDER = "rows"
 GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
 
 
@@ -27,15 +26,15 @@ class PlannedRow:
     name: str
     """Unique; the name of its run folder."""
     label: str
-    """As printed."""
+    """Label as printed."""
     row: Row | None
-    """None for a control of the harness."""
+    """The study's row; None for a control."""
     run: RunRequest
-    """Without limit and size of batches, which follow later."""
+    """The run without limit and size of batches, which follow later."""
     skipped: str | None = None
-    """Why it is not run; None for a row that is."""
+    """The reason why it is not run; None for a row that is."""
     stands_in: bool = False
-    """Whether bundled weights take the place of the study's."""
+    """True if bundled weights take the place of the study's."""
 
     @property
     def is_control(self) -> bool:
@@ -48,7 +47,7 @@ class PlannedRow:
 
 
 def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> list[PlannedRow]:
-    """All lines in printed order, controls last.
+    """Plan all lines in printed order, controls last.
 
     Args:
         request: What is asked for.
@@ -73,7 +72,7 @@ def _planned(request: TableRequest, row: Row, data: tuple[Path, ...], folder: Pa
         condition=row.condition,
         weights=weights,
         options=request.options_of(row.method),
-        out=folder / ROWS_FOLDER / row.name,
+        out=folder / _ROWS_FOLDER / row.name,
     )
     reason = _why_skipped(row, run, own=own is not None)
     return PlannedRow(row.name, row.label, row, run, reason, stands_in=own is None and bool(row.bundled))
@@ -100,14 +99,14 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
 def _shuffled(planned: PlannedRow, folder: Path) -> PlannedRow:
     """The same with other sequences' goals."""
     name = f"{planned.name}-{SHUFFLED_GOAL}"
-    run = replace(planned.run, control=SHUFFLED_GOAL, out=folder / ROWS_FOLDER / name)
+    run = replace(planned.run, control=SHUFFLED_GOAL, out=folder / _ROWS_FOLDER / name)
     label = f"{planned.label}, {run.condition.value}, {SHUFFLED_GOAL}"
     return replace(planned, name=name, label=label, run=run)
 
 
 def _control(request: TableRequest, name: str, data: tuple[Path, ...], folder: Path) -> PlannedRow:
     run = replace(
-        _base(request, data), method=name, condition=_control_condition(request), out=folder / ROWS_FOLDER / name
+        _base(request, data), method=name, condition=_control_condition(request), out=folder / _ROWS_FOLDER / name
     )
     return PlannedRow(name, name, None, run)
 

@@ -1,4 +1,4 @@
-"""What a user asks of a whole table."""
+"""The rows of the study's Table 2 (``table_2.toml``: method, weights, condition), and what a user asks of them."""
 
 from __future__ import annotations
 
@@ -6,21 +6,129 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Literal
+
+import msgspec
 
 import prbench
 from prbench.contract import Condition
-from prbench.errors import UsageError
+from prbench.errors import UsageError, did_you_mean
 from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.preparation import DEFAULT_PARENT
+from prbench.manifests import read_toml
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
-from prbench.workflows.table_two.rows import Row, load_table_two
 
+_PACKAGE, _FILE = "prbench_benchmarks.prime_and_reach", "table_2.toml"
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
-"""Beside the rows, always."""
+"""Controls that always stand beside the rows."""
 _PAPER_ORDER = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
+
+
+class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Rows under one condition."""
+
+    condition: Condition
+    title: str
+    """Title as printed."""
+
+
+class RowWeights(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The weights of a row in the study."""
+
+    state: Literal["none", "pretrained", "finetuned"]
+    """Pre-trained ones were never shown a prime-and-reach sequence: zero-shot."""
+    trained_on: str
+    """``all`` training sequences, or the corpus."""
+    variant: str
+    """The row's variant in the published tables in long form."""
+
+
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One printed row."""
+
+    label: str
+    """Label as printed."""
+    method: str
+    weights: str
+    """Key in :attr:`TableTwo.weights`, and the name under which a user's own are found."""
+    condition: Condition
+    bundled: str = ""
+    """Name of the weights that come with prbench for it; empty if there are none, or the method needs none."""
+
+    @property
+    def name(self) -> str:
+        """Unique, and fit to be a folder's name."""
+        return f"{self.condition.value}-{self.method}-{self.weights.removeprefix(f'{self.method}-')}"
+
+
+class TableTwo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The whole file.
+
+    Raises:
+        ValueError: if a row repeats, its weights are not listed, or its condition has no block.
+    """
+
+    table: str
+    blocks: tuple[Block, ...]
+    weights: dict[str, RowWeights]
+    rows: tuple[Row, ...]
+
+    def __post_init__(self) -> None:
+        names = [row.name for row in self.rows]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"rows: '{name}' stands there {names.count(name)} times")
+        conditions = [block.condition for block in self.blocks]
+        if len(set(conditions)) < len(conditions):
+            raise ValueError("blocks: a condition has more than one")
+        for row in self.rows:
+            if row.weights not in self.weights:
+                hint = did_you_mean(row.weights, self.weights)
+                raise ValueError(f"rows: '{row.label}' names the weights '{row.weights}', which are not listed.{hint}")
+            if row.condition not in conditions:
+                raise ValueError(f"rows: '{row.label}' is under '{row.condition.value}', which has no block")
+        unused = sorted(set(self.weights) - {row.weights for row in self.rows})
+        if unused:
+            raise ValueError(f"weights: no row has '{unused[0]}'")
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Ids, in order of appearance."""
+        return tuple(dict.fromkeys(row.method for row in self.rows))
+
+    def chosen(self, method: str | None, condition: Condition | None) -> tuple[Row, ...]:
+        """The rows of one method or all, under one condition or all.
+
+        Raises:
+            UsageError: if there is none.
+        """
+        if method is not None and method not in self.methods:
+            raise UsageError(
+                f"--condition all: Table 2 has no rows of '{method}'; its methods are: {', '.join(self.methods)}."
+                f"{did_you_mean(method, self.methods)} Name one condition to run another method."
+            )
+        rows = tuple(
+            row
+            for row in self.rows
+            if (method is None or row.method == method) and (condition is None or row.condition == condition)
+        )
+        if not rows:
+            raise UsageError(f"Table 2 has no rows of '{method or 'all'}' under '{condition or 'all'}'.")
+        return rows
+
+
+@cache
+def load_table_two() -> TableTwo:
+    """The rows as they come with prbench.
+
+    Raises:
+        InputFileError: if the file does not fit the data class (naming the key).
+    """
+    return read_toml(_PACKAGE, _FILE, TableTwo)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,13 +142,13 @@ class TableRequest:
     data: tuple[Path, ...]
     """Dataset folders."""
     method: str | None = None
-    """None for all."""
+    """The method; None for all."""
     condition: Condition | None = None
-    """None for all."""
+    """The condition; None for all."""
     weights: Path | None = None
     """Folder with weights by the names of ``table_2.toml``; those that come with prbench take the place of others."""
     options: Mapping[str, str] = field(default_factory=dict)
-    """By ``method.key``; a table of one method takes plain keys too."""
+    """Maps ``method.key`` to a value; a table of one method takes plain keys too."""
     split: str = "test"
     limit: int | None = None
     """Sequences of each dataset; None for as many as fit in ``minutes``."""
@@ -48,11 +156,11 @@ class TableRequest:
     seed: int = 0
     samples: int = 1
     batch_size: int | None = None
-    """None for one that follows from the number of sequences."""
+    """Sequences of a batch; None for a number that follows from the number of sequences."""
     device: str = "cpu"
     threads: int = 1
     shuffled_goal: bool = False
-    """Whether every goal row stands there with other sequences' goals, too."""
+    """True if every goal row stands there with other sequences' goals, too."""
     out: Path | None = None
     """Folder of the table; by default one under ``runs`` whose name says what was asked."""
 
@@ -76,7 +184,7 @@ class TableRequest:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What is asked for, in printed order."""
+        """The rows that are asked for, in printed order."""
         return load_table_two().chosen(self.method, self.condition)
 
     def options_of(self, method: str) -> dict[str, str]:
@@ -110,7 +218,7 @@ class TableRequest:
         return sorted(tables, key=lambda table: _place(table.info.dataset))
 
     def folder(self) -> Path:
-        """Where the table is kept; the same request finds its folder again."""
+        """Return the folder of the table; the same request finds its folder again."""
         if self.out is not None:
             return self.out
         tables = self.tables()
@@ -121,7 +229,7 @@ class TableRequest:
         return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
 
     def deciding(self, tables: list[SequenceTable]) -> dict[str, str]:
-        """All that decides what the rows compute, by what a user calls it; empty where it was left to prbench.
+        """Map the user's name of everything that decides the rows to its value; empty where it was left to prbench.
 
         The weights do not stand here: the run folder of each row records its own.
         """

@@ -1,8 +1,9 @@
 """Work through the rows of Table 2, unattended.
 
 ``plan.json`` is written first and holds the number of sequences; every row is a run folder of its own, which resumes.
-The batches of all rows are generated side by side, those of the dearest rows first; then each row is scored. A row that
-cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next call.
+The batches of all rows are generated side by side, those of the most expensive rows first; then each row is scored. A
+row that cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next
+call.
 Whatever moment the table was killed at, the same request goes on and ends with the same numbers.
 """
 
@@ -20,16 +21,13 @@ from prbench.evaluation.run import run_method
 from prbench.locks import sole_writer
 from prbench.sequences import SequenceTable
 from prbench.storage import remove_leftovers, write_json, write_text
-from prbench.workflows.table_two.as_json import as_builtins
-from prbench.workflows.table_two.as_markdown import as_markdown
-from prbench.workflows.table_two.budget import DatasetSize, even_batch_size
+from prbench.workflows.table_two.as_markdown import as_builtins, as_markdown
+from prbench.workflows.table_two.budget import DatasetSize, even_batch_size, kind
 from prbench.workflows.table_two.layout import RowOutcome, TableLayout, lay_out
-from prbench.workflows.table_two.measuring import kind
 from prbench.workflows.table_two.plan import PlannedRow, plan_rows
 from prbench.workflows.table_two.request import TableRequest
 from prbench.workflows.table_two.side_by_side import Counting, generate_side_by_side, why
-from prbench.workflows.table_two.state import TablePlan, open_plan
-from prbench.workflows.table_two.subset import dataset_size, with_limit
+from prbench.workflows.table_two.state import TablePlan, dataset_size, open_plan, with_limit
 
 MARKDOWN, JSON = "table_2.md", "table_2.json"
 
@@ -40,7 +38,7 @@ def _uncounted(done: int, total: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Say:
-    """Where a table says how far it has got; silent by default."""
+    """Progress messages of a table; silent by default."""
 
     notice: Callable[[str], None] = lambda _: None
     """One line that stays: what is skipped, what has failed, how many sequences there will be."""
@@ -97,7 +95,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         assert plan.limit is not None
         say.notice(_shown_limit(plan, tables, sizes))
         batch_size = request.batch_size or even_batch_size(plan.limit, sizes)
-        runs = {row.name: row.limited(plan.limit, batch_size) for row in _dearest_first(planned, plan)}
+        runs = {row.name: row.limited(plan.limit, batch_size) for row in _most_expensive_first(planned, plan)}
         outcomes = _outcomes(planned, runs, engine, say)
         minutes = plan.minutes if plan.fits else None
         layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
@@ -108,7 +106,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
     return TableReport(folder, layout, outcomes)
 
 
-def _dearest_first(planned: list[PlannedRow], plan: TablePlan) -> list[PlannedRow]:
+def _most_expensive_first(planned: list[PlannedRow], plan: TablePlan) -> list[PlannedRow]:
     """Rows to be run; a short batch at the end leaves the other worker idle for less long than a long one."""
 
     def seconds(row: PlannedRow) -> float:

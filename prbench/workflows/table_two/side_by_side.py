@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.engine import Engine
+from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import PrbenchError, StorageError
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.request import RunRequest
@@ -21,7 +21,6 @@ from prbench.locks import sole_writer
 from prbench.methods.loaded_methods import forget_loaded_methods
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import FILE_NAME as RECORD
-from prbench.workers import is_out_of_memory
 
 Counting = Callable[[int, int, str], None]
 """Called with finished items, all items, and the next or last one's name."""
@@ -29,14 +28,14 @@ Counting = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class SideBySide:
-    """What became of the runs whose batches were made."""
+    """The outcome of the runs whose batches were made."""
 
     failed: dict[str, str]
-    """Why a run has not all of its batches, by name."""
+    """Maps the name of a run that lacks batches to the reason."""
     untouched: frozenset[str]
     """Runs that were not begun because time was up."""
     broken: str | None
-    """Why the work ended early: a worker was killed. Nothing is known then of runs without batches."""
+    """The reason why the work ended early: a worker was killed. Nothing is known then of runs without batches."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class _NamedTask:
 class _Tried:
     name: str
     reason: str | None
-    """Why it could not be made."""
+    """The reason why it could not be made; None if it was."""
 
 
 def generate_side_by_side(
@@ -121,7 +120,7 @@ def _discard_if_empty(out: Path | None) -> None:
 
 
 def _try(named: _NamedTask) -> _Tried:
-    """In a worker."""
+    """Make one batch, in a worker."""
     try:
         run_batch(named.task)
     except StorageError:
@@ -134,5 +133,5 @@ def _try(named: _NamedTask) -> _Tried:
 
 
 def why(error: Exception) -> str:
-    """What to tell of an error that ended a run."""
+    """Return the message for an error that ended a run."""
     return str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"

@@ -1,20 +1,44 @@
-"""``plan.json``: what a table decided before its first row, so that it goes on the same way after a kill."""
+"""``plan.json``: what a table decided before its first row, so that it goes on the same way after a kill.
+
+It holds the number of sequences, too: where the user named none, as many as fit into the time.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
+from prbench.engine import Engine, ProcessPool
 from prbench.errors import RunError, StorageError
+from prbench.evaluation.planning import select
+from prbench.sequences import SequenceTable
+from prbench.sequences.table import by_hash
 from prbench.storage import remove_leftovers, write_json
-from prbench.workflows.table_two.budget import RowCost
+from prbench.workflows.table_two.budget import (
+    DatasetSize,
+    Measured,
+    Pace,
+    RowCost,
+    forget_timing,
+    kind,
+    largest_limit,
+    measure,
+    near_median,
+    table_seconds,
+)
+from prbench.workflows.table_two.plan import PlannedRow
+from prbench.workflows.table_two.request import TableRequest
 
 FILE_NAME = "plan.json"
 _VERSION = 1
+TIMING_SHARE = 1 / 3
+"""Share of the time after which no further row is timed; an untimed row counts as the slowest timed one."""
 
 
 class TablePlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -22,19 +46,19 @@ class TablePlan(msgspec.Struct, frozen=True, kw_only=True):
 
     schema_version: int = _VERSION
     asked: dict[str, str]
-    """What decides the rows, by what a user calls it, the tables among it."""
+    """Maps the user's name of everything that decides the rows, tables among it, to its value."""
     limit: int | None
     """Sequences of each dataset; None until it is known."""
     minutes: int | None
     """The time that the limit follows from; None where the user named the limit."""
     expected_seconds: float | None = None
-    """What all of it was expected to take when the limit was found, timing included."""
+    """Seconds that all of it was expected to take when the limit was found, timing included."""
     costs: dict[str, RowCost] = {}
     """Measured, by kind of row."""
 
     @property
     def fits(self) -> bool:
-        """Whether the limit follows from a time, which is enough for at least one sequence."""
+        """Return True if the limit follows from a time that is enough for at least one sequence."""
         return self.minutes is not None and (self.expected_seconds or 0.0) <= 60 * self.minutes
 
     def write(self, folder: Path) -> None:
@@ -91,3 +115,61 @@ def _difference(key: str, found: str | None, wanted: str | None) -> str:
     if found is None or wanted is None:
         return f"{key} is new" if found is None else f"{key} is missing"
     return f"{key} has other contents now"
+
+
+def with_limit(
+    plan: TablePlan,
+    request: TableRequest,
+    tables: list[SequenceTable],
+    planned: list[PlannedRow],
+    *,
+    engine: Engine,
+    counting: Callable[[int, int, str], None],
+    folder: Path,
+) -> TablePlan:
+    """The plan with its limit, found by timing a batch of every kind of row.
+
+    Args:
+        plan: With what an earlier call has timed.
+        request: What is asked for.
+        tables: In printed order.
+        planned: Its lines; the skipped ones cost nothing.
+        engine: The one that the rows will be run with.
+        counting: Called with timed rows, all rows, and a row's name.
+        folder: Of the table, where the plan is written.
+    """
+    started = time.monotonic()
+    runnable = [row for row in planned if row.skipped is None]
+    median = near_median(select(tables[0], split=request.split, limit=None))
+    share = TIMING_SHARE * 60 * request.minutes
+    measured = measure(runnable, plan.costs, median, engine, folder=folder, counting=counting, seconds=share)
+    costs = [cost for row in runnable if (cost := _cost(row, measured)) is not None]
+    sizes = [dataset_size(table, request.split) for table in tables]
+    pace = Pace(request.batch_size, engine.workers if isinstance(engine, ProcessPool) else 1, request.samples)
+    spent = time.monotonic() - started
+    limit = largest_limit(costs, sizes, pace, seconds=60 * request.minutes - spent)
+    expected = spent + table_seconds(costs, limit, sizes, pace)
+    limited = msgspec.structs.replace(plan, costs=measured.costs, limit=limit, expected_seconds=expected)
+    limited.write(folder)
+    forget_timing(folder)
+    return limited
+
+
+def _cost(row: PlannedRow, measured: Measured) -> RowCost | None:
+    """Return a row's cost; an untimed kind counts as the slowest timed one, a failing row costs nothing (None)."""
+    if row.name in measured.failed or not measured.costs:
+        return None
+    overhead = max(cost.overhead for cost in measured.costs.values())
+    slowest = 0.0 if row.row is None else max(cost.seconds_per_frame for cost in measured.costs.values())
+    return measured.costs.get(kind(row), RowCost(seconds_per_frame=slowest, overhead=overhead))
+
+
+def dataset_size(table: SequenceTable, split: str) -> DatasetSize:
+    """The lengths of a split's sequences, in the order in which a limit takes them up.
+
+    Raises:
+        TableError: if there are none.
+    """
+    selection = select(table, split=split, limit=None)
+    frames = dict(zip(selection.sequence_ids, selection.n_frames.tolist()))
+    return DatasetSize(np.array([frames[name] for name in by_hash(list(frames))]))

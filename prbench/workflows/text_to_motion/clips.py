@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +11,12 @@ from jaxtyping import Float
 
 from prbench.errors import TableError, UsageError
 from prbench.evaluation.text_to_motion.metrics import BATCH
-from prbench.evaluation.text_to_motion.networks import SNIPPET, EvaluatorConfiguration
+from prbench.evaluation.text_to_motion.networks import GLOVE, SNIPPET, EvaluatorConfiguration
+from prbench.evaluation.text_to_motion.words import GloveCaptions, WordVectors
 from prbench.randomness import named_generator
 from prbench.sequences import CorpusTable, SequenceTable
-from prbench.training.motion import Motion, cut, encoded
-from prbench.training.rows import frame_rate, open_table, read_rows
+from prbench.text import TextEncoder, text_encoder
+from prbench.training.motions import Motion, cut, encoded, frame_rate, open_table, read_rows
 
 _SHORTER = 1 / 3
 
@@ -30,7 +32,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Pass:
-    """How one pass over the clips draws crops and captions: a function of these and of a clip's id alone."""
+    """The settings by which one pass draws crops and captions, as a function of these and of a clip's id alone."""
 
     seed: int
     repetition: int
@@ -44,7 +46,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Draw:
-    """What is evaluated of a clip in one pass."""
+    """The crop and caption of a clip in one pass."""
 
     caption: str
     start: int
@@ -60,7 +62,7 @@ class EvaluatedClips:
     split: str
     clips: tuple[Clip, ...]
     left_out: int
-    """Without a caption of the kinds asked for, or shorter than 4 frames."""
+    """Number of clips without a caption of the kinds asked for, or shorter than 4 frames."""
 
     @classmethod
     def read(cls, folder: Path, *, split: str, kinds: frozenset[str], fps: float) -> EvaluatedClips:
@@ -99,7 +101,7 @@ class EvaluatedClips:
         return cls(table, split, tuple(sorted(clips, key=lambda clip: clip.sequence_id)), left_out)
 
     def captions(self) -> tuple[str, ...]:
-        """All distinct captions, sorted."""
+        """Return all distinct captions, sorted."""
         return tuple(sorted({caption for clip in self.clips for caption in clip.captions}))
 
 
@@ -145,3 +147,40 @@ def _captions_of(table: SequenceTable | CorpusTable, kinds: frozenset[str]) -> d
 def _kept(motion: Motion) -> Motion:
     """A copy that does not keep the chunk alive from which it was read."""
     return Motion(motion.joints.copy(), motion.previous_joints.copy(), motion.next_joints.copy(), motion.goal_location)
+
+
+def token_vectors(
+    name: str, tables: Iterable[SequenceTable | CorpusTable], *, words: str = "", path: str = ""
+) -> tuple[TextEncoder, str]:
+    """The vectors that an evaluator reads texts with, and the digest of the vocabulary that a user supplied, if any.
+
+    Args:
+        name: ``glove``, or the name of a text encoder.
+        tables: Whose captions will be read; GloVe needs the tokens that stand beside them.
+        words: Folder of the word vectors and lists, for ``glove``.
+        path: Folder or hub id of a text encoder that has files.
+
+    Raises:
+        UsageError: if a path is missing, or given to vectors that read no files.
+        InputFileError: if the files are not what they should be.
+    """
+    if name != GLOVE:
+        if words:
+            raise UsageError(f"the text vectors '{name}' need no word vectors. Leave their folder away.")
+        return text_encoder(name, path or None), ""
+    if not words:
+        raise UsageError(
+            "a GloVe evaluator needs the folder of its word vectors (words.txt, vectors.npy and the five lists):"
+            " --set model.words=DIR for training, --words DIR for evaluation."
+        )
+    tables = list(tables)
+    vectors = WordVectors.read(Path(words))
+    source = ", ".join(str(table.folder) for table in tables)
+    return GloveCaptions(vectors, _tokens(tables), source=source), vectors.digest
+
+
+def _tokens(tables: Iterable[SequenceTable | CorpusTable]) -> dict[str, str]:
+    """The ``word/POS`` tokens of every caption; P&R tables have none."""
+    corpora = (table for table in tables if isinstance(table, CorpusTable))
+    rows = (row for table in corpora for row in table.scalars()["captions"].to_pylist())
+    return {caption["text"]: caption["tokens"] for row in rows for caption in row}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -25,16 +27,48 @@ from prbench.evaluation.text_to_motion.metrics import (
     MULTIMODALITY_SAMPLES,
 )
 from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
-from prbench.training.rows import open_table
+from prbench.training.motions import open_table
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench.workflows.text_to_motion.evaluator_file import LoadedEvaluator, load_evaluator
-from prbench.workflows.text_to_motion.generated import Generator, Prompt
+from prbench.workflows.text_to_motion.generated import Generator, MethodRequest, Prompt
 from prbench.workflows.text_to_motion.report import ResultRow, RowTally, TextEvaluation
-from prbench.workflows.text_to_motion.request import TextEvaluationRequest
 
+REPETITIONS, REPETITIONS_WITH_MULTIMODALITY = 20, 5
+_PROMPTS = 1000
 REAL, MISMATCHED = "real", "real, texts shuffled"
 Progress = Callable[[int, int, str], None]
 """Called with finished repetitions, all repetitions, and a word."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextEvaluationRequest:
+    """One evaluation."""
+
+    evaluator: Path
+    """A trained evaluator's weights."""
+    corpus: Path
+    """A built corpus or dataset."""
+    split: str = "test"
+    kinds: frozenset[str] = frozenset()
+    """Kinds of captions; empty for all."""
+    method: MethodRequest | None = None
+    """The method; None for recorded motions alone."""
+    repetitions: int | None = None
+    """Number of repetitions; by default 20, and 5 with multimodality."""
+    multimodality: bool = False
+    prompts: int = _PROMPTS
+    """Prompts that a method is given in a repetition; fewer if there are fewer."""
+    diversity_pairs: int = DIVERSITY_PAIRS
+    seed: int = 0
+    device: str = "cpu"
+    threads: int = 1
+    words: Path | None = None
+    text_path: str | None = None
+
+    @property
+    def chosen_repetitions(self) -> int:
+        """Number of repetitions: as asked for, or the usual one."""
+        return self.repetitions or (REPETITIONS_WITH_MULTIMODALITY if self.multimodality else REPETITIONS)
 
 
 def silent(done: int, total: int, last: str) -> None:

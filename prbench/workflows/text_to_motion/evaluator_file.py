@@ -18,7 +18,7 @@ from prbench.evaluation.text_to_motion.networks import (
 from prbench.representation import N_FEATURES, Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.training.weights import Weights, read_weights
-from prbench.workflows.text_to_motion.tokens import token_vectors
+from prbench.workflows.text_to_motion.clips import token_vectors
 from prbench.workflows.text_to_motion.training import EVALUATOR_KIND
 
 
@@ -30,11 +30,11 @@ class LoadedEvaluator:
     digest: str
     """SHA-256 of its file."""
     words_digest: str
-    """Of the user's word vectors and lists; empty if it needs none."""
+    """Digest of the user's word vectors and lists; empty if it needs none."""
 
     @property
     def vectorisation(self) -> str:
-        """How it reads texts; numbers of different vectorisations never stand in one column."""
+        """Name of the way in which it reads texts; numbers of different ways never stand in one column."""
         name = self.extractor.configuration.text
         return f"{name}/{self.words_digest[:12]}" if self.words_digest else name
 

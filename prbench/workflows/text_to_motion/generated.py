@@ -28,7 +28,7 @@ class MethodRequest:
 
     name: str
     weights: Path | None = None
-    """None for the method's default."""
+    """Weights; None for the method's default."""
     options: tuple[tuple[str, str], ...] = ()
     device: str = "cpu"
     batch_size: int = 64
@@ -68,7 +68,7 @@ class Generator:
         return cls(request, adapter, seed, fps, weights_digest(request.weights))
 
     def supports(self, clip: Clip, configuration: EvaluatorConfiguration) -> bool:
-        """Whether the method can generate as many frames as a clip may ask for."""
+        """Return True if the method can generate as many frames as a clip may ask for."""
         declared = Declared.by(self.adapter, origin=f"adapter '{self.request.name}'")
         if declared.max_frames is None:
             return True

@@ -38,13 +38,13 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     """``real``, ``real, texts shuffled`` or a method's name."""
     metrics: dict[str, Interval]
-    """By id (:data:`prbench.evaluation.text_to_motion.measure.METRICS`); R-precision as shares from 0 to 1."""
+    """Maps ids of :data:`prbench.evaluation.text_to_motion.measure.METRICS` to values; R-precision from 0 to 1."""
     motions: int
     """A repetition."""
     ranked_pairs: int
-    """Of a repetition: those in whole batches of 32."""
+    """Motions of a repetition that are in whole batches of 32."""
     dropped_pairs: int
-    """Of the last, incomplete batch of a repetition."""
+    """Motions of the last, incomplete batch of a repetition."""
     duplicate_captions: float
     """Ranked texts that equal another one of their batch, mean over repetitions; such a pair is counted as a miss."""
     repetitions: int
@@ -56,7 +56,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass
 class RowTally:
-    """What the repetitions of one row have measured so far."""
+    """The measurements of one row's repetitions so far."""
 
     values: dict[str, list[float]] = field(default_factory=dict)
     last: Measured | None = None
@@ -94,7 +94,7 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     kind: str = "text-to-motion-evaluation"
     schema_version: int = SCHEMA_VERSION
     vectorisation: str
-    """How the evaluator reads texts; numbers of different ones belong in different columns."""
+    """The way in which the evaluator reads texts; numbers of different ones belong in different columns."""
     evaluator_sha256: str
     representation: str
     dataset: str

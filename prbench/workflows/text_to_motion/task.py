@@ -12,12 +12,16 @@ import torch
 from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion.networks import GLOVE, EvaluatorConfiguration
 from prbench.representation import N_FEATURES, Statistics
-from prbench.training.model_table import split_model_table
-from prbench.training.task import TrainingData
+from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, read_weights
-from prbench.workflows.text_to_motion.losses import EvaluatorObjective
-from prbench.workflows.text_to_motion.tokens import token_vectors
-from prbench.workflows.text_to_motion.training import MOVEMENT_KIND, STAGES, EvaluatorTraining, Stage
+from prbench.workflows.text_to_motion.clips import token_vectors
+from prbench.workflows.text_to_motion.training import (
+    MOVEMENT_KIND,
+    STAGES,
+    EvaluatorObjective,
+    EvaluatorTraining,
+    Stage,
+)
 
 _MOVEMENT_ENCODER = frozenset({"movement_width", "representation", "fps"})
 """Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over."""
@@ -108,8 +112,8 @@ def _continue_from(module: EvaluatorTraining, start: Weights) -> None:
     Raises:
         InputFileError: if it is one of another size or representation.
     """
-    of_no_matter = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
-    start.require_same(module.configuration, apart_from=of_no_matter)
+    irrelevant = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
+    start.require_same(module.configuration, apart_from=irrelevant)
     start.load_into(module.movement, "movement")
 
 

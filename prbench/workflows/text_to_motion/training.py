@@ -1,13 +1,18 @@
-"""Training of the evaluator: a movement autoencoder first, then texts and motions in one space."""
+"""Train a text-motion evaluator: reconstruction first, then contrast.
+
+Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import nn
+from torch.nn.functional import pairwise_distance
 
 from prbench.errors import TableError
 from prbench.evaluation.text_to_motion.extractor import cut_tokens
@@ -25,20 +30,110 @@ from prbench.text import TextEncoder as TokenVectors
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 from prbench.training.weights import representation_entry
-from prbench.workflows.text_to_motion.losses import (
-    EvaluatorObjective,
-    contrastive_losses,
-    different_texts,
-    positive_losses,
-    reconstruction_losses,
-)
 
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
 EVALUATOR_KIND, MOVEMENT_KIND = "t2m-evaluator", "t2m-movement"
-"""Of weights files: a whole evaluator, or a trained movement autoencoder alone."""
+"""Kinds of weights files: a whole evaluator, or a trained movement autoencoder alone."""
 _SHORTER = 1 / 3
 """Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training)."""
+
+
+class EvaluatorObjective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Keys of ``[model]`` beside those of the networks. Defaults are those of the text-to-motion paper."""
+
+    autoencoder_batches: int = 0
+    """Batches of stage ``full`` that train the movement autoencoder, before it is frozen."""
+    window: int = 24
+    """Frames of a clip of the autoencoder."""
+    windows: int = 1
+    """Clips drawn from every motion of a batch."""
+    sparsity: float = 0.001
+    """Weight of the mean size of the snippets' numbers."""
+    smoothness: float = 0.001
+    """Weight of the mean difference of neighbouring snippets."""
+    margin: float = 10.0
+    """Distance beyond which a wrong pair costs nothing."""
+    equal_texts_are_negatives: bool = True
+    """Push a motion away from another one's text even if both have the same text, as the original does."""
+    words: str = ""
+    """Folder of the word vectors and lists, for ``text = "glove"``."""
+    text_path: str = ""
+    """Folder or hub id of the text encoder, for ``text = "distilbert"``; by default that of the environment."""
+
+    def __post_init__(self) -> None:
+        if self.window < 4 or self.window % 4:
+            raise ValueError("`window` must be a multiple of 4")
+        if self.windows < 1 or self.autoencoder_batches < 0:
+            raise ValueError("`windows` must be 1 or more, `autoencoder_batches` 0 or more")
+
+
+def reconstruction_losses(
+    objective: EvaluatorObjective,
+    recorded: Float[torch.Tensor, "clips frames 259"],
+    reconstructed: Float[torch.Tensor, "clips frames 259"],
+    snippets: Float[torch.Tensor, "clips snippets width"],
+    n_frames: Int[torch.Tensor, " clips"],
+) -> dict[str, torch.Tensor]:
+    """L1 of the valid frames, with snippets that are sparse and change smoothly.
+
+    Returns:
+        ``loss`` and its parts ``reconstruction``, ``sparsity``, ``smoothness``.
+    """
+    valid = torch.arange(recorded.shape[1], device=recorded.device) < n_frames[:, None]
+    reconstruction = (recorded - reconstructed).abs().mean(dim=-1)[valid].mean()
+    sparsity, smoothness = snippets.abs().mean(), snippets.diff(dim=1).abs().mean() if snippets.shape[1] > 1 else 0.0
+    loss = reconstruction + objective.sparsity * sparsity + objective.smoothness * smoothness
+    return {"loss": loss, "reconstruction": reconstruction}
+
+
+def contrastive_losses(
+    text: Float[torch.Tensor, "batch dimension"],
+    motion: Float[torch.Tensor, "batch dimension"],
+    *,
+    shift: int,
+    margin: float,
+    counted: Bool[torch.Tensor, " batch"] | None = None,
+) -> dict[str, torch.Tensor]:
+    """Pull each text to its own motion, push it from the one ``shift`` rows before (1 to batch - 1).
+
+    Args:
+        text: Embeddings of the texts.
+        motion: Embeddings of their motions.
+        shift: 0 would pair every text with its own motion as a negative, as the reference sometimes does.
+        margin: Distance beyond which a wrong pair costs nothing.
+        counted: Which of the wrong pairs count; all by default.
+
+    Returns:
+        ``loss`` and its parts ``positive`` (mean D²) and ``negative`` (mean max(0, margin - D)²), and ``ranked``: the
+        share of texts that are nearer to their own motion than to the wrong one.
+    """
+    assert 0 < shift < len(text)
+    near, far = pairwise_distance(text, motion), pairwise_distance(text, motion.roll(shift, dims=0))
+    positive = near.square().mean()
+    wrong = (margin - far).clamp_min(0.0).square()
+    if counted is not None:
+        wrong = wrong * counted
+    negative = wrong.mean() if counted is None else wrong.sum() / counted.sum().clamp_min(1)
+    return {
+        "loss": positive + negative,
+        "positive": positive,
+        "negative": negative,
+        "ranked": (near < far).float().mean().detach(),
+    }
+
+
+def _positive_losses(
+    text: Float[torch.Tensor, "batch dimension"], motion: Float[torch.Tensor, "batch dimension"]
+) -> dict[str, torch.Tensor]:
+    """:func:`contrastive_losses` where there is no wrong pair."""
+    positive = pairwise_distance(text, motion).square().mean()
+    return {"loss": positive, "positive": positive, "negative": torch.zeros_like(positive)}
+
+
+def different_texts(texts: Sequence[str], shift: int) -> Bool[torch.Tensor, " batch"]:
+    """Return True for each row whose text differs from that of the motion ``shift`` rows before."""
+    return torch.tensor([text != texts[row - shift] for row, text in enumerate(texts)])
 
 
 class EvaluatorTraining(TrainingModule):
@@ -104,7 +199,7 @@ class EvaluatorTraining(TrainingModule):
         return {name: found.get(name, absent) for name in ("loss", "reconstruction", "positive", "negative", "ranked")}
 
     def reconstructs(self, step: int) -> bool:
-        """Whether a step trains the autoencoder; validation, which counts below zero, is of what comes out."""
+        """Return True if a step trains the autoencoder; validation (a step below 0) judges the final result."""
         return self.stage == "autoencoder" or (self.stage == "full" and 0 <= step < self.objective.autoencoder_batches)
 
     def reconstruct(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
@@ -138,7 +233,7 @@ class EvaluatorTraining(TrainingModule):
         tokens, lengths = cut_tokens(self.tokens.encode(batch.text), self.configuration)
         text, motion = self.text(tokens.to(features.device), lengths), self.motion(snippets, counts)
         if len(batch) < 2:  # what was left over of the validation split has nothing wrong to meet
-            return positive_losses(text, motion)
+            return _positive_losses(text, motion)
         return contrastive_losses(
             text, motion, shift=shift, margin=self.objective.margin, counted=self._counted(batch, shift)
         )

@@ -13,7 +13,7 @@ from prbench.text import text_encoder
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.model import DartModel, FeatureScaling
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.diffusion.text_vectors import TextVectors
+from prbench_adapters.diffusion.model import TextVectors
 
 _LAYER = [
     (r"self_attn\.in_proj_", "self_attention.query_key_value."),

@@ -75,6 +75,7 @@ def _shuffled(batch: ConditionBatch) -> ConditionBatch:
     return replace(batch, goal_location=np.roll(batch.goal_location, 1, axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 @pytest.mark.parametrize("goal", ITERATIONS)
 def test_the_last_frame_is_at_the_goal_and_not_at_that_of_another(held_out, goal):

@@ -10,8 +10,7 @@ import torch
 from prbench.skeleton import Joint
 from prbench_adapters.dart.frames import N_FEATURES, Frames, Placement, canonical_placement
 from prbench_adapters.dart.rollout import first_history, next_history
-from prbench_adapters.kinematics.skeleton import forward_kinematics, rest_offsets
-from prbench_adapters.kinematics.worlds import DART
+from prbench_adapters.kinematics import DART, forward_kinematics, rest_offsets
 from tests.fakes import STANDING
 
 

@@ -10,10 +10,10 @@ import torch
 
 from prbench.contract import Condition
 from prbench.skeleton import Joint
-from prbench_adapters.dart.generation import generate
+from prbench_adapters.dart.adapter import generate
+from prbench_adapters.dart.configuration import DartSettings
 from prbench_adapters.dart.optimisation import goal_loss, optimise, unit_gradient
-from prbench_adapters.dart.settings import DartSettings
-from prbench_adapters.diffusion.noise_optimisation import Targets
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 

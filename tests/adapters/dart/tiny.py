@@ -13,8 +13,8 @@ from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import Frames
 from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, FeatureScaling
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.diffusion.text_vectors import TextVectors
-from prbench_adapters.kinematics.worlds import DART
+from prbench_adapters.diffusion.model import TextVectors
+from prbench_adapters.kinematics import DART
 from tests.fakes import STANDING
 
 SIZES = {

@@ -10,8 +10,8 @@ import pytest
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.losses import Objective
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
+from prbench_adapters.diffusion.training import Objective
 
 PACKAGES = {"mdm": "prbench_adapters.mdm", "pr": "prbench_adapters.pr"}
 NAMES = ("paper", "small", "smoke")

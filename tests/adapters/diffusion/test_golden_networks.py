@@ -3,9 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.diffusion.guidance import guided
-from prbench_adapters.diffusion.sampling import sample_ddim
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.generation import Guided
+from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 from tests.adapters.diffusion import golden
 
 NAMES = ["mdm_encoder", "mdm_decoder_one_token", "mdm_decoder_word_tokens"]
@@ -36,14 +35,14 @@ def test_a_guided_pass_gives_the_clean_features_of_the_reference(arrays):
     lengths = torch.from_numpy(arrays["lengths"])
     for row in range(2):
         one = slice(row, row + 1)
-        denoise = guided(network, condition.rows(one), lengths[one], 2.5)
+        denoise = Guided(network, condition.rows(one), lengths[one], 2.5)
         _assert_valid_frames_equal(denoise(noisy[one], int(arrays["t"][row])), expected[one], lengths[one])
 
 
 @pytest.mark.parametrize("reuse", [False, True])
 def test_ten_guided_ddim_steps_give_the_features_of_the_reference(arrays, reuse):
     lengths = torch.from_numpy(arrays["lengths"])
-    denoise = guided(golden.denoiser(arrays), golden.condition(arrays), lengths, 2.5, reuse=reuse)
+    denoise = Guided(golden.denoiser(arrays), golden.condition(arrays), lengths, 2.5, reuse=reuse)
     clean = sample_ddim(denoise, CosineSchedule(10), golden.features(arrays["z"]))
     _assert_valid_frames_equal(clean, golden.features(arrays["ddim10_guided"]), lengths)
     assert denoise.passes == 10 * 2 * 2

@@ -10,7 +10,7 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, InputFileError, UsageError
 from prbench.representation import decode
 from prbench.training.weights import read_weights, write_weights
-from prbench_adapters.diffusion.condition_vector import ConditionScaling
+from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.model import MotionModel, torch_device
 from tests.adapters.diffusion import tiny
 from tests.fakes import STANDING

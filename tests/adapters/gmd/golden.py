@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from prbench_adapters.gmd.configuration import GMDConfiguration
-from prbench_adapters.gmd.public.checkpoint import Checkpoint
-from prbench_adapters.gmd.public.networks import parameters_of, widths_of
+from prbench_adapters.gmd.public_files import Checkpoint
+from prbench_adapters.gmd.public_weights import parameters_of, widths_of
 from prbench_adapters.gmd.unet import TemporalUNet
 
 STEPS = 1000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from prbench.workflows.synthetic_table import Staging, synthetic_source
 from prbench_adapters.gmd import adapter
 from prbench_adapters.gmd.model import GMDModel
 
-FOLDER = adapter.weights_folder()
+FOLDER = Path(adapter.__file__).with_name("weights")
 NAMES = ("gmd-small", "gmd-small-pretrained")
 LARGEST = 2_500_000  # bytes
 HELD_OUT = (29, 25)  # recordings of the embedded ADT table that are in its test split, with short sequences
@@ -61,16 +62,19 @@ def _off_the_keyframes(
     return np.linalg.norm(ground, axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_the_root_is_at_both_keyframes_in_every_sequence(held_out):
     assert _off_the_keyframes(held_out, steps=FEW).max() < NEAR
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_so_it_is_in_all_steps_as_the_method_runs_without_options(held_out):
     assert _off_the_keyframes(held_out.rows(0, 1)).max() < NEAR
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_the_root_ends_elsewhere_when_it_is_led_to_the_goal_of_another(held_out):
     """``--control shuffled-goal``; the keyframe in the first frame is nobody else's."""
@@ -80,6 +84,7 @@ def test_the_root_ends_elsewhere_when_it_is_led_to_the_goal_of_another(held_out)
     assert np.median(last) > 5 * NEAR
 
 
+@pytest.mark.slow
 def test_the_pretrained_weights_keep_to_the_keyframes_too(held_out):
     """The goal is no condition of the networks, so fine-tuning does not decide whether it is met."""
     assert _off_the_keyframes(held_out.rows(0, 2), name="gmd-small-pretrained", steps=FEW).max() < NEAR

@@ -9,15 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import ROOT_XZ, FeatureSpace
-from prbench_adapters.gmd.goals import imputed_root
 from prbench_adapters.gmd.sampling import (
     RootGoal,
     clean_of_noise,
     guided_mean,
     imputed_by_noising,
     imputed_in_mean,
+    imputed_root,
     noised,
 )
 from prbench_adapters.gmd.stages import GuidedNetwork

@@ -21,7 +21,7 @@ from prbench.runs.predictions import Predictions
 from prbench.storage import file_digest
 from prbench_adapters.gmd.import_public import main
 from prbench_adapters.gmd.model import GMDModel
-from prbench_adapters.gmd.public.weights import PublicFiles, import_public
+from prbench_adapters.gmd.public_weights import PublicFiles, import_public
 from prbench_adapters.gmd.stages import GuidedNetwork
 from tests.adapters.gmd import golden, released, tiny
 from tests.fakes import fake_dataset, fake_sequence

@@ -11,12 +11,11 @@ import torch
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
 from prbench.skeleton import Joint, bone_lengths
-from prbench_adapters.diffusion.noise import SequenceNoise
-from prbench_adapters.diffusion.schedule import CosineSchedule
+from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd import stages
-from prbench_adapters.gmd.generation import generate
-from prbench_adapters.gmd.goals import Ends, imputed_root
-from prbench_adapters.gmd.sampling import RootGoal, clean_of_noise, guided_mean
+from prbench_adapters.gmd.adapter import generate
+from prbench_adapters.gmd.sampling import Ends, RootGoal, clean_of_noise, guided_mean, imputed_root
 from prbench_adapters.gmd.stages import GMDSettings
 from tests.adapters.gmd import tiny
 
@@ -162,7 +161,7 @@ def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
         followed.append(trajectory_stage(*arguments, **keywords))
         return followed[-1]
 
-    monkeypatch.setattr("prbench_adapters.gmd.generation.sample_trajectory", watched)
+    monkeypatch.setattr("prbench_adapters.gmd.adapter.sample_trajectory", watched)
     joints = generate(model, tiny.batch((24,)), GMDSettings(steps=5)).joints
     assert np.allclose(_root(joints[0]), followed[0][0, :, 1:3].numpy(), atol=1e-4)
 

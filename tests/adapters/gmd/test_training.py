@@ -13,15 +13,14 @@ from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.storage import file_digest, read_json
 from prbench.training import SequenceDataset, collate
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench.training.installed import load_task
+from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData, TrainingTask
 from prbench.training.weights import write_weights
 from prbench_adapters.gmd.features import with_absolute_root
 from prbench_adapters.gmd.model import GMDModel, GMDNetworks
-from prbench_adapters.gmd.tasks import GMDTask, read_model_table
-from prbench_adapters.gmd.training import GMDTraining
+from prbench_adapters.gmd.training import GMDTask, GMDTraining, read_model_table
 from tests.fakes import fake_dataset
 
 PACKAGE = "prbench_adapters.gmd"
@@ -166,7 +165,7 @@ def _train(table: Path, out: Path, *more: str) -> int:
 
 def test_smoke_training_makes_weights_that_generate_and_resumes_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("prbench.training.log.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench.training.outputs.draw_curves", lambda *arguments: None)
     table = fake_dataset(tmp_path / "table", 24).folder
     validated = ("--set", "validation.every=4", "--set", "validation.sequences=1")
     validated += ("--set", "validation.condition=goal-pose")

@@ -18,9 +18,8 @@ from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
 from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.tasks import read_model_table
-from prbench_adapters.pr import ablations, training_task
+from prbench_adapters.pr import Generation, ablations, load, training_task
 from prbench_adapters.pr.ablations import Ablation, load_ablations
-from prbench_adapters.pr.adapter import Generation, load
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import fake_dataset

@@ -14,7 +14,7 @@ from prbench.errors import AdapterError, InputFileError
 from prbench.methods.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint, bone_lengths
-from prbench_adapters.wandr import weights_file
+from prbench_adapters.diffusion import bundled
 from prbench_adapters.wandr.adapter import WANDR, Generation
 from prbench_adapters.wandr.state import TRANSLATION
 from tests.adapters.wandr import tiny
@@ -180,8 +180,10 @@ def test_files_of_something_else_are_refused(tmp_path):
 
 
 def test_a_version_without_weights_says_how_to_get_some(tmp_path, monkeypatch):
-    monkeypatch.setattr(weights_file, "_FOLDER", tmp_path)
+    monkeypatch.setattr(bundled, "files", lambda package: tmp_path)
+    folder = tmp_path / "wandr" / "weights"
+    folder.mkdir(parents=True)
     with pytest.raises(AdapterError, match="wandr: no weights come with this version of prbench"):
         load_adapter("wandr", None, {}, "cpu")
-    bundled = tiny.write(tmp_path / "wandr-small.safetensors")
-    assert load_adapter("wandr", None, {}, "cpu").weights_for(Condition.GOAL_LOCATION) == bundled
+    small = tiny.write(folder / "wandr-small.safetensors")
+    assert load_adapter("wandr", None, {}, "cpu").weights_for(Condition.GOAL_LOCATION) == small

@@ -7,12 +7,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from prbench_adapters.kinematics.skeleton import rest_offsets
-from prbench_adapters.kinematics.worlds import WANDR as WORLD
-from prbench_adapters.wandr.intentions import intentions
+from prbench_adapters.kinematics import WANDR as WORLD
+from prbench_adapters.kinematics import rest_offsets
+from prbench_adapters.wandr.adapter import Start, roll_out
 from prbench_adapters.wandr.network import WandrNetwork
-from prbench_adapters.wandr.rollout import Start, roll_out
-from prbench_adapters.wandr.state import BodyState, heading_of, yaw_rotation
+from prbench_adapters.wandr.state import BodyState, heading_of, intentions, yaw_rotation
 from tests.adapters.wandr import page, tiny
 from tests.fakes import smooth_motion
 

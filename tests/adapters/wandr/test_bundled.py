@@ -20,9 +20,10 @@ from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint
 from prbench.storage import file_digest
 from prbench.workflows.synthetic_table import Staging, synthetic_source
-from prbench_adapters.wandr import weights_file
+from prbench_adapters.diffusion.bundled import own_weights
+from prbench_adapters.wandr import adapter
 
-FOLDER = Path(weights_file.__file__).with_name("weights")
+FOLDER = Path(adapter.__file__).with_name("weights")
 NAMES = ("wandr-small", "wandr-small-pretrained")
 LARGEST = 2_500_000  # bytes
 HELD_OUT = (4, 10)  # recordings of the embedded ADT table that are in its test split
@@ -86,6 +87,6 @@ def test_a_card_describes_its_weights(name):
 
 
 def test_the_default_are_the_fine_tuned_weights_and_they_name_what_they_began_with():
-    assert weights_file.resolve(None) == FOLDER / "wandr-small.safetensors"
+    assert own_weights("wandr", None) == FOLDER / "wandr-small.safetensors"
     card = json.loads((FOLDER / "wandr-small.json").read_text("utf-8"))
     assert file_digest(FOLDER / "wandr-small-pretrained.safetensors") in " ".join(card["learned_from"])

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.kinematics.rotations import matrices_of, rows_of
-from prbench_adapters.wandr.intentions import intentions
-from prbench_adapters.wandr.state import BodyState, heading_of, yaw_rotation
+from prbench_adapters.kinematics import matrices_of, rows_of
+from prbench_adapters.wandr.state import BodyState, heading_of, intentions, yaw_rotation
 
 TOLERANCE = 1e-5
 

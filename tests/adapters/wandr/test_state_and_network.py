@@ -6,12 +6,17 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from prbench_adapters.kinematics.skeleton import rest_offsets
-from prbench_adapters.kinematics.worlds import WANDR
-from prbench_adapters.wandr.configuration import WandrConfiguration
-from prbench_adapters.wandr.intentions import intentions
-from prbench_adapters.wandr.network import CONDITION_SIZE, WandrNetwork, hidden_widths
-from prbench_adapters.wandr.state import DELTA_SIZE, SEEN_SIZE, BodyState, clean_delta, heading_of, yaw_rotation
+from prbench_adapters.kinematics import WANDR, rest_offsets
+from prbench_adapters.wandr.network import CONDITION_SIZE, WandrConfiguration, WandrNetwork, hidden_widths
+from prbench_adapters.wandr.state import (
+    DELTA_SIZE,
+    SEEN_SIZE,
+    BodyState,
+    clean_delta,
+    heading_of,
+    intentions,
+    yaw_rotation,
+)
 from tests.fakes import smooth_motion
 
 JOINTS = WANDR.from_y_up(torch.tensor(smooth_motion("wandr", 12, amplitude=0.5)).double())

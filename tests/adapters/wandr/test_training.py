@@ -16,17 +16,16 @@ from prbench.methods.adapters import load_adapter
 from prbench.representation import mirror
 from prbench.skeleton import Joint
 from prbench.training import SequenceDataset, collate
-from prbench.training.batch import MotionBatch
 from prbench.training.configuration import load_configuration
 from prbench.training.installed import list_tasks, load_task
+from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
-from prbench_adapters.kinematics.worlds import WANDR as WORLD
-from prbench_adapters.wandr.losses import delta_loss, divergence, joint_loss
+from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.wandr.network import WandrNetwork
 from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
 from prbench_adapters.wandr.task import WandrTask, read_model_table
-from prbench_adapters.wandr.training import WandrTraining
+from prbench_adapters.wandr.training import WandrTraining, delta_loss, divergence, joint_loss
 from tests.adapters.wandr import tiny
 from tests.adapters.wandr.tiny import TINY
 from tests.fakes import STANDING, fake_dataset

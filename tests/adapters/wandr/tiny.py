@@ -8,9 +8,7 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.training.weights import write_weights
-from prbench_adapters.wandr.configuration import WandrConfiguration
-from prbench_adapters.wandr.network import WandrNetwork
-from prbench_adapters.wandr.weights_file import contents
+from prbench_adapters.wandr.network import WandrConfiguration, WandrNetwork, contents
 from tests.adapters.diffusion.goal_batches import conditions
 
 TINY = {"layers": 3, "widest": 32, "latent": 8}

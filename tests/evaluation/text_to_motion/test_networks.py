@@ -103,3 +103,15 @@ def test_at_most_the_configured_number_of_tokens_is_read(extractor):
     )
     short = Extractor(two, *networks, statistics=extractor.statistics, tokens=extractor.tokens)
     np.testing.assert_allclose(short.embed_texts([long]), extractor.embed_texts(["word0 word1"]), atol=1e-6)
+
+
+def test_the_decoder_ends_with_the_bias_of_its_last_layer_where_that_has_no_weights():
+    decoder = MovementDecoder(8)
+    last = decoder.convolutions[-1]
+    assert isinstance(last, nn.ConvTranspose1d)
+    assert last.bias is not None
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.copy_(torch.arange(259.0))
+        features = decoder(torch.randn(2, 3, 8))
+    assert torch.equal(features, torch.arange(259.0).expand(2, 12, 259))

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.egoallo.format import SmplhRest, forward_kinematics
 from prbench.skeleton import PARENTS, Joint, bone_lengths
-from prbench.synthetic.sensors.smplh import invented_smplh
+from prbench.synthetic.sensors.smplh import synthetic_smplh
 
 IDENTITY = np.array([1.0, 0, 0, 0])
 
@@ -35,14 +35,14 @@ def _slow(rest, position, root, local):
 
 
 def test_the_pelvis_is_where_the_root_is_and_the_rest_pose_is_carried_along():
-    rest = invented_smplh().template
+    rest = synthetic_smplh().template
     joints = forward_kinematics(rest, np.array([[1.0, 2.0, 3.0]]), IDENTITY[None], np.tile(IDENTITY, (1, 21, 1)))
     np.testing.assert_allclose(joints[0] - joints[0, 0], rest - rest[0], atol=1e-12)
     np.testing.assert_array_equal(joints[0, Joint.PELVIS], [1.0, 2.0, 3.0])
 
 
 def test_bending_one_knee_moves_the_ankle_and_the_foot_behind_it_and_nothing_else():
-    rest = invented_smplh().template
+    rest = synthetic_smplh().template
     local = np.tile(IDENTITY, (1, 21, 1))
     local[0, Joint.LEFT_KNEE - 1] = Rotation.from_euler("x", np.pi / 2).as_quat(scalar_first=True)
     joints = forward_kinematics(rest, np.zeros((1, 3)), IDENTITY[None], local)[0] + rest[0]

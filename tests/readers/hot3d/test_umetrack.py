@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.hot3d import umetrack
 from prbench.readers.hot3d.umetrack import HandModel
-from prbench.synthetic.sensors.hot3d_hand import finger_angles, invented_hand, wrist_rotation
+from prbench.synthetic.sensors.hot3d_hand import finger_angles, synthetic_hand, wrist_rotation
 
 RNG = np.random.default_rng(3)
 
 
 @pytest.fixture(scope="module")
 def model() -> HandModel:
-    return invented_hand(0.08)
+    return synthetic_hand(0.08)
 
 
 def _posed_slowly(

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from prbench.representation import canonicalise
 from prbench.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.synthetic.people.perform import perform
-from prbench.synthetic.sensors.smplh import invented_smplh, model_rotations
+from prbench.synthetic.sensors.smplh import model_rotations, synthetic_smplh
 
 SKELETON_FPS = 60.0
 
@@ -33,7 +33,7 @@ def person_rotations(n_frames: int = 240, start: int = 300) -> tuple[np.ndarray,
     local = world.copy()
     for joint in range(1, N_JOINTS):
         local[:, joint] = np.swapaxes(world[:, PARENTS[joint]], -1, -2) @ world[:, joint]
-    rest = invented_smplh().template
+    rest = synthetic_smplh().template
     joints = np.empty((n_frames, N_JOINTS, 3))
     joints[:, 0] = performance.joints[part, 0]
     for joint in range(1, N_JOINTS):
@@ -49,7 +49,7 @@ def write_body_model(path: Path, *, joints: int, points: int = 60, shapes: int =
         The first 22 rest joints, metres.
     """
     rng = np.random.default_rng(seed)
-    rest = invented_smplh().template
+    rest = synthetic_smplh().template
     template = rng.normal(size=(points, 3)) * 0.3
     template[:N_JOINTS] = rest
     hands = [20 + index % 2 for index in range(joints - N_JOINTS)]

@@ -7,7 +7,7 @@ import pytest
 
 from prbench.errors import InputFileError, UsageError
 from prbench.representation.converters import JointMap, joint_map, joint_map_by_names
-from prbench.representation.converters.skeletons.anatomy import LIMBS
+from prbench.representation.converters.anatomy import LIMBS
 from prbench.skeleton import Joint
 from tests.representation.converters.bodies import joint_errors, person
 from tests.representation.motions import turned

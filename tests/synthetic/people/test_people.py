@@ -15,11 +15,11 @@ from prbench.synthetic.people.base import BasePose, plan_segment, sample_base
 from prbench.synthetic.people.channels import blend, eased_trapezoid, minimum_jerk, wobble
 from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation, rotation_quaternion, turn, two_bone
 from prbench.synthetic.people.grasp import kept_away, solve_posture, take_hold
+from prbench.synthetic.people.legs import place_feet, plan_steps
 from prbench.synthetic.people.motion import Generators, Motion, synthesise
 from prbench.synthetic.people.person import Body, Person, draw_person
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.planner import plan_recording
-from prbench.synthetic.people.steps import place_feet, plan_steps
 from prbench.synthetic.people.world import draw_room
 
 ADT = PRESETS["adt"]

@@ -13,6 +13,7 @@ from prbench.synthetic.performance import Performance
 from prbench.synthetic.plausibility import checks, measure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_number_of_twenty_recordings_lies_within_its_limit(
     crowds: dict[str, list[Performance]], preset: str

@@ -81,6 +81,7 @@ def test_a_hit_is_the_first_time_that_the_gaze_meets_the_box(adt_120: Performanc
         assert not any(ray_meets_box(adt_120.eye[i], adt_120.gaze[i], event) for i in range(start, frame, 6))
 
 
+@pytest.mark.slow
 def test_primes_lie_in_the_ten_seconds_before_the_event(crowds: dict[str, list[Performance]]) -> None:
     events = [event for crowd in crowds.values() for performance in crowd for event in performance.events]
     primed = [event for event in events if event.prime_time is not None and event.prime_first is not None]
@@ -89,6 +90,7 @@ def test_primes_lie_in_the_ten_seconds_before_the_event(crowds: dict[str, list[P
         assert event.event_time - 10.0 <= event.prime_first <= event.prime_time <= event.event_time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_unprimed_events_are_hardly_ever_seen_and_the_others_nearly_always(
     crowds: dict[str, list[Performance]], preset: str
@@ -101,6 +103,7 @@ def test_unprimed_events_are_hardly_ever_seen_and_the_others_nearly_always(
     assert np.mean(seen["unprimed"]) < 0.35
 
 
+@pytest.mark.slow
 def test_near_looks_are_near_misses(crowds: dict[str, list[Performance]]) -> None:
     near = [e for crowd in crowds.values() for p in crowd for e in p.events if e.tag == "near" and e.prime_kind]
     assert np.mean([event.prime_kind == "near_miss" for event in near]) > 0.7

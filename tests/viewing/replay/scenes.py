@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.viewing.replay import palette
+from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
 from tests.fakes import STANDING
 
@@ -28,9 +28,9 @@ def a_scene(
     scores = {"prime_success": 1.0, "reach_success": 0.0, "goal_mpjpe": 0.123, "location_error": 1.0, "mpjpe": 1.5}
     motions = [
         ShownMotion(label, colour, walking(n_frames, sideways=0.2 * (number + 1)), scores)
-        for number, (label, colour) in enumerate(zip(labels, palette.METHODS, strict=False))
+        for number, (label, colour) in enumerate(zip(labels, METHOD_COLOURS, strict=False))
     ]
-    own = ShownMotion(RECORDED, palette.RECORDED, walking(n_frames), {"prime_success": 0.0, "reach_success": 1.0})
+    own = ShownMotion(RECORDED, RECORDED_COLOUR, walking(n_frames), {"prime_success": 0.0, "reach_success": 1.0})
     location = np.array([0.1, 1.0, 2.0])
     eye = walking(n_frames)[:, 15]
     valid = np.ones(n_frames, dtype=bool)

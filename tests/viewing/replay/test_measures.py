@@ -9,9 +9,8 @@ from prbench.manifests import load_protocol
 from prbench.metrics import MotionBatch
 from prbench.metrics.reach_success import reach_success
 from prbench.skeleton import Joint
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.captions import phase, score_row, score_sentence
-from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
+from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure, phase, score_row, score_sentence
+from prbench.viewing.replay.parts import RECORDED_COLOUR
 from prbench.viewing.replay.scene import Gaze, Goal, ShownMotion
 from tests.fakes import STANDING, smooth_motion
 from tests.viewing.replay.scenes import a_scene
@@ -33,7 +32,7 @@ def _goal(degrees: float, distance: float) -> Goal:
 
 @pytest.mark.parametrize(("degrees", "distance"), [(30, 1.0), (0, 0.0), (180, 2.0), (90, 2.0)])
 def test_a_goal_two_metres_away_at_a_known_angle(degrees, distance):
-    body = ShownMotion("x", palette.RECORDED, _upright()[None])
+    body = ShownMotion("x", RECORDED_COLOUR, _upright()[None])
     values = measure(body, _goal(degrees, 2.0), head_tilt_deg=0.0)
     assert values.head_distance[0] == pytest.approx(distance, abs=1e-9)  # 2 sin 30°; behind the head: the way to it
     assert values.head_angle[0] == pytest.approx(degrees, abs=1e-6)
@@ -42,7 +41,7 @@ def test_a_goal_two_metres_away_at_a_known_angle(degrees, distance):
 def test_the_nearer_wrist_counts_and_the_best_frame():
     joints = np.stack([STANDING, STANDING])
     joints[1, Joint.LEFT_WRIST] = (0.0, 1.6, 1.93)
-    values = measure(ShownMotion("x", palette.RECORDED, joints), _goal(0, 2.0), head_tilt_deg=0.0)
+    values = measure(ShownMotion("x", RECORDED_COLOUR, joints), _goal(0, 2.0), head_tilt_deg=0.0)
     assert values.wrist_distance[1] == pytest.approx(0.07)
     assert values.reach_distance == pytest.approx(0.07)
 
@@ -52,7 +51,7 @@ def test_reaching_by_the_curve_is_reaching_by_the_metric():
     for number in range(20):
         joints = smooth_motion(f"view-{number}", 60).astype(np.float64)
         goal = joints[30, Joint.RIGHT_WRIST] + [0.0, 0.1 + 0.004 * (number - 10), 0.0]
-        curve = measure(ShownMotion("x", palette.RECORDED, joints), Goal(goal, _NO_BOX), 7.4)
+        curve = measure(ShownMotion("x", RECORDED_COLOUR, joints), Goal(goal, _NO_BOX), 7.4)
         metric = reach_success(MotionBatch.from_motions([joints]), goal[None], constants)[0]
         assert (curve.reach_distance <= constants.reach_distance) == (metric == 1.0)
 

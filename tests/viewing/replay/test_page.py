@@ -8,10 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from prbench.viewing.replay.body_lines import bone_segments
-from prbench.viewing.replay.page import HOLD, _server, write_page
-from prbench.viewing.replay.page_overlay import with_overlay
+from prbench.viewing.replay.page import HOLD, _server, with_overlay, write_page
 from prbench.viewing.replay.page_stage import camera_of, lane_offsets
+from prbench.viewing.replay.parts import bone_segments
 from tests.viewing.replay.scenes import a_scene
 
 pytest.importorskip("viser")

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from prbench.errors import StorageError
-from prbench.viewing.replay import palette
-from prbench.viewing.replay.layout import Block, block_height
-from prbench.viewing.replay.sheet import WIDTH, chosen_frames, draw_scene, draw_sheet
+from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
+from prbench.viewing.replay.sheet import WIDTH, Block, block_height, chosen_frames, draw_scene, draw_sheet
 from tests.viewing.replay.scenes import a_scene
 
 LABELS = [f"method_with_a_name_{number}, goal-loc, shuffled-goal" for number in range(6)]
@@ -24,7 +23,7 @@ def _drawn(scene) -> Figure:
     height = block_height(len(scene.motions))
     figure = Figure(figsize=(WIDTH, height))
     FigureCanvasAgg(figure)
-    draw_scene(Block(figure, top=height, height=height), scene)
+    draw_scene(Block(figure, height), scene)
     return figure
 
 
@@ -53,10 +52,10 @@ def test_every_motion_gaze_and_goal_is_drawn_in_its_colour(tmp_path):
     path = tmp_path / "view.png"
     draw_sheet([a_scene("mdm, text", "pr, goal-loc")], path)
     pixels = (matplotlib.image.imread(path)[..., :3] * 255).round().astype(int)
-    for colour in (palette.RECORDED, *palette.METHODS[:2], palette.GAZE, palette.GOAL):
-        near = np.abs(pixels - palette.rgb(colour)).max(axis=-1) < 12
+    for colour in (RECORDED_COLOUR, *METHOD_COLOURS[:2], GAZE_COLOUR, GOAL_COLOUR):
+        near = np.abs(pixels - rgb(colour)).max(axis=-1) < 12
         assert near.sum() > 50, colour
-    absent = np.abs(pixels - palette.rgb(palette.METHODS[2])).max(axis=-1) < 12
+    absent = np.abs(pixels - rgb(METHOD_COLOURS[2])).max(axis=-1) < 12
     assert not absent.any()
 
 
@@ -66,8 +65,8 @@ def test_colours_stay_apart_for_eyes_without_red_or_green_receptors():
         [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
         [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
     )
-    colours = [palette.RECORDED, palette.GAZE, palette.GOAL, *palette.METHODS]
-    linear = (np.array([palette.rgb(colour) for colour in colours]) / 255.0) ** 2.2
+    colours = [RECORDED_COLOUR, GAZE_COLOUR, GOAL_COLOUR, *METHOD_COLOURS]
+    linear = (np.array([rgb(colour) for colour in colours]) / 255.0) ** 2.2
     for matrix in matrices:
         seen = np.clip(linear @ np.transpose(matrix), 0, 1) ** (1 / 2.2) * 255
         distance = np.linalg.norm(seen[:, None] - seen[None], axis=-1) + 1e3 * np.eye(len(colours))

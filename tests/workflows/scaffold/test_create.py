@@ -82,6 +82,7 @@ def test_an_installed_package_is_listed_with_what_it_declares(installed):
     assert "newcomer  prbench-newcomer 0.1.0  goal-loc    no      any     any   none" in done.stdout, done.stdout
 
 
+@pytest.mark.slow
 def test_packages_pass_their_own_tests_as_generated(installed, all_kinds):
     everything = all_kinds / f"trainable{len(CHOICES) - 2}"  # all conditions, and fit()
     tests = [installed / "prbench-newcomer" / "tests", everything / "tests" / "test_method.py"]

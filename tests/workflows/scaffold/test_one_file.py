@@ -22,7 +22,7 @@ from prbench.workflows.scaffold import one_file
 from tests.docs.interpreters import older_python
 from tests.representation.converters.bodies import person, person_rotations
 from tests.representation.converters.test_features import absolute
-from tests.representation.converters.test_smpl import written
+from tests.representation.converters.test_smpl_joints import written
 from tests.workflows.scaffold import calculations
 
 OURS = SimpleNamespace(

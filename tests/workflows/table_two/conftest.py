@@ -11,8 +11,9 @@ import msgspec
 import pytest
 
 from prbench.sequences import SequenceTable
-from prbench.workflows.table_two import plan, rows
-from prbench.workflows.table_two.rows import TableTwo
+from prbench.workflows.table_two import plan
+from prbench.workflows.table_two import request as rows
+from prbench.workflows.table_two.request import TableTwo
 from tests.fakes import fake_dataset
 
 ADAPTER = """

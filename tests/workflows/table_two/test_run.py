@@ -13,7 +13,8 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.locks import sole_writer
-from prbench.workflows.table_two import TableRequest, plan, run, run_table, subset
+from prbench.workflows.table_two import TableRequest, plan, run, run_table
+from prbench.workflows.table_two import state as subset
 from prbench.workflows.table_two.budget import RowCost
 from prbench.workflows.table_two.request import CONTROLS
 from prbench.workflows.table_two.run import Say

@@ -8,10 +8,16 @@ import msgspec
 import numpy as np
 
 from prbench.sequences import CorpusInfo, CorpusTable
-from prbench.sequences.corpus import Caption, Clip, CorpusRecord, clip_batch, corpus_recording_batch
-from prbench.sequences.corpus_info import CorpusCounts
-from prbench.sequences.corpus_schema import ANNOTATION_OUTCOMES
+from prbench.sequences.corpus import (
+    ANNOTATION_OUTCOMES,
+    Caption,
+    Clip,
+    CorpusRecord,
+    clip_batch,
+    corpus_recording_batch,
+)
 from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.dataset_info import CorpusCounts
 from tests.fakes import fake_info, smooth_motion
 
 WORDS = ("walks", "sits", "turns", "reaches", "picks", "puts", "looks", "waits")

@@ -1,1 +1,1 @@
-"""The files of a new method, as templates: see :mod:`prbench.workflows.scaffold.templating` for their few marks."""
+"""The files of a new method, as templates: see :mod:`prbench.workflows.scaffold.values` for their few marks."""

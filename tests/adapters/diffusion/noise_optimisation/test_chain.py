@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from prbench_adapters.diffusion.guidance import guided
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+from prbench_adapters.diffusion.generation import Guided
 from prbench_adapters.diffusion.noise_optimisation.decoder import UnrolledChain
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from prbench_adapters.diffusion.sampling import sample_ddim
 from tests.adapters.diffusion import tiny
 
@@ -37,7 +37,7 @@ def _gradient(chain, noise):
 def test_the_chain_is_that_of_plain_sampling(guidance):
     model = tiny.model()
     condition = model.encode(tiny.text_batch(LENGTHS.tolist()))
-    plain = sample_ddim(guided(model.denoiser, condition, LENGTHS, guidance), model.schedule, _noise(), steps=4)
+    plain = sample_ddim(Guided(model.denoiser, condition, LENGTHS, guidance), model.schedule, _noise(), steps=4)
     chain = _chain(replace(SETTINGS, guidance=guidance), model)
     torch.testing.assert_close(chain(_noise()), model.joints(plain))
     assert chain.network_passes == (4 if guidance == 1.0 else 8)

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from prbench.storage import read_json
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, fast, prime_and_reach
 from prbench_adapters.diffusion.noise_optimisation.compare import main
 from prbench_adapters.diffusion.noise_optimisation.comparison import (
     SEQUENCE_COLUMNS,
@@ -17,7 +16,9 @@ from prbench_adapters.diffusion.noise_optimisation.comparison import (
     verdict,
     write_csv,
 )
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets, prime_and_reach
 from prbench_adapters.diffusion.noise_optimisation.optimise import optimise
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings, fast
 from tests import fakes
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.noise_optimisation.linear import LinearDecoder

@@ -11,9 +11,10 @@ import torch
 from prbench.representation import tensors
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, keyframes, optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.decorrelation import decorrelation
-from prbench_adapters.diffusion.noise_optimisation.learning_rate import learning_rate_factor
+from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
+from prbench_adapters.diffusion.noise_optimisation.objective import Targets, keyframes
+from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.noise_optimisation.solver import decorrelation, learning_rate_factor
 from tests.adapters.diffusion import golden
 
 PUBLISHED = OptimisationSettings(
@@ -65,7 +66,7 @@ def _solve(arrays, settings, rows=slice(None)):
 
 
 def test_kept_steps_are_those_of_the_reference(arrays):
-    from prbench_adapters.diffusion.schedule import CosineSchedule
+    from prbench_adapters.diffusion.sampling import CosineSchedule
 
     assert CosineSchedule(1000).kept_steps(10).tolist() == arrays["kept_steps"].tolist()
 

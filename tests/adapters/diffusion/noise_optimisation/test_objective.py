@@ -4,8 +4,13 @@ import pytest
 import torch
 
 from prbench.skeleton import Joint
-from prbench_adapters.diffusion.noise_optimisation import Keyframes, PrimeAndReach, Targets
-from prbench_adapters.diffusion.noise_optimisation.objective import jerk_norm, largest_jerk
+from prbench_adapters.diffusion.noise_optimisation.objective import (
+    Keyframes,
+    PrimeAndReach,
+    Targets,
+    jerk_norm,
+    largest_jerk,
+)
 
 LENGTH = torch.tensor([5])
 

@@ -1,1 +1,0 @@
-"""Weights of DartControl that come with prbench."""

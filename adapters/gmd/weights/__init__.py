@@ -1,1 +1,0 @@
-"""Weights that come with GMD, each with its card."""

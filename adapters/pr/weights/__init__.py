@@ -1,1 +1,0 @@
-"""Weights that come with P&R, each with its card."""

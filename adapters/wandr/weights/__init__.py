@@ -1,1 +1,0 @@
-"""Weights that come with WANDR, each with its card."""

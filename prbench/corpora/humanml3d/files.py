@@ -1,0 +1,127 @@
+"""Read the files of HumanML3D's official folder: text lines and joint positions, checked, or a clear no.
+
+Source: docs/specification/humanml3d.md#text-files.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.bounded import read_text
+from prbench.errors import InputFileError
+from prbench.limits import HARMLESS_SIZE
+from prbench.numpy_files import load_array
+from prbench.skeleton import N_JOINTS, Joint
+
+JOINTS_FOLDER = "new_joints"
+"""Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps."""
+FEATURES_FOLDER = "new_joint_vecs"
+"""263 features a frame, one array a motion."""
+TEXTS_FOLDER = "texts"
+TEXTS_ARCHIVE = "texts.zip"
+SPLIT_FILES = {"train": "train.txt", "validation": "val.txt", "test": "test.txt"}
+MIRROR_PREFIX = "M"
+RATE = 20.0
+_TEXT_SEPARATOR = "#"
+"""``caption#tokens#from#to``; both times 0.0 mean the whole motion."""
+
+
+@dataclass(frozen=True)
+class TextLine:
+    """One caption."""
+
+    text: str
+    tokens: str
+    """``word/POS`` separated by spaces."""
+    start: float
+    """Seconds; 0 with ``end`` 0 means the whole motion."""
+    end: float
+
+    @property
+    def is_whole(self) -> bool:
+        """Return True if the caption describes the whole motion."""
+        return self.start == 0.0 and self.end == 0.0
+
+
+def read_texts(path: Path) -> tuple[TextLine, ...]:
+    """Read one text file. A time that is NaN counts as 0, as in the official loader; empty lines are passed over.
+
+    Raises:
+        InputFileError: if the file is missing, a line lacks a part, or a time is no number.
+    """
+    try:
+        content = read_text(path, largest=HARMLESS_SIZE)
+    except FileNotFoundError as error:
+        raise InputFileError(
+            path, "", expected="this file", found="no such file", remedy="Unpack texts.zip."
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(path, "", expected="text in UTF-8", found="other bytes") from error
+    lines = enumerate(content.splitlines(), start=1)
+    return tuple(_parse(path, number, line) for number, line in lines if line.strip())
+
+
+def _parse(path: Path, number: int, line: str) -> TextLine:
+    parts = line.strip().rsplit(_TEXT_SEPARATOR, 3)
+    if len(parts) != 4:
+        raise InputFileError(
+            path,
+            f"line {number}",
+            expected="caption#tokens#from#to",
+            found=f"'{line[:80]}'",
+            remedy="The file may be cut; unpack texts.zip again.",
+        )
+    text, tokens, *times = (part.strip() for part in parts)
+    start, end = (_seconds(path, number, cell) for cell in times)
+    return TextLine(text, tokens, start, end)
+
+
+def _seconds(path: Path, number: int, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError as error:
+        raise InputFileError(path, f"line {number}", expected="a time in seconds", found=f"'{cell}'") from error
+    if math.isinf(value):
+        raise InputFileError(path, f"line {number}", expected="a finite time in seconds", found=cell)
+    return 0.0 if math.isnan(value) else value
+
+
+_SHORTEST_TRUNK, _LONGEST_TRUNK = 0.05, 20.0  # metres; longer ones are in millimetres
+
+
+def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
+    """Read one file of ``new_joints``.
+
+    Returns:
+        Positions, metres, Y up, 20 frames a second.
+
+    Raises:
+        InputFileError: if it is no plain array of (frames, 22, 3), holds NaN, or is in another unit.
+    """
+    joints = load_array(path, remedy="Make the file again.")
+    fits = joints.ndim == 3 and joints.shape[1:] == (N_JOINTS, 3) and joints.dtype.kind in "fiu"
+    if not fits or len(joints) < 2:
+        found = f"{joints.shape} of {joints.dtype}"
+        raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
+    joints = joints.astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
+    if bad.size:
+        raise InputFileError(
+            path, f"frame {bad[0]}", expected="finite positions", found="NaN", remedy="Leave the motion out."
+        )
+    _require_metres(path, joints)
+    return joints
+
+
+def _require_metres(path: Path, joints: np.ndarray) -> None:
+    trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
+    if trunk > _LONGEST_TRUNK:
+        found = f"{trunk:.0f} from pelvis to head"
+        raise InputFileError(path, "", expected="metres", found=found, remedy="Divide by 1,000.")
+    if trunk < _SHORTEST_TRUNK:
+        raise InputFileError(path, "", expected="a body", found=f"{trunk:.4f} m from pelvis to head")

@@ -1,0 +1,269 @@
+"""EgoAllo as a sensor.
+
+Sources: docs/specification/synthetic-recordings.md#sensors, "EgoAllo-like body", and
+docs/specification/synthetic-recordings.md#native-layouts.
+
+The head is exact, since it is what the estimate is made from. Elbows and knees wander, feet slip, wrists stay within
+2 cm (the real estimate is aligned to tracked wrists), and every window stands a little too high or too low. Bones keep
+their lengths, as in any output of a body model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
+from prbench.readers.egoallo import format as ego
+from prbench.skeleton import PARENTS, Joint
+from prbench.storage import atomic_path, write_text
+from prbench.synthetic.people.channels import wobble
+from prbench.synthetic.people.geometry import soft_limit, two_bone
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh
+from prbench.timelines import interpolate, slerp
+
+NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""
+
+_LIMB_WOBBLE, _LIMB_HZ = 0.02, (0.1, 0.5)
+_WRIST_WOBBLE, _WRIST_LIMIT = 0.008, 0.02  # metres an axis; never further from the true wrist
+_FOOT_SLIP, _FOOT_HZ = 0.015, (0.3, 0.8)
+_ROOT_HEIGHT = 0.01
+_STRETCH = (0.9985, 0.9999)  # of a limb that a shifted trunk pulls away from its hand or foot
+_SHORTEST_WINDOW = 2  # frames
+_DAY = "20000101-000000"
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Frames of a body in the performance's world."""
+
+    joints: Float[np.ndarray, "n 22 3"]
+    rotations: Float[np.ndarray, "n 22 4"]
+    """Of the model's joints, world."""
+
+
+def sense_egoallo(
+    performance: Performance,
+    trajectory: AriaTrajectory,
+    *,
+    noise: float = 1.0,
+    switches: Switches | None = None,
+    start_us: int | None = None,
+    size: GlassesSize = "DVT-S",
+    native_from_world: Float[np.ndarray, "4 4"] = NATIVE_FROM_WORLD,
+) -> tuple[ego.EgoAlloOutput, ...]:
+    """Return what EgoAllo would write for a performance: several overlapping windows of every 33rd pose.
+
+    Args:
+        performance: The truth.
+        trajectory: All 1 kHz poses of the glasses in the native (Z up) world.
+        noise: Multiplies every error; 0 for an ideal estimate.
+        switches: Which errors are on; all if None.
+        start_us: Device time of the performance's first instant; that of the first pose by default.
+        size: Of the glasses.
+        native_from_world: From the performance's world to the trajectory's.
+    """
+    switches = switches or Switches()
+    every = np.arange(ego.INPUT_STEP, len(trajectory.time_us), ego.INPUT_STEP)  # the first has no predecessor
+    windows = _windows(len(every))
+    frames = np.concatenate([np.arange(*window) for window in windows]) if windows else np.zeros(0, dtype=np.int64)
+    rows = every[frames]
+    since_start = (trajectory.time_us[rows] - (trajectory.time_us[0] if start_us is None else start_us)) / 1e6
+    times = performance.times[0] + since_start
+    number = np.repeat(np.arange(len(windows)), [last - first for first, last in windows])
+    pose = _estimate(performance, _true_pose(performance, times), times, number, noise, switches)
+    root, body = _model_parameters(pose, native_from_world)
+    cpf = _head_poses(trajectory, rows, size)
+    betas = shape_of(performance).astype(np.float32)
+    return tuple(
+        ego.EgoAlloOutput(
+            name=f"{_DAY}_{first}-{last}.npz",
+            time_ns=trajectory.time_us[rows[own]] * 1000,
+            world_from_cpf=cpf[own],
+            world_from_root=root[None, own],
+            body_quats=body[None, own],
+            betas=np.tile(betas, (1, int(own.sum()), 1)),
+        )
+        for window, (first, last) in enumerate(windows)
+        for own in (number == window,)
+    )
+
+
+def _windows(n_frames: int) -> list[tuple[int, int]]:
+    """Return the first and last frame of each window, in output frames; the last one ends with the recording."""
+    stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
+    starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
+    windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
+    return [(first, last) for first, last in windows if last - first >= _SHORTEST_WINDOW]
+
+
+def _true_pose(performance: Performance, times: Float[np.ndarray, " n"]) -> _Pose:
+    """Return the truth at some times; rotations are interpolated, so that bones keep their lengths."""
+    n = len(times)
+    segments = np.stack(
+        [slerp(performance.times, performance.rotations[:, joint], times) for joint in Joint], axis=1
+    ).reshape(n, len(Joint), 4)
+    rotations = model_rotations(segments)
+    pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
+    rest = synthetic_smplh().rest_joints(shape_of(performance))
+    joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
+    return _Pose(joints, rotations)
+
+
+def _estimate(
+    performance: Performance,
+    true: _Pose,
+    times: Float[np.ndarray, " n"],
+    window: Int[np.ndarray, " n"],
+    noise: float,
+    switches: Switches,
+) -> _Pose:
+    """Return the body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
+    height = strength(switches.root_height, noise) * _ROOT_HEIGHT
+    limbs = strength(switches.limb_wobble, noise)
+    slip = strength(switches.foot_slip, noise)
+    if height == limbs == slip == 0.0:
+        return true
+    draws = sensor_generator(performance, "egoallo-height").normal(0.0, height, int(window.max(initial=0)) + 1)
+    joints = true.joints.copy()
+    joints[..., 1] += draws[window, None]
+    pose = _Pose(joints, true.rotations.copy())
+    rng_limbs, rng_feet = (sensor_generator(performance, f"egoallo-{name}") for name in ("limbs", "feet"))
+    for side in (0, 1):
+        bend, reach = (_wander(times, rms, _LIMB_HZ, rng_limbs) * limbs for rms in (_LIMB_WOBBLE, _WRIST_WOBBLE))
+        length = np.linalg.norm(reach, axis=1, keepdims=True)
+        reach *= soft_limit(length / _WRIST_LIMIT, 0.5, 0.95) * _WRIST_LIMIT / np.maximum(length, 1e-12)
+        _bend(pose, true, (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), side, bend, reach)
+        bend = _wander(times, _LIMB_WOBBLE, _LIMB_HZ, rng_limbs) * limbs
+        step = _wander(times, _FOOT_SLIP, _FOOT_HZ, rng_feet) * (slip, 0.0, slip)
+        _bend(pose, true, (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE), side, bend, step)
+    return pose
+
+
+def _wander(
+    times: Float[np.ndarray, " n"], rms: float, band: tuple[float, float], rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    return np.column_stack([wobble(times, rms, *band, rng) for _ in range(3)])
+
+
+def _bend(
+    pose: _Pose,
+    true: _Pose,
+    limb: tuple[Joint, Joint, Joint],
+    side: int,
+    bend: Float[np.ndarray, "n 3"],
+    shift: Float[np.ndarray, "n 3"],
+) -> None:
+    """Bring the end of one limb to its true place plus ``shift``, its middle joint wandering by ``bend``; in place."""
+    upper, middle, end = (joint + side for joint in limb)
+    bones = true.joints[:, middle] - true.joints[:, upper], true.joints[:, end] - true.joints[:, middle]
+    lengths = float(np.linalg.norm(bones[0][0])), float(np.linalg.norm(bones[1][0]))
+    pole = true.joints[:, middle] - (true.joints[:, upper] + true.joints[:, end]) / 2 + bend
+    joint, tip = two_bone(pose.joints[:, upper], true.joints[:, end] + shift, lengths, pole, _STRETCH)
+    for at, bone, new in ((upper, bones[0], joint - pose.joints[:, upper]), (middle, bones[1], tip - joint)):
+        turned = _shortest_turn(bone, new) * Rotation.from_quat(pose.rotations[:, at], scalar_first=True)
+        pose.rotations[:, at] = turned.as_quat(scalar_first=True)
+    pose.joints[:, middle], pose.joints[:, end] = joint, tip
+
+
+def _shortest_turn(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Rotation:
+    """Return the rotation about the common normal that takes each direction to another one."""
+    cross = np.cross(first, second)
+    dot = np.einsum("ni,ni->n", first, second)
+    sine = np.linalg.norm(cross, axis=1)
+    return Rotation.from_rotvec(cross * (np.arctan2(sine, dot) / np.maximum(sine, 1e-15))[:, None])
+
+
+def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"]:
+    """Return the rotations of the joints 1 to 21 in their parents."""
+    world = [Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint]
+    local = [(world[PARENTS[child]].inv() * world[child]).as_quat(scalar_first=True) for child in range(1, len(Joint))]
+    return np.stack(local, axis=1)
+
+
+def _model_parameters(
+    pose: _Pose, native_from_world: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "n 21 4"]]:
+    """Return the root pose in the native world, and local rotations; float32, as the files hold them."""
+    turn = Rotation.from_matrix(native_from_world[:3, :3])
+    root = turn * Rotation.from_quat(pose.rotations[:, Joint.PELVIS], scalar_first=True)
+    position = turn.apply(pose.joints[:, Joint.PELVIS]) + native_from_world[:3, 3]
+    poses = np.hstack([root.as_quat(scalar_first=True), position])
+    return poses.astype(np.float32), _local(pose.rotations).astype(np.float32)
+
+
+def _head_poses(trajectory: AriaTrajectory, rows: Int[np.ndarray, " n"], size: GlassesSize) -> Float[np.ndarray, "n 7"]:
+    device = Rotation.from_quat(trajectory.rotation[rows], scalar_first=True)
+    device_cpf = device_from_cpf(size)
+    position = trajectory.position[rows] + device.apply(device_cpf[:3, 3])
+    rotation = device * Rotation.from_matrix(device_cpf[:3, :3])
+    return np.hstack([rotation.as_quat(scalar_first=True), position]).astype(np.float32)
+
+
+_NO_PARENT = 2**32 - 1
+
+
+def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
+    """Write output files, each with its ``_args.yaml``, into ``folder`` (a recording's ``egoallo_outputs``).
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    for output in outputs:
+        start, end = (int(part) for part in Path(output.name).stem.rpartition("_")[2].split("-"))
+        samples, frames = output.world_from_root.shape[:2]
+        straight = np.zeros((samples, frames, ego.N_HAND_QUATS, 4), dtype=np.float32)
+        straight[..., 0] = 1.0
+        with atomic_path(folder / output.name) as temporary:
+            np.savez(
+                temporary,
+                **{
+                    ego.WORLD_FROM_CPF: output.world_from_cpf,
+                    ego.WORLD_FROM_ROOT: output.world_from_root,
+                    ego.BODY_QUATS: output.body_quats,
+                    ego.LEFT_HAND_QUATS: straight,
+                    ego.RIGHT_HAND_QUATS: straight,
+                    ego.CONTACTS: np.zeros((samples, frames, ego.N_BODY_QUATS), dtype=np.float32),
+                    ego.BETAS: output.betas,
+                    ego.FRAME_NUMS: np.arange(start, start + frames),
+                    ego.TIMES: output.time_ns,
+                },
+            )
+        write_text(
+            folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}",
+            f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
+        )
+
+
+def write_smplh_model(path: Path) -> None:
+    """Write the synthetic body model with the keys of an SMPL-H file: 52 points, one a joint; fingers at the wrists.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    rest = synthetic_smplh()
+    n = ego.N_MODEL_JOINTS
+    hands = np.repeat([20, 21], ego.N_HAND_QUATS)
+    owner = np.concatenate([np.arange(22), hands])
+    parents = np.concatenate([[_NO_PARENT], np.array(PARENTS[1:]), hands])
+    with atomic_path(path) as temporary:
+        np.savez(
+            temporary,
+            **{
+                "f": np.array([[0, 1, 2]], dtype=np.int32),
+                ego.REGRESSOR: np.eye(n),
+                "kintree_table": np.stack([parents, np.arange(n)]).astype(np.uint32),
+                "weights": np.eye(n),
+                "posedirs": np.zeros((n, 3, 9 * (n - 1))),
+                ego.TEMPLATE: rest.template[owner],
+                ego.SHAPES: rest.directions[owner],
+            },
+        )

@@ -1,0 +1,160 @@
+"""Histograms beside the study's numbers: Figure S2 of built datasets, and statistics of synthetic performances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from prbench.errors import UsageError
+from prbench.locks import sole_file
+from prbench.published import Spread, load_table_one
+from prbench.sequences.table_one import TableStatistics
+from prbench.shown import figure_text
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.statistics import TARGETS, clips_of
+from prbench.viewing.figures import new_figure, write_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+FORMATS = (".png", ".svg")
+_BINS = 30
+_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
+_COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("hand", "m", 1.5))
+
+
+def require_drawable(path: Path) -> None:
+    """Refuse kinds of files that the figure is not written as, before anything is computed.
+
+    Raises:
+        UsageError: for any but PNG and SVG.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
+
+
+def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: int = 110) -> None:
+    """Draw goal distance, elevation and azimuth, body movement, gaze shift and prime gap.
+
+    Histograms show densities, so that datasets of different size can be compared. The published mean and spread of the
+    dataset stand behind body movement and prime gap, where one dataset is drawn.
+
+    Args:
+        statistics: One or several datasets, drawn over one another.
+        path: ``.png`` or ``.svg``; replaced when it exists.
+        dpi: Resolution of a PNG.
+
+    Raises:
+        UsageError: for another kind of file.
+        StorageError: if the file cannot be written.
+    """
+    require_drawable(path)
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
+        figure = _figure(statistics, dpi)
+        if path.suffix.lower() == ".png":
+            write_png(figure, path)
+            return
+        with sole_file(path) as draft:
+            figure.savefig(draft, format="svg", metadata={"Date": None, "Creator": None})
+
+
+def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
+    figure = new_figure(12.0, 6.6, dpi=dpi, layout="constrained")
+    panels = figure.subplots(2, 3).ravel()
+    only = statistics[0] if len(statistics) == 1 else None
+    published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
+    _histogram(panels[0], statistics, "goal_distance", "a  goal distance from the start (m)")
+    _histogram(panels[1], statistics, "goal_elevation_deg", "b  goal elevation from the start (deg)")
+    _histogram(panels[2], statistics, "goal_azimuth_deg", "c  goal azimuth from the start (deg, left positive)")
+    band = None if published is None else published.body_movement
+    _histogram(panels[3], statistics, "body_movement", "d  body movement (m)", band)
+    _gaze_shift(panels[4], statistics)
+    band = None if published is None else published.prime_gap
+    _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
+    for colour, each in zip(_COLOURS, statistics, strict=False):
+        panels[0].plot(
+            [], [], color=colour, linewidth=4, label=figure_text(f"{each.dataset}, {each.sequences} sequences")
+        )
+    panels[0].legend(fontsize=7, frameon=False)
+    return figure
+
+
+def _histogram(
+    axes: Axes, statistics: Sequence[TableStatistics], quantity: str, title: str, published: Spread | None = None
+) -> None:
+    values = [getattr(each, quantity) for each in statistics]
+    together = np.concatenate(values)
+    low, high = float(together.min()), float(together.max())
+    edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
+    if published is not None:
+        _draw_band(axes, published, label="published mean, sd shaded")
+        axes.legend(fontsize=7, frameon=False)
+    for colour, each in zip(_COLOURS, values, strict=False):
+        axes.hist(each, bins=edges.tolist(), density=True, color=colour, alpha=0.7 if len(values) == 1 else 0.4)
+        axes.axvline(float(each.mean()), color=colour, linewidth=1.0)
+    _dress(axes, title)
+    axes.set_yticks([])
+
+
+def _draw_band(axes: Axes, published: Spread, label: str | None = None) -> None:
+    axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
+    axes.axvline(published.mean, color="0.4", linewidth=1.0, label=label)
+
+
+def _gaze_shift(axes: Axes, statistics: Sequence[TableStatistics]) -> None:
+    for colour, each in zip(_COLOURS, statistics, strict=False):
+        axes.fill_between(
+            each.gaze_shift_times, each.gaze_shift_deg[:, 0], each.gaze_shift_deg[:, 2], color=colour, alpha=0.2
+        )
+        axes.plot(each.gaze_shift_times, each.gaze_shift_deg[:, 1], color=colour, linewidth=1.2)
+    axes.axvline(0.0, color="0.6", linewidth=0.8)
+    axes.set_ylim(bottom=0.0)
+    _dress(axes, "e  gaze away from the goal (deg, quartiles), s from the prime time")
+
+
+def _dress(axes: Axes, title: str) -> None:
+    axes.set_title(title, fontsize=8, loc="left")
+    axes.tick_params(labelsize=7)
+
+
+def render_histograms(performances: Mapping[str, Sequence[Performance]], path: Path | str, *, dpi: int = 80) -> None:
+    """Draw one row of four histograms for every preset; the shaded band is the study's mean and spread.
+
+    Args:
+        performances: Recordings of each preset.
+        path: PNG to write; replaced when it exists.
+        dpi: Resolution.
+
+    Raises:
+        ValueError: if there is no preset.
+        StorageError: if the file cannot be written.
+    """
+    if not performances:
+        raise ValueError("expected the performances of at least one preset, found none")
+    figure = new_figure(14.0, 2.3 * len(performances), dpi=dpi, layout="constrained")
+    grid = figure.subplots(len(performances), len(_COLUMNS), squeeze=False)
+    for row, (preset, acted) in zip(grid, performances.items(), strict=True):
+        clips = clips_of(acted)
+        gaps = np.array([clip.event.event_time - clip.start - clip.prime_after for clip in clips])
+        movements = np.array([(clip.body_movement, clip.hand_movement) for clip in clips]).reshape(-1, 2)
+        for axes, values, column in zip(row, (gaps + 2.0, gaps, *movements.T), _COLUMNS, strict=True):
+            name, unit, highest = column
+            _draw_histogram(axes, values, getattr(TARGETS[preset], name), highest)
+            axes.set_title(f"{preset}: {name} ({unit}), {len(clips)} synthetic sequences", fontsize=7)
+    write_png(figure, path)
+
+
+def _draw_histogram(axes: Axes, values: np.ndarray, target: Spread, highest: float) -> None:
+    _draw_band(axes, target)
+    axes.hist(np.minimum(values, highest), bins=np.linspace(0.0, highest, 29).tolist(), color="tab:blue", alpha=0.7)
+    if values.size:
+        axes.axvline(float(values.mean()), color="tab:blue", linewidth=1.0)
+    axes.set_xlim(0.0, highest)
+    axes.tick_params(labelsize=6)

@@ -1,0 +1,107 @@
+"""Parts that several kinds of pictures share: the figure itself, stick figures seen from the side, boxes.
+
+matplotlib is imported when something is drawn, so that commands which draw nothing start quickly.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.locks import sole_file
+from prbench.skeleton import CHAINS, WRISTS, Joint, head_forward
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BOX_EDGES: tuple[tuple[int, int], ...] = (
+    (0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7),
+)  # fmt: skip
+"""Corners of a box that an edge joins, where a corner's number has a bit for each axis."""
+
+_COLOURS = ("tab:red", "tab:blue", "0.25", "tab:red", "tab:blue")
+"""In the order of the chains: right leg, left leg, trunk, right arm, left arm."""
+_HEAD_LINE = 0.35  # metres
+
+
+def new_figure(width: float, height: float, **options: Any) -> Figure:
+    """Return an empty figure outside pyplot, which would keep it in memory and might open a window.
+
+    Args:
+        width: Inches.
+        height: Inches.
+        options: Further arguments of :class:`matplotlib.figure.Figure`.
+    """
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), **options)
+
+
+def write_png(figure: Figure, path: Path | str) -> None:
+    """Write a figure as PNG at its own resolution; a file that exists is replaced.
+
+    Raises:
+        StorageError: if the file cannot be written.
+    """
+    with sole_file(Path(path)) as draft:
+        # Without matplotlib's version in the file, equal pictures are equal bytes.
+        figure.savefig(draft, format="png", metadata={"Software": None})
+
+
+def draw_box(axes: Axes, corners: Float[np.ndarray, "8 2"], **style: Any) -> None:
+    """Draw the edges of a box whose flat corners are numbered as :data:`BOX_EDGES` says."""
+    for one, other in BOX_EDGES:
+        axes.plot(*corners[[one, other]].T, **style)
+
+
+def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the unit vector of the horizontal part of an offset; +z where there is hardly any, so that it is unit."""
+    flat = offset * [1.0, 0.0, 1.0]
+    length = float(np.linalg.norm(flat))
+    return flat / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+
+
+def draw_figure(
+    axes: Axes,
+    joints: Float[np.ndarray, "22 3"],
+    head_tilt_deg: float,
+    sideways: Float[np.ndarray, "3"],
+    at: float,
+    *,
+    finger_bases: Float[np.ndarray, "2 3"] | None = None,
+) -> None:
+    """Draw one pose in a vertical plane, and the head-forward vector as a short line.
+
+    Right limbs are red, left limbs blue.
+
+    Args:
+        axes: Panel to draw into; x is the horizontal of the picture, y the height, both in metres.
+        joints: World frame, metres.
+        head_tilt_deg: See :func:`prbench.skeleton.head_forward`.
+        sideways: Unit horizontal vector that points to the right in the picture.
+        at: Horizontal place of the pelvis in the picture.
+        finger_bases: Ends of the hands, left and right.
+    """
+    pelvis = joints[Joint.PELVIS]
+    flat = flattened(joints, pelvis, sideways, at)
+    for chain, colour in zip(CHAINS, _COLOURS, strict=True):
+        axes.plot(*flat[list(chain)].T, color=colour, linewidth=1.1, solid_capstyle="round")
+    if finger_bases is not None:
+        ends = flattened(finger_bases, pelvis, sideways, at)
+        for end, wrist, colour in zip(ends, WRISTS, ("tab:blue", "tab:red"), strict=True):
+            axes.plot(*np.stack([flat[wrist], end]).T, color=colour, linewidth=1.8)
+    forward, _ = head_forward(joints, head_tilt_deg)
+    tip = flattened((joints[Joint.HEAD] + _HEAD_LINE * forward)[None], pelvis, sideways, at)[0]
+    axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color="tab:green", linewidth=0.8)
+    axes.plot(*flat[Joint.HEAD], "o", color="0.25", markersize=3.0)
+
+
+def flattened(
+    points: Float[np.ndarray, "n 3"], pelvis: Float[np.ndarray, "3"], sideways: Float[np.ndarray, "3"], at: float
+) -> Float[np.ndarray, "n 2"]:
+    """Return picture coordinates of points around a pelvis that stands at ``at``, metres."""
+    return np.stack([(points - pelvis) @ sideways + at, points[:, 1]], axis=-1)

@@ -1,0 +1,178 @@
+"""What the release leaves open is inferred right, and how surely is said; where nothing tells, nothing is guessed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.errors import InputFileError, TableError
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.release import ImportOptions
+from prbench.sequences import SequenceTable
+from prbench.skeleton import transform_points
+from tests.release.imports import imported, motions, table_values, value
+from tests.release.releases import Style, in_world, plain_entry, rows
+
+ROWS = rows(6)
+
+
+@pytest.mark.parametrize(("name", "factor"), [("metres", 1), ("centimetres", 100), ("millimetres", 1000)])
+def test_units_are_told_by_the_size_of_people(name, factor, tmp_path) -> None:
+    report = imported(
+        tmp_path,
+        style=Style(goal=lambda goal: [axis * factor for axis in goal]),
+        motion=lambda row: row.joints * factor,
+    )
+    assert value(report, "units")[0] == name
+    for motion, row in zip(motions(tmp_path), ROWS):
+        np.testing.assert_allclose(motion, row.joints, atol=2e-6)
+    for goal, row in zip(table_values(tmp_path, "goal_location"), ROWS):
+        np.testing.assert_allclose(goal, row.goal_location, atol=2e-6)
+
+
+def test_sizes_of_nobody_are_refused(tmp_path) -> None:
+    with pytest.raises(InputFileError, match=r"pelvis to head of 0\.35 to 0\.85 m"):
+        imported(tmp_path, motion=lambda row: row.joints * 7)
+
+
+@pytest.mark.parametrize(("unit", "certainty"), [("m", "certain"), ("cm", None), ("furlongs", "likely")])
+def test_a_stated_unit_is_checked(unit, certainty, tmp_path) -> None:
+    def stated(row, style):
+        return plain_entry(row, style) | {"units": unit}
+
+    if certainty is None:
+        with pytest.raises(InputFileError, match="in centimetres as stated"):
+            imported(tmp_path, entry=stated)
+    else:
+        assert value(imported(tmp_path, entry=stated), "units") == ("metres", certainty)
+
+
+def test_canonical_motions_are_not_touched(tmp_path) -> None:
+    report = imported(tmp_path)
+    assert value(report, "motion_frame") == ("canonical", "certain")
+    for motion, row in zip(motions(tmp_path), ROWS):
+        np.testing.assert_array_equal(motion, row.joints)
+    for transform in table_values(tmp_path, "world_from_canonical"):
+        np.testing.assert_array_equal(transform.reshape(4, 4), np.eye(4))
+
+
+def test_world_motions_are_canonicalised_and_goal_and_gaze_with_them(tmp_path) -> None:
+    report = imported(tmp_path, [in_world(row) for row in ROWS])
+    assert value(report, "motion_frame") == ("world (canonicalised here)", "certain")
+    assert value(report, "goal_frame") == ("as the motions", "likely")
+    for motion, row in zip(motions(tmp_path), ROWS):
+        np.testing.assert_allclose(motion, row.joints, atol=1e-5)
+    for goal, row in zip(table_values(tmp_path, "goal_location"), ROWS):
+        np.testing.assert_allclose(goal, row.goal_location, atol=1e-5)
+    for transform, row in zip(table_values(tmp_path, "world_from_canonical"), ROWS):
+        np.testing.assert_allclose(transform.reshape(4, 4), row.world_from_canonical, atol=1e-5)
+    chunk = next(SequenceTable.open(tmp_path / "table").chunks())
+    np.testing.assert_allclose(
+        chunk.frames("gaze_direction")[ROWS[0].gaze_valid.nonzero()[0]],
+        ROWS[0].gaze_direction[ROWS[0].gaze_valid],
+        atol=1e-5,
+    )
+
+
+def z_up(point: list[float]) -> list[float]:
+    return [point[0], -point[2], point[1]]
+
+
+def test_a_goal_with_z_up_is_turned(tmp_path) -> None:
+    report = imported(tmp_path, style=Style(goal=z_up))
+    assert value(report, "goal_frame") == ("z up", "likely")
+    for goal, row in zip(table_values(tmp_path, "goal_location"), ROWS):
+        np.testing.assert_allclose(goal, row.goal_location, atol=1e-12)
+
+
+@pytest.mark.parametrize(("turn", "name"), [(list, "canonical"), (z_up, "canonical, z up")])
+def test_a_canonical_goal_beside_world_motions_is_found(turn, name, tmp_path) -> None:
+    canonical = {row.sequence_id: row.goal_location.tolist() for row in ROWS}
+    report = imported(
+        tmp_path,
+        [in_world(row) for row in ROWS],
+        entry=lambda row, style: plain_entry(row, style) | {"goal_location": turn(canonical[row.sequence_id])},
+    )
+    assert value(report, "goal_frame") == (name, "likely")
+    for goal, row in zip(table_values(tmp_path, "goal_location"), ROWS):
+        np.testing.assert_allclose(goal, row.goal_location, atol=1e-5)
+
+
+def test_goals_that_fit_nowhere_are_imported_but_never_scored(tmp_path) -> None:
+    report = imported(tmp_path, style=Style(goal=lambda goal: [axis + 20 for axis in goal]))
+    assert value(report, "goal_frame") == ("unknown", "unknown")
+    assert any("frame, base" in warning.lower() for warning in report.warnings)
+    with pytest.raises(TableError, match=r"cannot be scored: .*goals are in an unknown frame"):
+        run_method(RunRequest(method="ground-truth", data=(tmp_path / "table",), out=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_boxes_are_kept_and_their_centre_is_the_goal(tmp_path) -> None:
+    half = np.array([0.1, 0.2, 0.3])
+    for folder, form in (
+        ("six", lambda goal: [*(np.array(goal) - half), *(np.array(goal) + half)]),
+        ("named", lambda goal: {"min": (np.array(goal) - half).tolist(), "max": (np.array(goal) + half).tolist()}),
+    ):
+        imported(tmp_path / folder, style=Style(goal=form))
+        for name, sign in (("goal_box_world_min", -1), ("goal_box_world_max", 1)):
+            for corner, row in zip(table_values(tmp_path / folder, name), ROWS):
+                np.testing.assert_allclose(corner, row.goal_location + sign * half, atol=1e-9)
+
+
+def test_a_box_in_a_turned_frame_becomes_the_box_around_it(tmp_path) -> None:
+    half = np.array([0.1, 0.2, 0.3])
+    canonical = {row.sequence_id: row.goal_location for row in ROWS}
+
+    def entry(row, style):
+        goal = canonical[row.sequence_id]
+        return plain_entry(row, style) | {"goal_location": [*(goal - half), *(goal + half)]}
+
+    imported(tmp_path, [in_world(row) for row in ROWS], entry=entry)
+    highs, lows = table_values(tmp_path, "goal_box_world_max"), table_values(tmp_path, "goal_box_world_min")
+    for low, high, row in zip(lows, highs, ROWS):
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+        world = transform_points(row.world_from_canonical, row.goal_location + corners)
+        np.testing.assert_allclose(low, world.min(axis=0), atol=1e-5)
+        np.testing.assert_allclose(high, world.max(axis=0), atol=1e-5)
+
+
+def test_a_gaze_that_misses_the_goals_is_a_warning(tmp_path) -> None:
+    report = imported(tmp_path, gaze=lambda row: -row.gaze_direction)
+    assert any("Frame, base of the primed frames, or rate" in warning for warning in report.warnings)
+
+
+def test_frame_zero_can_be_the_frame_before(tmp_path) -> None:
+    imported(tmp_path, options=ImportOptions(first_frame_is_previous=True))
+    rows_back = SequenceTable.open(tmp_path / "table").scalars()
+    assert rows_back["n_frames"].to_pylist() == [row.n_frames - 1 for row in ROWS]
+    assert rows_back["prime_frame"].to_pylist() == [row.prime_frame - 1 for row in ROWS]
+    assert set(rows_back["previous_source"].to_pylist()) == {"recorded"}
+    for motion in motions(tmp_path):
+        np.testing.assert_allclose(motion[0, 0, [0, 2]], 0, atol=1e-6)
+    chunk = next(SequenceTable.open(tmp_path / "table").chunks())
+    np.testing.assert_array_equal(
+        chunk.frames("gaze_valid"), np.concatenate([row.gaze_valid[1:] for row in ROWS]), "gaze is shifted too"
+    )
+
+
+def test_without_a_frame_before_the_motion_is_continued_backwards(tmp_path) -> None:
+    imported(tmp_path)
+    chunk = next(SequenceTable.open(tmp_path / "table").chunks())
+    joints = chunk.joints[: ROWS[0].n_frames]
+    np.testing.assert_allclose(chunk.poses("previous_joints")[0], 2 * joints[0] - joints[1], atol=1e-6)
+    assert set(chunk.strings("previous_source")) == {"extrapolated"}
+
+
+def test_sequences_of_unknown_recordings_are_not_taken_for_independent(tmp_path) -> None:
+    imported(tmp_path)
+    table = SequenceTable.open(tmp_path / "table")
+    assert set(table.recordings()["recording_id"].to_pylist()) == {"unknown-train", "unknown-test"}
+    report = run_method(RunRequest(method="ground-truth", data=(table.folder,), out=tmp_path / "run"))
+    assert report.summaries[0].recordings == 1
+
+
+def test_source_recordings_are_taken_where_they_are_told(tmp_path) -> None:
+    imported(tmp_path, entry=lambda row, style: plain_entry(row, style) | {"video": row.recording_id})
+    names = SequenceTable.open(tmp_path / "table").scalars()["recording_id"].to_pylist()
+    assert names == [row.recording_id for row in ROWS]

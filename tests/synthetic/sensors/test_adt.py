@@ -1,0 +1,207 @@
+"""Sensors: ideal ones say the truth, every error stands alone, and twice the noise is twice the error."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from prbench.readers.adt import format as adt
+from prbench.skeleton import Joint, bone_lengths
+from prbench.synthetic.layouts import synthetic_recording
+from prbench.synthetic.layouts.adt import LAYOUT
+from prbench.synthetic.sensors.adt import clock_start_us, native_object_id, sense
+from prbench.synthetic.sensors.aria_mps import gaze_bias
+from prbench.synthetic.sensors.errors import Switches
+
+TOUCHED = {
+    "pose_noise": {"glasses.position", "glasses.rotation", "glasses.quality"},
+    "pose_losses": {"glasses.quality"},
+    "gaze_bias": {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"},
+    "gaze_jitter": {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"},
+    "gaze_losses": {f"gaze.{field.name}" for field in fields(adt.GazeAngles)},
+    "blinks": {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"},
+    "gaze_clock": {"gaze.time_us"},
+    "body_noise": {"skeletons.joints", "skeletons.markers"},
+    "body_wobble": {"skeletons.joints", "skeletons.markers"},
+    "body_losses": {"skeletons.joints", "skeletons.markers"},
+    "object_noise": {"objects.position", "objects.rotation"},
+}
+
+
+OTHER_SENSORS = {
+    "egoallo": {"limb_wobble", "foot_slip", "root_height"},
+    "aria_mps": {"pose_drift", "pose_clock", "hand_noise", "hand_losses"},
+    "hot3d": {"hand_start", "object_gaps", "clock_drift"},
+    "hd_epic": {"video_clock", "annotated_times", "annotated_points", "mask_losses"},
+}
+"""Switches of errors that ADT's sensors do not have, by the module whose own test covers them."""
+
+
+def test_every_switch_is_covered_by_the_next_test_or_that_of_another_sensor() -> None:
+    assert set(TOUCHED).union(*OTHER_SENSORS.values()) == {field.name for field in fields(Switches)}
+
+
+@pytest.mark.parametrize("switch", TOUCHED)
+def test_switching_one_error_off_leaves_everything_else_bit_identical(performance, switch) -> None:
+    noise = 200.0 if switch == "body_losses" else 1.0  # bad frames are one in ten thousand at the default
+    everything = _columns(sense(performance, noise=noise))
+    without = _columns(sense(performance, noise=noise, switches=replace(Switches(), **{switch: False})))
+    changed = {name for name in everything if not _equal(everything[name], without[name])}
+    assert changed, "the error is on by default and visible"
+    assert changed <= TOUCHED[switch]
+
+
+def test_lost_gaze_rows_leave_the_others_as_they_are(performance) -> None:
+    everything = sense(performance).gaze
+    complete = sense(performance, switches=replace(Switches(), gaze_losses=False)).gaze
+    kept = np.isin(complete.time_us, everything.time_us)
+    assert 0.9 < kept.mean() < 1.0
+    assert np.array_equal(complete.yaw[kept], everything.yaw, equal_nan=True)
+
+
+def test_a_second_person_changes_nothing_that_the_first_one_measures(performance, performance_for_two) -> None:
+    alone, together = sense(performance), sense(performance_for_two)
+    assert np.array_equal(alone.skeletons[0].joints, together.skeletons[0].joints)
+    assert np.array_equal(alone.gaze.yaw, together.gaze.yaw, equal_nan=True)
+
+
+def test_equal_performances_give_equal_readings(performance) -> None:
+    first, second = _columns(sense(performance)), _columns(sense(performance))
+    assert all(_equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.parametrize("ideal", [{"noise": 0.0}, {"switches": Switches.ideal()}], ids=["no noise", "all off"])
+def test_ideal_sensors_say_the_truth(performance, ideal) -> None:
+    recording = synthetic_recording(performance, **ideal)
+    start = clock_start_us(performance) / 1e6
+    at = np.rint((recording.head.times - start) * performance.rate).astype(int)
+    assert recording.head.position == pytest.approx(performance.eye[at], abs=2e-6)
+    assert recording.gaze.valid.all()
+    looks = np.rint((recording.gaze.times - start) * performance.rate).astype(int)
+    assert np.einsum("nk,nk->n", recording.gaze.direction, performance.gaze[looks]) == pytest.approx(1.0, abs=1e-8)
+    assert recording.gaze.origin == pytest.approx(performance.eye[looks], abs=1e-4)  # 3 us of walking, rounding
+    assert recording.body is not None
+    others = [joint for joint in Joint if joint != Joint.SPINE2]
+    assert recording.body.joints[:, others] == pytest.approx(performance.joints[:, others], abs=1e-6)
+    spine2 = np.linalg.norm(recording.body.joints[:, Joint.SPINE2] - performance.joints[:, Joint.SPINE2], axis=-1)
+    assert spine2.max() < 0.015  # the dataset has no spine2: half-way between its neighbours, off when the back bends
+    for side, stream in enumerate(recording.hand_streams("middle_finger_base")):
+        assert stream.points[:, 0] == pytest.approx(performance.finger_bases[:, side], abs=1e-6)
+
+
+def test_ideal_sensors_see_every_object_where_it_is(performance) -> None:
+    recording = synthetic_recording(performance, noise=0.0)
+    assert len(recording.objects) == len(performance.objects), "the room is left out"
+    start = clock_start_us(performance) / 1e6
+    for motion in performance.objects:
+        track = recording.object(str(native_object_id(motion.object_id)))
+        at = np.rint((track.times - start) * performance.rate).astype(int)
+        truth = motion.position[at] if len(motion.position) > 1 else motion.position
+        lower, upper = track.world_box(track.position, track.rotation)
+        assert (lower + upper) / 2 == pytest.approx(np.broadcast_to(truth, lower.shape), abs=3e-6)
+        assert track.box_max - track.box_min == pytest.approx(2 * motion.half_extents, abs=3e-6)
+
+
+def test_a_sixteen_digit_id_is_kept_and_a_word_gets_one() -> None:
+    assert native_object_id("4508463855879675") == 4508463855879675
+    assert len(str(native_object_id("cup"))) == 16
+    assert native_object_id("cup") != native_object_id("plate")
+
+
+def test_default_noise_has_the_sizes_of_the_page(performance) -> None:
+    ideal, noisy = sense(performance, noise=0.0), sense(performance)
+    assert (noisy.glasses.position - ideal.glasses.position).std() == pytest.approx(0.5e-3, rel=0.1)
+    relative = Rotation.from_quat(ideal.glasses.rotation).inv() * Rotation.from_quat(noisy.glasses.rotation)
+    assert np.rad2deg(relative.as_rotvec().std()) == pytest.approx(0.05, rel=0.1)
+    only = replace(Switches.ideal(), gaze_jitter=True)
+    assert np.rad2deg((sense(performance, switches=only).gaze.yaw - ideal.gaze.yaw).std()) == pytest.approx(
+        0.5, rel=0.1
+    )
+    bias = gaze_bias(performance, noise=1.0, switches=Switches())
+    biased = sense(performance, switches=replace(Switches.ideal(), gaze_bias=True)).gaze
+    assert biased.yaw - ideal.gaze.yaw == pytest.approx(bias[0], abs=2e-6)
+    assert biased.pitch - ideal.gaze.pitch == pytest.approx(bias[1], abs=2e-6)
+    only = replace(Switches.ideal(), body_noise=True)
+    shift = sense(performance, switches=only).skeletons[0].joints - ideal.skeletons[0].joints
+    assert shift.std() == pytest.approx(0.8e-3, rel=0.02)
+    moving = [i for i, entry in enumerate(ideal.objects) if entry.dynamic]
+    shifts = [noisy.objects[i].position - ideal.objects[i].position for i in moving]
+    assert np.concatenate(shifts).std() == pytest.approx(0.3e-3, rel=0.1)
+
+
+def test_readings_have_the_resolution_of_the_files(performance) -> None:
+    readings = sense(performance)
+    for values in (
+        readings.glasses.position,
+        readings.gaze.yaw,
+        readings.skeletons[0].joints,
+        readings.objects[0].box_max,
+    ):
+        known = values[np.isfinite(values)] * 1e6
+        assert known == pytest.approx(np.rint(known), abs=1e-6)
+
+
+def test_twice_the_noise_is_twice_the_error(performance) -> None:
+    ideal, once, twice = (sense(performance, noise=noise).glasses.position for noise in (0.0, 1.0, 2.0))
+    assert twice - ideal == pytest.approx(2 * (once - ideal), abs=2e-6)
+
+
+def test_a_lost_object_has_no_rows_while_it_is_lost(performance) -> None:
+    event = performance.events[0]
+    span = (event.event_time - 0.3, event.event_time + 0.2)
+    lost = replace(performance, events=(replace(event, tag="lost", lost_span=span), *performance.events[1:]))
+    recording, start = synthetic_recording(lost), clock_start_us(performance) / 1e6
+    track = recording.object(str(native_object_id(event.object_id)))
+    gap = int(np.argmax(np.diff(track.times)))
+    assert span[0] - 1 / 30 <= track.times[gap] - start < span[0]
+    assert span[1] < track.times[gap + 1] - start <= span[1] + 1 / 30
+    others = [other for other in recording.objects if other.movable and other is not track]
+    assert all(np.diff(other.times).max() < 0.04 for other in others)
+
+
+def test_bad_frames_are_found_and_filled(performance) -> None:
+    readings = sense(performance, noise=100.0, switches=replace(Switches.ideal(), body_losses=True))
+    truth = sense(performance, noise=0.0).skeletons[0].joints
+    bad = ~np.isclose(readings.skeletons[0].joints, truth, atol=1e-6).all(axis=(1, 2))
+    body = LAYOUT.recording(readings).body
+    assert body is not None
+    assert 0 < bad.sum() < 0.05 * len(bad)
+    at_origin = (readings.skeletons[0].joints == 0).all(axis=(1, 2))
+    assert 0 < at_origin.sum() < bad.sum(), "some frames are lost, in others a joint is thrown off"
+    assert not body.valid[readings.skeletons[0].joints[:, 0, 1] == 0.0].any()
+    lengths = bone_lengths(body.joints)
+    assert np.abs(lengths - np.median(lengths, axis=0)).max() < 0.05, "fillers are bodies too"
+
+
+def test_two_wearers(performance_for_two) -> None:
+    recording = synthetic_recording(performance_for_two, noise=0.0)
+    assert [person.person_id for person in recording.other_people] == ["Skeleton_S777"]
+    assert recording.participant_id == performance_for_two.person.participant_id
+    beside = next(stream for stream in recording.other_people[0].hands if stream.contact == "wrist")
+    own = next(stream for stream in recording.hands if stream.contact == "wrist")
+    assert beside.points - own.points == pytest.approx(np.broadcast_to((1.0, 0.0, 0.0), own.points.shape), abs=3e-6)
+
+
+def _equal(first: np.ndarray, second: np.ndarray) -> bool:
+    return np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
+
+
+def _columns(readings: adt.AdtReadings) -> dict[str, np.ndarray]:
+    """Every array and number of the readings, by path; objects and skeletons one after the other."""
+    parts: dict[str, list] = {}
+
+    def collect(value: object, path: str) -> None:
+        if is_dataclass(value):
+            for field in fields(value):
+                collect(getattr(value, field.name), f"{path}.{field.name}".strip("."))
+        elif isinstance(value, tuple):
+            for entry in value:
+                collect(entry, path)
+        elif value is not None:
+            parts.setdefault(path, []).append(np.ravel(np.asarray(value)))
+
+    collect(readings, "")
+    return {name: np.concatenate(values) for name, values in parts.items()}

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import matplotlib.image
+import pytest
+
+from prbench.errors import UsageError
+from prbench.sequences.table_one import table_statistics
+from prbench.synthetic.people import perform
+from prbench.viewing.distributions import draw_table_one, render_histograms
+from tests.fakes import fake_dataset
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_the_six_panels_have_the_same_bytes_every_time(tmp_path, suffix) -> None:
+    statistics = [table_statistics(fake_dataset(tmp_path / name, n=9)) for name in ("one", "two")]
+    for name in ("a", "b"):
+        draw_table_one(statistics, tmp_path / f"{name}{suffix}")
+    first, second = ((tmp_path / f"{name}{suffix}").read_bytes() for name in ("a", "b"))
+    assert first == second
+    assert first.startswith(b"\x89PNG" if suffix == ".png" else b"<?xml")
+    if suffix == ".svg":
+        assert all(title in first.decode() for title in ("goal distance", "elevation", "azimuth", "prime gap"))
+
+
+def test_one_sequence_is_enough(tmp_path) -> None:
+    draw_table_one([table_statistics(fake_dataset(tmp_path / "t", n=1))], tmp_path / "one.png")
+    assert (tmp_path / "one.png").stat().st_size > 10_000
+
+
+def test_another_kind_of_file_is_refused_before_anything_is_written(tmp_path) -> None:
+    with pytest.raises(UsageError, match=r"\.pdf"):
+        draw_table_one([table_statistics(fake_dataset(tmp_path / "t", n=2))], tmp_path / "figure.pdf")
+    assert not (tmp_path / "figure.pdf").exists()
+
+
+def test_a_name_between_dollars_is_no_formula(tmp_path) -> None:
+    statistics = table_statistics(fake_dataset(tmp_path / "t", n=2))
+    draw_table_one([replace(statistics, dataset="$\\frac$")], tmp_path / "figure.svg")
+
+
+def test_histograms_have_a_row_for_every_preset(tmp_path) -> None:
+    performance = perform("mogaze", seed=4, index=0, n_events=3, rate=60.0, provocations={})
+    render_histograms({"mogaze": [performance]}, tmp_path / "one.png", dpi=30)
+    render_histograms({"mogaze": [performance], "adt": [performance]}, tmp_path / "two.png", dpi=30)
+    one = matplotlib.image.imread(tmp_path / "one.png").shape
+    two = matplotlib.image.imread(tmp_path / "two.png").shape
+    assert two == (2 * one[0], *one[1:])
+    with pytest.raises(ValueError, match="at least one preset"):
+        render_histograms({}, tmp_path / "none.png")
