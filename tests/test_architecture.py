@@ -1,11 +1,14 @@
-"""Packages import only from layers below them, and prbench never imports its adapters."""
+"""Packages import only from layers below them, no modules import one another, prbench never imports its adapters."""
 
 from __future__ import annotations
 
 import ast
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 ROOT = Path(__file__).parents[1]
 
@@ -81,3 +84,48 @@ def test_an_upward_import_would_be_noticed(tmp_path):
     file.write_text("from prbench.cli import main\nimport prbench.sequences.table\nfrom prbench import rays\n")
     assert [_package(name) for name in _imports(file)] == ["cli", "sequences", "rays"]
     assert LAYERS["cli"] > LAYERS["sequences"] > LAYERS["rays"]
+
+
+def _imported_modules(path: Path, modules: set[str]) -> set[str]:
+    """Modules that a file imports anywhere: inside functions and for type checking alone, too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                found.add(submodule if submodule in modules else node.module)
+    return found & modules
+
+
+def _circles(imports: dict[str, set[str]]) -> list[set[str]]:
+    """Groups of modules of which each imports all others, directly or through further ones."""
+    names = sorted(imports)
+    place = {name: index for index, name in enumerate(names)}
+    edges = [(place[name], place[other]) for name in names for other in imports[name] - {name}]
+    rows, columns = np.transpose(edges)
+    graph = coo_array((np.ones(len(edges)), (rows, columns)), shape=(len(names), len(names)))
+    _, groups = connected_components(graph, directed=True, connection="strong")
+    return [
+        {names[index] for index in np.flatnonzero(groups == group)} for group in np.flatnonzero(np.bincount(groups) > 1)
+    ]
+
+
+def test_no_modules_import_one_another():
+    paths = dict(_modules())
+    circles = _circles({module: _imported_modules(path, set(paths)) for module, path in paths.items()})
+    assert circles == []
+
+
+def test_a_circle_would_be_noticed(tmp_path):
+    sources = {
+        "a": "def f():\n    import b\n",
+        "b": "if False:\n    from c import x\n",
+        "c": "from a import f\n",
+        "d": "import a\n",
+    }
+    for name, source in sources.items():
+        (tmp_path / f"{name}.py").write_text(source)
+    imports = {name: _imported_modules(tmp_path / f"{name}.py", set(sources)) for name in sources}
+    assert _circles(imports) == [{"a", "b", "c"}]

@@ -17,7 +17,7 @@ from prbench.readers import files
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.parse_cache import remembered_digest
 from prbench.readers.zipped import ZippedFile, read_all, require_whole_last_line
-from prbench.runs.predictions.numbered import index_numbered
+from prbench.runs.predictions.predictions import index_numbered
 from prbench.runs.predictions.rows import Numbering
 from prbench.storage import file_digest
 from tests.bombs import MEGABYTE, declaring, encrypted, zipped

@@ -12,7 +12,7 @@ from prbench.errors import InputFileError, PredictionsError, RunError, TableErro
 from prbench.runs.predictions import Predictions
 from prbench.runs.scores import read_scores
 from prbench.sequences.rows import open_parquet
-from prbench.submitted.offline.as_parquet import read_parquet as read_conditions
+from prbench.submitted.offline.files import _read_parquet as read_conditions
 
 ROWS = 10**6
 

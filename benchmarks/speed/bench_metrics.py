@@ -20,7 +20,7 @@ from benchmarks.speed.naive_metrics import naive_metrics
 from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.manifests import load_protocol
 from prbench.metrics import METRICS, MotionBatch, ScoringTargets, score
-from prbench.runs.schema import PREDICTIONS
+from prbench.runs.scores import PREDICTIONS
 from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
 

@@ -18,7 +18,7 @@ from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.methods.motions import generate_checked
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.messages import batch_of, motions_payload, read_message, write_message
-from prbench.methods.remote.program import Program
+from prbench.methods.remote.process import Program
 from prbench.skeleton import N_JOINTS
 
 

@@ -64,12 +64,14 @@ def _add_tables(parser: argparse.ArgumentParser) -> None:
 
 def _compare(arguments: argparse.Namespace) -> int:
     from prbench.leaderboard import compare_runs
+    from prbench.metrics import printed_unit
 
     rows = []
     compared = compare_runs(arguments.first, arguments.second, checker=_checker(arguments))
     for row in compared.metrics:
         difference, p = row.comparison.difference, row.comparison.adjusted_p_value
-        scale, unit = (100.0, " points") if row.info.unit == "rate" else (1.0, " m" if row.info.unit == "m" else "")
+        scale = row.info.scale
+        unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
         if "all_equal" in difference.marks:
             bounds = "all equal"  # a bootstrap of equal differences would claim certainty
         elif difference.low is None or difference.high is None:

@@ -25,8 +25,11 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
     Args:
         summary: What it scored.
         origin: Whose method it is, in words.
-        motionless: Its motions stand still, so that Foot Skating says nothing.
+        motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
+    from prbench.metrics import METRICS
+
+    irrelevant = {info.id for info in METRICS if motionless and info.irrelevant_if_motionless}
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method} ({origin}), condition {summary.condition}{control};"
@@ -35,7 +38,7 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
     )
     rows = [
         (metric.title, "–", "", "stands still")
-        if motionless and metric.metric == "foot_skating"
+        if metric.metric in irrelevant
         else (metric.title, *_cells(metric), _remarks(metric))
         for metric in summary.metrics
     ]
@@ -56,7 +59,7 @@ def print_side_by_side(
     Args:
         summaries: Of one dataset each, the same.
         origins: Whose methods they are, in words, one a summary.
-        motionless: Names of methods that stand still, which get no Foot Skating.
+        motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
     from prbench.metrics import METRICS
     from prbench.runs.summary import TWICE_DAGGER
@@ -67,7 +70,7 @@ def print_side_by_side(
         cells = []
         for summary in summaries:
             found = next((metric for metric in summary.metrics if metric.metric == info.id), None)
-            absent = found is None or (summary.method in motionless and info.id == "foot_skating")
+            absent = found is None or (summary.method in motionless and info.irrelevant_if_motionless)
             cells.append("–" if found is None or absent else "\n".join(_cells(found)))
         rows.append((info.title, *cells))
     header = ["metric"]
@@ -82,8 +85,10 @@ def print_side_by_side(
 
 
 def _cells(metric: MetricSummary) -> tuple[str, str]:
-    scale, unit = (100.0, " %") if metric.unit == "rate" else (1.0, " m" if metric.unit == "m" else "")
-    mean = f"{metric.mean * scale:.2f}{unit}"
+    from prbench.metrics import printed_scale, printed_unit
+
+    scale = printed_scale(metric.unit)
+    mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
     if metric.low is None or metric.high is None:
         return mean, "–"
     return mean, f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
@@ -124,6 +129,8 @@ def print_sequence_scores(run: RunFolder) -> None:
 
 
 def _value_cell(value: float, unit: str) -> str:
+    from prbench.metrics import printed_unit
+
     if unit == "rate":
         return "yes" if value >= 0.5 else "no"
-    return f"{value:.3f}{f' {unit}' if unit == 'm' else ''}"
+    return f"{value:.3f}{printed_unit(unit)}"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from prbench.engine import Engine
-    from prbench.evaluation.progress import ProgressCallback
+    from prbench.evaluation.request import ProgressCallback
     from prbench.workflows.table_two import Cell, DatasetLayout, TableLayout, TableRequest
     from prbench.workflows.table_two.plan import PlannedRow
 

@@ -1,10 +1,8 @@
 """Everything that a third party imports to add a method."""
 
-from prbench.contract.adapter import ENTRY_POINT_GROUP, Adapter, LoadAdapter, Trainable
+from prbench.contract.adapter import ENTRY_POINT_GROUP, Adapter, Cost, LoadAdapter, Motions, Trainable, TrainingRun
 from prbench.contract.conditions import GIVEN, Condition, ConditionBatch
-from prbench.contract.motions import Cost, Motions
 from prbench.contract.noise import batch_noise, sequence_noise
-from prbench.contract.training_run import TrainingRun
 
 __all__ = [
     "ENTRY_POINT_GROUP",

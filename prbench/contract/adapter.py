@@ -8,13 +8,50 @@ on first use.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
 from prbench.contract.conditions import Condition, ConditionBatch
-from prbench.contract.motions import Motions
-from prbench.contract.training_run import TrainingRun
 from prbench.sequences.table import SequenceTable
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The effort that a method declares itself; time and memory are measured by the harness."""
+
+    network_passes: int
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Generated joint positions of a batch, in the canonical frame of each sequence's first frame, metres.
+
+    Row i is valid up to ``n_frames[i]``; what stands behind is padding and is never looked at.
+    """
+
+    joints: Float[np.ndarray, "batch frames 22 3"]
+    n_frames: Int[np.ndarray, " batch"]
+    cost: Cost | None = None
+
+    def ragged(self) -> Shaped[np.ndarray, "total 22 3"]:
+        """The valid frames of all rows after one another."""
+        valid = np.arange(self.joints.shape[1]) < self.n_frames[:, None]
+        return self.joints[valid]
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """Given to :meth:`prbench.contract.adapter.Trainable.fit`."""
+
+    folder: Path
+    """Folder for checkpoints and logs; kept per table identity, so that a fit is done once."""
+    seed: int
+    device: str
+
 
 ENTRY_POINT_GROUP = "prbench.adapters"
 
@@ -63,7 +100,7 @@ class Trainable(Adapter, Protocol):
 
 @runtime_checkable
 class LoadAdapter(Protocol):
-    """What an entry point names."""
+    """The function that an entry point names."""
 
     def __call__(self, weights: Path | None, *, options: Mapping[str, str], device: str) -> Adapter:
         """Make the adapter.

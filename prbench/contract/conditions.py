@@ -1,4 +1,4 @@
-"""What a method is given, and nothing else: the firewall between it and the recorded motion, as a type."""
+"""All that a method is given: the firewall between it and the recorded motion, as a type."""
 
 from __future__ import annotations
 

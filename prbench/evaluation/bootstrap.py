@@ -33,7 +33,7 @@ _ACCURACY = 1e-6  # of a percentile, in standard errors
 
 @dataclass(frozen=True, eq=False)
 class RecordingTotals:
-    """What a replicate draws from."""
+    """The recordings that a replicate draws from."""
 
     totals: Float[np.ndarray, " recordings"]
     """Sum over the sequences of each recording."""

@@ -1,4 +1,4 @@
-"""Whether two methods differ, judged on the same sequences and recording by recording.
+"""Differences of two methods, judged on the same sequences and recording by recording.
 
 Source: docs/specification/protocol.md#comparisons.
 """
@@ -15,13 +15,13 @@ from jaxtyping import Float
 from prbench.evaluation.intervals import EQUAL_WITHIN, Estimate, Ids, clustered, mean_interval
 from prbench.randomness import named_generator
 
-FEWEST_FOR_P_VALUE = 6
+_FEWEST_FOR_P_VALUE = 6
 """Recordings: with five, the smallest two-sided p-value of a sign-flip test is 2/32, above 5 %."""
 LARGEST_ENUMERATION = 36
 """Recordings up to which all sign patterns are counted; beyond, random ones."""
-PERMUTATIONS = 100_000
+_PERMUTATIONS = 100_000
 _PATTERNS_AT_ONCE = 10_000
-SIGNIFICANCE = 0.05
+_SIGNIFICANCE = 0.05
 
 Conclusion = Literal["higher", "lower", "not supported by the data"]
 
@@ -47,8 +47,8 @@ class Comparison:
 
     @property
     def conclusion(self) -> Conclusion:
-        """Whether the first method is higher or lower than the second at a family-wise 5 %."""
-        if self.adjusted_p_value is None or self.adjusted_p_value > SIGNIFICANCE:
+        """Words for the result: is the first method higher or lower than the second at a family-wise 5 %?"""
+        if self.adjusted_p_value is None or self.adjusted_p_value > _SIGNIFICANCE:
             return "not supported by the data"
         return "higher" if self.difference.mean > 0 else "lower"
 
@@ -83,14 +83,14 @@ def sign_flip_p_value(differences: Float[np.ndarray, " sequences"], recording_id
     """
     data = clustered(differences, recording_ids)
     totals = data.totals
-    if len(totals) < FEWEST_FOR_P_VALUE:
+    if len(totals) < _FEWEST_FOR_P_VALUE:
         return None
     reached = abs(float(totals.sum())) - EQUAL_WITHIN * len(data.samples)
     if reached <= 0:
         return 1.0
     if len(totals) <= LARGEST_ENUMERATION:
         return _patterns_that_reach(reached, totals) / 2 ** len(totals)
-    return (1 + _random_patterns_that_reach(reached, totals, data.recordings)) / (1 + PERMUTATIONS)
+    return (1 + _random_patterns_that_reach(reached, totals, data.recordings)) / (1 + _PERMUTATIONS)
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
@@ -130,7 +130,7 @@ def _random_patterns_that_reach(
 ) -> int:
     generator = named_generator("sign-flips", *recordings)
     found = 0
-    for _ in range(PERMUTATIONS // _PATTERNS_AT_ONCE):
+    for _ in range(_PERMUTATIONS // _PATTERNS_AT_ONCE):
         signs = generator.choice(np.array([-1.0, 1.0]), size=(_PATTERNS_AT_ONCE, len(totals)))
         found += int((np.abs(signs @ totals) >= least).sum())
     return found

@@ -74,7 +74,7 @@ class ConditionSource:
     def batch(
         self, rows: Int[np.ndarray, " rows"], condition: Condition, *, seed: int, salt: bytes, sample: int
     ) -> ConditionBatch:
-        """What a method may know about some sequences.
+        """Return what a method may know about some sequences.
 
         Args:
             rows: Places in the selection.
@@ -113,7 +113,7 @@ def opaque_ids(sequence_ids: Iterable[str], salt: bytes) -> list[str]:
 
 
 def derangement(selection: Selection, *, seed: int) -> Int[np.ndarray, " n"]:
-    """For each chosen sequence another one, a single cycle through all of them (Sattolo's algorithm).
+    """Assign another sequence to each chosen one: a single cycle through all of them (Sattolo's algorithm).
 
     Depends on the seed and on which sequences of the table were chosen.
 

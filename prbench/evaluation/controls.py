@@ -31,7 +31,7 @@ RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED})
 
 
 @dataclass(frozen=True)
-class ControlInfo:
+class _ControlInfo:
     """One control, for lists and messages."""
 
     name: str
@@ -41,10 +41,10 @@ class ControlInfo:
 
 
 CONTROLS = (
-    ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
-    ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
-    ControlInfo(SCRIPTED, "--method", "clockwork: faces the goal at 2.0 s, then glides there and reaches"),
-    ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
+    _ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
+    _ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
+    _ControlInfo(SCRIPTED, "--method", "clockwork: faces the goal at 2.0 s, then glides there and reaches"),
+    _ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
 )
 
 

@@ -11,9 +11,9 @@ import msgspec
 import psutil
 
 from prbench.contract import ConditionBatch, Motions
-from prbench.methods.methods import MethodSpec
+from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.motions import generate_checked
-from prbench.methods.threads import computing_threads
+from prbench.methods.users_environment import computing_threads
 from prbench.runs.cost import BatchCost
 from prbench.runs.predictions import PredictionRows, write_part
 
@@ -25,7 +25,7 @@ class BatchTask:
     index: int
     sequence_ids: tuple[str, ...]
     conditions: tuple[ConditionBatch, ...]
-    """One a sample; they differ in their noise seeds only."""
+    """One batch for each sample; they differ in their noise seeds only."""
     method: MethodSpec | None
     """None for a control."""
     seed: int
@@ -37,7 +37,7 @@ class BatchTask:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name of the batch in messages."""
         return f"batch {self.index}, from sequence {self.sequence_ids[0]} on"
 
 

@@ -36,13 +36,13 @@ Ids = Sequence[str] | np.ndarray
 """One name a row."""
 
 CONFIDENCE = 0.95
-FEWEST_FOR_BOOTSTRAP = 10
+_FEWEST_FOR_BOOTSTRAP = 10
 EQUAL_WITHIN = 1e-5
 """Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
 
-FEW_RECORDINGS = "few_recordings"
-ONE_RECORDING = "one_recording"
-ALL_EQUAL = "all_equal"
+_FEW_RECORDINGS = "few_recordings"
+_ONE_RECORDING = "one_recording"
+_ALL_EQUAL = "all_equal"
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Estimate:
     n_sequences: int
     n_recordings: int
     method: str
-    """How the interval was made: wilson-cluster, clopper-pearson-recordings, bootstrap, t-jackknife or none."""
+    """Name of the interval: wilson-cluster, clopper-pearson-recordings, bootstrap, t-jackknife or none."""
     marks: tuple[str, ...]
     """``few_recordings`` (below ten), ``one_recording``, ``all_equal``."""
 
@@ -91,22 +91,22 @@ class ClusteredValues:
 
     @property
     def mean(self) -> float:
-        """The estimator: mean over sequences."""
+        """Mean over sequences, the estimate itself."""
         return float(self.totals.sum() / self.sequences.sum())
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """What a reader must know about the data."""
+        """Remarks that a reader of the interval needs."""
         count = len(self.sequences)
         found = {
-            ONE_RECORDING: count == 1,
-            FEW_RECORDINGS: count < FEWEST_FOR_BOOTSTRAP,
-            ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
+            _ONE_RECORDING: count == 1,
+            _FEW_RECORDINGS: count < _FEWEST_FOR_BOOTSTRAP,
+            _ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
         }
         return tuple(mark for mark, holds in found.items() if holds)
 
     def estimate(self, low: float | None, high: float | None, method: str) -> Estimate:
-        """The mean with an interval of it."""
+        """Put the mean and an interval of it together."""
         return Estimate(self.mean, low, high, len(self.samples), len(self.sequences), method, self.marks)
 
 
@@ -152,10 +152,10 @@ def metric_interval(
     recording_ids: Ids,
     sequence_ids: Ids | None = None,
 ) -> Estimate:
-    """The interval that fits the unit of a metric; arguments as those of :func:`clustered`."""
+    """Return the interval that fits a metric; arguments as those of :func:`clustered`."""
     if info.unit == "rate":
         return rate_interval(values, recording_ids, sequence_ids)
-    return mean_interval(values, recording_ids, sequence_ids, nonnegative=True)
+    return mean_interval(values, recording_ids, sequence_ids, nonnegative=not info.can_be_negative)
 
 
 def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None) -> Estimate:
@@ -188,7 +188,7 @@ def mean_interval(
     data = clustered(values, recording_ids, sequence_ids)
     if len(data.sequences) == 1:
         return data.estimate(None, None, "none")
-    if len(data.sequences) < FEWEST_FOR_BOOTSTRAP:
+    if len(data.sequences) < _FEWEST_FOR_BOOTSTRAP:
         reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(jackknife_variance(data))
         low, high, method = data.mean - reach, data.mean + reach, "t-jackknife"
     else:

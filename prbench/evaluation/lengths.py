@@ -14,7 +14,7 @@ _FEWEST_FOR_RATE = 2  # one motion of another length says nothing about a rate
 def length_problem(
     place: Callable[[int], str], expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], *, fps: float
 ) -> str | None:
-    """What is wrong with the lengths of some motions, or None.
+    """Say what is wrong with the lengths of some motions; None if they are right.
 
     Args:
         place: Where a motion stands, and its name, by its row.

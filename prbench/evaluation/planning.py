@@ -1,4 +1,4 @@
-"""Which sequences are run, and in which batches: decided by the sorted table alone."""
+"""The sequences that are run, and their batches: decided by the sorted table alone."""
 
 from __future__ import annotations
 

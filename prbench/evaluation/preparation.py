@@ -20,12 +20,12 @@ from prbench.evaluation.planning import Selection, plan_batches, plan_digest, se
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import load_protocol
-from prbench.methods.adapters import find_adapter, require_condition
+from prbench.methods.adapters import find_adapter, require_condition, require_weights, used_weights, weights_digest
 from prbench.methods.declared import Declared
-from prbench.methods.methods import LoadedMethod, MethodSpec, forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
+from prbench.methods.methods import fitted_to, method_spec
 from prbench.methods.native_rate import native_frames
 from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.methods.weights import require_weights, used_weights, weights_digest
 from prbench.runs.record import (
     BUILT_IN,
     CONTROL,
@@ -36,12 +36,12 @@ from prbench.runs.record import (
     RunRecord,
     TableRecord,
 )
-from prbench.runs.schema import RUN_SCHEMA_VERSION
+from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
 DEFAULT_PARENT = Path("runs")
-"""Where run folders are made if the user names none."""
+"""Folder of run folders for which the user names none."""
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
@@ -52,7 +52,7 @@ class PreparedDataset:
     chosen: Selection
     """The sequences of split and limit."""
     selection: Selection
-    """Of these, the ones that the method can generate."""
+    """The chosen sequences that the method can generate."""
     source: ConditionSource
     plan: list[Int[np.ndarray, "_"]]
     method: MethodSpec | None
@@ -62,11 +62,11 @@ class PreparedDataset:
 
     @property
     def name(self) -> str:
-        """Of the dataset."""
+        """Name of the dataset."""
         return self.selection.table.info.dataset
 
     def ids(self, rows: Int[np.ndarray, " rows"]) -> tuple[str, ...]:
-        """Of a planned batch."""
+        """Ids of a planned batch."""
         return tuple(self.selection.sequence_ids[row] for row in rows)
 
 
@@ -123,7 +123,7 @@ def _control(request: RunRequest) -> MethodRecord:
 
 
 def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
-    """What is recorded about an adapter or a program, which is loaded for it."""
+    """Load an adapter or a program, and return what is recorded about it."""
     method = spec.load()
     origin = f"adapter '{method.name}'"
     require_condition(method.name, method.adapter, request.condition)
@@ -166,7 +166,7 @@ def _weights(request: RunRequest, method: LoadedMethod, origin: str) -> tuple[st
 
 
 def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[Selection]:
-    """Of each table; where single sequences are asked for, only of the tables that hold one."""
+    """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
     if request.sequences:
         return select_sequences(tables, request.sequences, split=request.split)
     return [select(table, split=request.split, limit=request.limit) for table in tables]
@@ -186,7 +186,7 @@ def _dataset(
             f" of {table.info.dataset} are longer."
         )
     if spec is not None:
-        spec = spec.fitted_to(table)
+        spec = fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
     source, scored_goals = ConditionSource.read(selection), None

@@ -50,7 +50,7 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
 
 
 def _same_reach(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np.ndarray, " sequences"]:
-    """Whether a copy is possible at all: a quick look that spares nearly all motions of methods the close one."""
+    """Return True where a copy is possible at all: a quick look spares nearly all motions the close one."""
     off = np.abs(_extremes(predicted) - _extremes(recorded)).max(axis=0)
     return np.less(off, _REACH)
 

@@ -1,16 +1,16 @@
-"""What a user asks of a run."""
+"""The request of a run, and the reports on how far it has got."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
-from prbench.methods.programs.reference import short_name
+from prbench.methods.programs.words import short_name
 from prbench.storage import turn_into_paths
 
 DEFAULT_BATCH_SIZE = 64
@@ -86,5 +86,23 @@ class RunRequest:
 
     @property
     def method_label(self) -> str:
-        """What to call the method before it is loaded: its name, its command, or the name of its file."""
+        """Name of the method before it is loaded: its name, its command, or the name of its file."""
         return short_name(self.method)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One step of the way through one dataset."""
+
+    dataset: str
+    stage: str
+    """``generate`` (counted in planned batches) or ``score`` (in sequences)."""
+    done: int
+    total: int
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+def silent(progress: Progress) -> None:
+    """Say nothing."""

@@ -20,14 +20,12 @@ from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
-from prbench.evaluation.progress import Progress, ProgressCallback, silent
-from prbench.evaluation.request import RunRequest
+from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
+from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.evaluation.scoring import ScoringRules, score_selection
-from prbench.evaluation.stored_results import require_scores, require_summary
-from prbench.evaluation.summarise import ScoredSet, summarise
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
-from prbench.methods.methods import forget_loaded_methods, unload_method
+from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.record import PACKAGE
@@ -39,14 +37,14 @@ from prbench.storage import write_text
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a run has left behind."""
+    """Results of a run."""
 
     folder: RunFolder
     summaries: tuple[DatasetSummary, ...]
     batches_made: int
-    """In this call."""
+    """Number of batches that this call generated."""
     batches_found: int
-    """From an earlier call."""
+    """Number of batches that an earlier call has left."""
 
 
 def run_method(request: RunRequest, *, engine: Engine | None = None, progress: ProgressCallback = silent) -> RunReport:
@@ -86,7 +84,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
 
 
 def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTask]:
-    """What a run still has to generate, for whoever makes the batches of several runs at once.
+    """Work that a run still has to do, for whoever makes the batches of several runs at once.
 
     :func:`run_method` finds them where :func:`~prbench.evaluation.generation.run_batch` puts them, and scores them.
     The caller holds the run folder until the batches are made.

@@ -24,7 +24,7 @@ from prbench.methods.native_rate import at_table_rate, native_frames
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions
-from prbench.runs.schema import SCORES
+from prbench.runs.scores import SCORES
 from prbench.runs.summary import RECORDED_MOTION
 from prbench.sequences.chunk import SequenceChunk
 
@@ -32,19 +32,17 @@ _COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg"
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
-"""What to do about motions of another length."""
+"""Remedy for motions of another length."""
 _NOT_AS_KEPT = (
     "A run keeps no such motion of a method: the file was changed, or is of an older prbench. Delete it and run the"
     " method again."
 )
-_AGAINST_ITSELF = frozenset(
-    {"goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "reach_wrist"}
-)  # of a recorded motion: they compare it with itself whatever the goal is
+_CARRIES_COPY_REMARK = frozenset(info.id for info in METRICS if info.carries_copy_remark)
 
 
 @dataclass(frozen=True)
 class ScoringRules:
-    """How the motions of one dataset are scored."""
+    """Rules by which the motions of one dataset are scored."""
 
     constants: MetricConstants
     recorded_motion: bool = False
@@ -159,7 +157,7 @@ def _scored(
 ) -> list[MetricValues]:
     metrics = None
     if rules.recorded_motion and rules.other_goals is not None:
-        metrics = frozenset(info.id for info in METRICS) - _AGAINST_ITSELF
+        metrics = frozenset(info.id for info in METRICS if not info.compares_with_recorded)
     values = score(
         predicted,
         recorded,
@@ -172,8 +170,8 @@ def _scored(
 
 
 def _with_copies_marked(values: MetricValues, predicted: MotionBatch, recorded: MotionBatch) -> MetricValues:
-    """The MPJPE of a method with a remark on each motion that is the recorded one; other metrics as they are."""
-    if values.metric != "mpjpe":
+    """Mark motions that are the recorded ones, in the metric that carries the remark; leave all others as they are."""
+    if values.metric not in _CARRIES_COPY_REMARK:
         return values
     copies = is_recorded_motion(predicted, recorded)
     return replace(values, flags={**values.flags, RECORDED_MOTION: copies}) if copies.any() else values
@@ -222,7 +220,7 @@ def _at_table_rate(predicted: MotionBatch, recorded: MotionBatch, window: _Windo
 
 
 def _fps(window: _Window) -> float:
-    """Of the table; a selection has one rate."""
+    """Return the frame rate of the table; a selection has one rate."""
     return float(SequenceChunk(window.recorded).numbers("fps")[0])
 
 

@@ -34,7 +34,7 @@ _ARMS = ((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, WRISTS[0]), (Joint.RIGHT_SHOULD
 
 @dataclass(frozen=True)
 class ScriptedStart:
-    """What the clockwork knows about B sequences; canonical frame, metres."""
+    """The knowledge of the constant-timing control about B sequences; canonical frame, metres."""
 
     initial_joints: Float[np.ndarray, "batch 22 3"]
     goal_location: Float[np.ndarray, "batch 3"]
@@ -160,7 +160,7 @@ def _reaching(body: np.ndarray, goal: np.ndarray, progress: np.ndarray) -> np.nd
 def _elbow(
     shoulder: np.ndarray, elbow: np.ndarray, wrist: np.ndarray, hand: np.ndarray, *, downwards: np.ndarray
 ) -> np.ndarray:
-    """Where the elbow goes when the wrist moves to ``hand``: both bones keep their lengths if that is possible.
+    """Place the elbow for a wrist at ``hand``: both bones keep their lengths if that is possible.
 
     It bends to the side on which it was, and the more downwards the further the reach has got (``downwards`` from 0 to
     1, which decides for an arm that was straight); beyond the arm's length both bones are stretched in proportion.

@@ -14,7 +14,7 @@ from prbench.leaderboard.tables import (
     TableRow,
     hides,
 )
-from prbench.metrics import MetricInfo
+from prbench.metrics import MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
 from prbench.runs.summary import TWICE_DAGGER
 from prbench.shown import markdown, markdown_code
@@ -70,7 +70,7 @@ def _cell(row: TableRow, info: MetricInfo) -> str:
         return ""
     if hides(row.entry, info):
         return _DASH
-    scale = _scale(info)
+    scale = info.scale
     mean = f"{scale * metric.mean:.2f}"
     text = f"**{mean}**" if row.ranks.get(info.id) == 1 else mean
     if metric.low is not None and metric.high is not None:
@@ -128,17 +128,12 @@ def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
     if info.id not in row.means:
         return _DASH if row.means else ""
     rank = f" ({row.ranks[info.id]})" if info.id in row.ranks else ""
-    return f"{_scale(info) * row.means[info.id]:.2f}{rank}"
+    return f"{info.scale * row.means[info.id]:.2f}{rank}"
 
 
 def _column(info: MetricInfo) -> str:
-    arrow = {True: " ↑", False: " ↓", None: ""}[info.higher_is_better]
-    unit = {"rate": " (%)", "m": " (m)", "ratio": ""}[info.unit]
-    return f"{info.title}{arrow}{unit}"
-
-
-def _scale(info: MetricInfo) -> float:
-    return 100.0 if info.unit == "rate" else 1.0
+    unit = printed_unit(info.unit).strip()
+    return f"{info.title}{info.arrow}{f' ({unit})' if unit else ''}"
 
 
 def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

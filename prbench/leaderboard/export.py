@@ -12,7 +12,7 @@ import msgspec
 from prbench.errors import UsageError
 from prbench.leaderboard.as_markdown import as_markdown
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides
-from prbench.metrics import METRICS
+from prbench.metrics import METRICS, exported_unit, printed_scale
 from prbench.shown import csv_text
 
 _CSV_COLUMNS: tuple[str, ...] = (
@@ -36,7 +36,6 @@ _CSV_COLUMNS: tuple[str, ...] = (
 )
 _TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
 _INFOS = {info.id: info for info in METRICS}
-_UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
 _JSON_VERSION = 1
 
 
@@ -76,7 +75,7 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
     for row in table.rows:
         for metric in row.entry.summary.metrics:
             info = _INFOS.get(metric.metric)
-            scale = 100.0 if metric.unit == "rate" else 1.0
+            scale = printed_scale(metric.unit)
             hidden = info is not None and hides(row.entry, info)
             notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
             if hidden:
@@ -91,7 +90,7 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 "variant": row.variant,
                 "metric": metric.metric,
                 "value": "" if hidden else _csv_number(scale * metric.mean),
-                "unit": _UNITS[metric.unit],
+                "unit": exported_unit(metric.unit),
                 "higher_is_better": _csv_direction(metric.metric),
                 "low": "" if hidden or metric.low is None else _csv_number(scale * metric.low),
                 "high": "" if hidden or metric.high is None else _csv_number(scale * metric.high),
@@ -116,8 +115,8 @@ def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "method": row.method,
                 "variant": row.variant,
                 "metric": metric,
-                "value": _csv_number((100.0 if info.unit == "rate" else 1.0) * mean),
-                "unit": _UNITS[info.unit],
+                "value": _csv_number(info.scale * mean),
+                "unit": exported_unit(info.unit),
                 "higher_is_better": _csv_direction(metric),
                 "rank": str(row.ranks.get(metric, "")),
                 "verified": "unverified" if row.unverified else "verified",

@@ -144,8 +144,8 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
 
 
 def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
-    """Return True for foot skating of motionless methods, for which the study prints a dash."""
-    return entry.record.method.motionless and info.id == "foot_skating"
+    """Return True where a metric says nothing of a motionless method, for which the study prints a dash."""
+    return entry.record.method.motionless and info.irrelevant_if_motionless
 
 
 def _is_ranked(entry: LeaderboardRow) -> bool:

@@ -1,1 +1,1 @@
-"""How a method is reached: installed under an entry point, in this process, as a program over Arrow, or isolated."""
+"""Ways to a method: installed under an entry point, in this process, as a program over Arrow, or isolated."""

@@ -1,19 +1,21 @@
-"""Installed methods: listed from package metadata alone, loaded by name."""
+"""Installed methods: found by name, imported and made, and the weights that they use."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
-from prbench.errors import AdapterError, PrbenchError
+from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.methods.declared import Declared
 from prbench.methods.installed import InstalledAdapter, list_adapters, no_such_method
+from prbench.storage import file_digest
 
 
 def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapter:
-    """The installed method of this name: prbench's own, or the one that a single package offers.
+    """Find the installed method of this name: prbench's own, or the one that a single package offers.
 
     Args:
         name: As given by ``--method``.
@@ -42,7 +44,7 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
     """Import a method and make it.
 
     Args:
-        name: Of the entry point.
+        name: Name of the entry point.
         weights: File or folder, or None for the method's default.
         options: ``--option key=value``, handed on as they are.
         device: ``cpu``, ``cuda`` …
@@ -86,6 +88,49 @@ def require_condition(name: str, adapter: Adapter, condition: Condition) -> None
     if condition not in conditions:
         taken = ", ".join(sorted(item.value for item in conditions))
         raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
+
+
+def used_weights(adapter: Adapter, condition: Condition, given: Path | None, *, origin: str) -> Path | None:
+    """Return the weights used under a condition: those the method names itself (``weights_for``), else those given.
+
+    Raises:
+        AdapterError: if it names something that is no path.
+    """
+    weights_for = getattr(adapter, "weights_for", None)
+    if weights_for is None:
+        return given
+    weights = weights_for(condition)
+    if weights is None or isinstance(weights, Path):
+        return weights
+    raise AdapterError(f"{origin}: expected weights_for() to return a pathlib.Path or None, found {weights!r}.")
+
+
+def require_weights(weights: Path | None) -> None:
+    """Refuse a path that does not exist; a single word may be a name that the method knows.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    if weights is not None and not weights.exists() and (len(weights.parts) > 1 or weights.suffix):
+        raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
+
+
+def weights_digest(weights: Path | None) -> str | None:
+    """Return the SHA-256 of a weights file, or of the names and contents of a folder.
+
+    Raises:
+        UsageError: if the path does not exist.
+    """
+    if weights is None:
+        return None
+    if weights.is_file():
+        return file_digest(weights)
+    if not weights.is_dir():
+        raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
+    total = hashlib.sha256()
+    for path in sorted(path for path in weights.rglob("*") if path.is_file()):
+        total.update(f"{path.relative_to(weights).as_posix()}\t{file_digest(path)}\n".encode())
+    return total.hexdigest()
 
 
 def _cause(error: BaseException) -> str:

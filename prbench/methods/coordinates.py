@@ -1,13 +1,63 @@
-"""Coordinates that no motion in metres holds: refused with frame and joint, and with the unit that they look like."""
+"""Coordinates that no motion in metres holds, refused with frame and joint, and the unit that a body seems to be in."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.limits import FARTHEST_COORDINATE
-from prbench.methods.body_size import spread_poses, wrong_unit
 from prbench.skeleton import Joint
+
+_SMALLEST = 0.65  # metres between the two joints of a human pose that lie farthest apart
+_TYPICAL = 1.5
+_LARGEST = 2.35
+_NO_BODY = 1e-9
+_POSES_PER_MOTION = 48
+_UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("decimetres", 0.1), ("feet", 0.3048))
+
+
+class WrongUnit(NamedTuple):
+    """Bodies that are not of human size in metres."""
+
+    evidence: str
+    cause: str
+    remedy: str
+    metres_per_unit: float
+    """Factor that the numbers have to be multiplied by."""
+
+
+def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "poses joints 3"]:
+    """Return at most 48 poses of a motion, evenly spread over its frames."""
+    return motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_PER_MOTION)).astype(int)]
+
+
+def body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
+    """Return the median over poses of the largest distance between two joints, in the unit of the poses."""
+    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
+    return float(np.median(apart.max(axis=(1, 2))))
+
+
+def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
+    """Return the unit that bodies seem to be in, or None where they are of human size in metres or have no size.
+
+    Axes and the order of joints do not matter.
+    """
+    size = body_size(poses)
+    if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
+        return None
+    evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"
+    fits = [unit for unit in _UNITS if _SMALLEST <= size * unit[1] <= _LARGEST]
+    if fits:
+        name, factor = min(fits, key=lambda unit: abs(np.log(size * unit[1] / _TYPICAL)))
+        cause = f"positions are in {name}"
+        remedy = f"Multiply the joints by {factor:g}: prbench wants metres."
+    else:
+        factor = _TYPICAL / size
+        cause = "positions were divided by a height or a standard deviation, or are in a unit of their own"
+        remedy = f"Undo the scaling before the motions are handed over; a factor near {factor:.3g} gives people's size."
+    return WrongUnit(evidence, cause, remedy, factor)
 
 
 def impossible_frames(
@@ -47,7 +97,7 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
 
 
 def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
-    """Whether each number is finite and within the distance."""
+    """Return True for each number that is finite and within the distance."""
     return np.isfinite(values) & (np.abs(values) <= farthest)
 
 

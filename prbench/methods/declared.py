@@ -1,4 +1,4 @@
-"""What a method declares about itself, checked before anything depends on it."""
+"""The declarations of a method about itself, checked before anything depends on them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Declared:
 
     conditions: frozenset[Condition]
     max_frames: int | None = None
-    """At its own rate; None for no limit."""
+    """Longest motion at its own rate, in frames; None for no limit."""
     native_fps: float | None = None
-    """None for the table's rate."""
+    """Frames per second that it generates; None for the table's rate."""
     motionless: bool = False
 
     @classmethod
@@ -29,7 +29,7 @@ class Declared:
 
         Args:
             adapter: The method.
-            origin: What to call it in messages.
+            origin: Name of the method in messages.
 
         Raises:
             AdapterError: naming the attribute that is not what the contract asks for.
@@ -46,7 +46,7 @@ class Declared:
     def checked(
         cls, conditions: object, max_frames: object, native_fps: object, motionless: bool, *, origin: str
     ) -> Declared:
-        """The same from values of unknown types.
+        """Read the same from values of unknown types.
 
         Raises:
             AdapterError: see :meth:`by`.

@@ -1,4 +1,4 @@
-"""What installed methods declare about themselves, each imported in a process of its own, with a time limit.
+"""Declarations of installed methods, each imported in a process of its own, with a time limit.
 
 Importing a stranger's package may print, leave the interpreter, crash it or never end. Here that costs one line of a
 list, never the list.
@@ -50,7 +50,7 @@ class Description:
     printed: int = 0
     """Bytes that it wrote to stdout and stderr meanwhile."""
     error: str = ""
-    """In one line; empty if there is none."""
+    """Reason in one line; empty if there is none."""
 
 
 def describe_adapters(
@@ -124,7 +124,7 @@ def _described(method: InstalledAdapter, said: dict, printed: int) -> Descriptio
 
 
 def _said(report: Path) -> dict:
-    """Everything that the process put down before it ended, later lines over earlier ones."""
+    """Return everything that the process put down before it ended, later lines over earlier ones."""
     said: dict = {}
     for line in report.read_text(encoding="utf-8").splitlines() if report.is_file() else []:
         said |= json.loads(line)
@@ -132,7 +132,7 @@ def _said(report: Path) -> dict:
 
 
 def _ending(said: dict, status: int | None, time_limit: float, tail: str) -> str:
-    """How a process ended that never finished its report."""
+    """Say how a process ended that never finished its report."""
     doing = {"import": "while it was imported", "load": "in load()"}.get(
         said.get("stage", ""), "before it was imported"
     )
@@ -153,7 +153,7 @@ def _signal_name(number: int) -> str:
 
 
 def _line(text: str) -> str:
-    """A message as one line of bounded length."""
+    """Return a message as one line of bounded length."""
     line = " ".join(text.split())
     return line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 2] + " …"
 

@@ -45,7 +45,7 @@ def main(name: str, report: Path) -> None:
 
 
 def declarations(adapter: Adapter) -> dict:
-    """What a method declares, as plain values."""
+    """Return the declarations of a method as plain values."""
     declared = Declared.by(adapter, origin="it")
     return {
         "conditions": sorted(condition.value for condition in declared.conditions),
@@ -68,7 +68,7 @@ def _origin(method: InstalledAdapter) -> str:
 
 
 def _remedy(error: BaseException | None, method: InstalledAdapter) -> str:
-    """How to install a module that is missing, if the package's own metadata tell."""
+    """Say how to install a module that is missing, if the package's own metadata tell."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return ""
     missing = error.name.partition(".")[0]

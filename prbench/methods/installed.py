@@ -18,7 +18,7 @@ _PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".
 
 @dataclass(frozen=True, order=True)
 class InstalledAdapter:
-    """What package metadata say about a method; nothing of it was imported."""
+    """The package metadata of a method; nothing of it was imported."""
 
     name: str
     package: str
@@ -26,37 +26,37 @@ class InstalledAdapter:
     target: str
     """``module:callable``."""
     problem: str = ""
-    """Why the method cannot be used: its metadata are damaged, or its name is not its own; empty if it can."""
+    """Reason why the method cannot be used: damaged metadata, or a name that is not its own; empty if it can."""
     built_in: bool = False
-    """It comes with prbench itself."""
+    """True if it comes with prbench itself."""
 
 
 def list_adapters() -> list[InstalledAdapter]:
-    """All installed methods by name, without importing any of them; those that cannot be used say why."""
+    """Return all installed methods by name, without importing any; those that cannot be used say why."""
     return sorted(set(_adapters()))
 
 
 def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
-    """Names that more than one package may use; such a name cannot be used until one of them is uninstalled."""
+    """Return names that several packages offer; such a name cannot be used until all but one are uninstalled."""
     names = [adapter.name for adapter in adapters if not adapter.problem]
     return frozenset(name for name in names if names.count(name) > 1)
 
 
 def entry_points_of(group: str) -> Iterator[EntryPoint]:
-    """The readable entry points of a group; unreadable ones, and names that belong to prbench, are passed over."""
+    """Yield the readable entry points of a group, but none whose name belongs to prbench."""
     for entry in installed_entries(group):
         if entry.name and entry.target and (entry.ours or name_problem(entry.name) is None):
             yield EntryPoint(entry.name, entry.target, group)
 
 
 def no_such_method(name: str, known: Iterable[str]) -> AdapterError:
-    """The answer to a method's name that nobody knows: the nearest known one, or how a program or a file is given."""
+    """Return the error for an unknown method: it names the nearest known one, or how a program or a file is given."""
     hint = did_you_mean(name, known) or _as_program(name)
     return AdapterError(f"adapter '{name}' is not installed.{hint} `prbench adapters list` shows all of them.")
 
 
 def _as_program(name: str) -> str:
-    """A hint for what looks like a program, a file of its results, or a command."""
+    """Return a hint for what looks like a program, a file of its results, or a command."""
     words = name.split()
     if name.lower().endswith(".toml"):
         return " It looks like the TOML file of a method, but there is no such file."
@@ -78,7 +78,7 @@ def _adapters() -> Iterator[InstalledAdapter]:
 
 
 def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> InstalledAdapter:
-    """The method, marked as built in, or refused where its name belongs to prbench or cannot be shown."""
+    """Mark the method as built in, or as refused where its name belongs to prbench or cannot be shown."""
     if ours and adapter.name in BUILT_IN_METHODS:
         return replace(adapter, built_in=True)
     problem = adapter.problem or name_problem(adapter.name) or ""

@@ -1,26 +1,51 @@
-"""Methods that this process has made: called here, or as a program that this process has started."""
+"""Make methods, and keep the one that this process has made: called here, or a program that it has started."""
 
 from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil
 
 from prbench.contract import Adapter, Trainable, TrainingRun
 from prbench.errors import AdapterError
 from prbench.methods.adapters import load_adapter
-from prbench.methods.isolation.training_copy import temporary_training_copy
 from prbench.methods.names import name_problem
 from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.methods.remote.program import Program
-from prbench.methods.training_split import FIT_SEED, TrainingSplit
+from prbench.methods.remote.process import Program
+from prbench.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
 from prbench.sequences import SequenceTable
 
-if TYPE_CHECKING:
-    from prbench.methods.methods import MethodSpec
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """Enough to make a method in any process."""
+
+    name: str
+    """Name of the installed adapter, or of the program's file until the program has introduced itself."""
+    weights: Path | None
+    options: tuple[tuple[str, str], ...]
+    device: str
+    threads: int
+    fit_folder: Path | None = None
+    """Folder of the fit, if the method is fitted by the run."""
+    table_folder: Path | None = None
+    """The dataset that it is fitted to."""
+    program: Program | None = None
+    """Program that runs the method in a process of its own; None to call it in this one."""
+    package: str | None = None
+    """The command of a program that the user named; None for an installed method."""
+    expected_name: str | None = None
+    """Name that such a program must introduce itself by."""
+    isolation: str | None = None
+    """``process`` or ``bubblewrap``, or ``container``, if the user asked for isolation."""
+    timeout: float | None = None
+    hidden: tuple[Path, ...] = ()
+
+    def load(self) -> LoadedMethod:
+        """Return the method, ready to generate; it is made once a process."""
+        return HELD.method(self)
 
 
 @dataclass
@@ -30,22 +55,22 @@ class LoadedMethod:
     name: str
     adapter: Adapter
     warmed_up: bool = False
-    """It has generated a batch, and with it loaded whatever loads on first use."""
+    """True once it has generated a batch, and with it loaded whatever loads on first use."""
 
     @property
     def is_trainable(self) -> bool:
-        """Whether it learns from a table, here or in its own process."""
+        """True if it learns from a table, here or in its own process."""
         return isinstance(self.adapter, Trainable) or getattr(self.adapter, "trainable", False)
 
     def program_bytes(self) -> int:
-        """Memory of the method's program and of all that it has started; 0 in process."""
+        """Return the memory of the method's program and of all that it has started, in bytes; 0 in process."""
         if not isinstance(self.adapter, RemoteAdapter):
             return 0
         return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
 
     @property
     def restarts(self) -> int:
-        """How often the method's program was started again after a crash; 0 in process."""
+        """Number of times that the method's program was started again after a crash; 0 in process."""
         return self.adapter.restarts if isinstance(self.adapter, RemoteAdapter) else 0
 
     def close(self) -> None:
@@ -55,15 +80,15 @@ class LoadedMethod:
 
 
 @dataclass
-class HeldMethods:
-    """What this process holds for the sake of methods: the one loaded last, and copies of training rows."""
+class _HeldMethods:
+    """The method that this process has loaded last, and its copies of training rows."""
 
     spec: MethodSpec | None = None
     loaded: LoadedMethod | None = None
     copies: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
 
     def method(self, spec: MethodSpec) -> LoadedMethod:
-        """The method, made anew unless it was the last one; an earlier one's program is ended."""
+        """Return the method, made anew unless it was the last one; an earlier one's program is ended."""
         if self.loaded is None or self.spec != spec:
             self.unload()
             self.loaded = _loaded_program(spec, spec.program) if spec.program is not None else _loaded_here(spec)
@@ -71,7 +96,7 @@ class HeldMethods:
         return self.loaded
 
     def training_copy(self, table: SequenceTable) -> Path:
-        """Folder of a copy of a table's training rows, there until :meth:`forget`."""
+        """Copy a table's training rows; the folder stays until :meth:`forget`."""
         self.copies.append(temporary_training_copy(table))
         return Path(self.copies[-1].name).resolve()
 
@@ -89,7 +114,20 @@ class HeldMethods:
         self.spec = self.loaded = None
 
 
-HELD = HeldMethods()
+HELD = _HeldMethods()
+
+
+def forget_loaded_methods() -> None:
+    """End programs, and load afresh what is asked for next.
+
+    A new run never meets the state that an earlier one left in a method.
+    """
+    HELD.forget()
+
+
+def unload_method() -> None:
+    """End the program of this process, if there is one; copies that were made for others are kept."""
+    HELD.unload()
 
 
 def _loaded_here(spec: MethodSpec) -> LoadedMethod:
@@ -122,7 +160,7 @@ def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
 
 
 def _require_name(name: str, spec: MethodSpec) -> None:
-    """What a program calls itself must be its own: it is what leaderboards show."""
+    """Refuse a name that is not the program's own: leaderboards show it."""
     if spec.expected_name is not None and name != spec.expected_name:
         raise AdapterError(
             f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."

@@ -96,7 +96,7 @@ def well_formed(
     sequence_ids: Sequence[str],
     farthest: float = FARTHEST_COORDINATE,
 ) -> Motions:
-    """The motions as float32 if they are what the contract asks for.
+    """Return the motions as float32 if they are what the contract asks for.
 
     Args:
         motions: What a method has returned.
@@ -146,7 +146,7 @@ def well_formed(
 
 
 def _as_array(n_frames: object) -> np.ndarray:
-    """Frame counts as NumPy reads them; of any shape, wrong ones too."""
+    """Return frame counts as NumPy reads them; of any shape, wrong ones too."""
     try:
         return np.asarray(n_frames)
     except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
@@ -154,7 +154,7 @@ def _as_array(n_frames: object) -> np.ndarray:
 
 
 def own_copy(batch: ConditionBatch) -> ConditionBatch:
-    """Arrays of its own, so that a method that writes into them changes neither its next sample nor our checks."""
+    """Copy all arrays: a method that writes into its batch changes neither its next sample nor our checks."""
     arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
     return dataclasses.replace(
         batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
@@ -178,14 +178,14 @@ def _named_warnings(batch: ConditionBatch, ids: Sequence[str]) -> Iterator[None]
 
 
 def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
-    """A message of a method that knows opaque ids alone, with the names that a user knows."""
+    """Replace opaque ids in a message of a method by the names that a user knows."""
     for opaque_id, name in zip(batch.opaque_id, ids, strict=True):
         message = re.sub(rf"\b{re.escape(opaque_id)}\b", lambda _: name, message)  # noqa: B023 - called at once
     return message
 
 
 def told(error: BaseException) -> str:
-    """An exception with the file and line that raised it, for whoever has to repair the method."""
+    """Describe an exception with the file and line that raised it, for whoever has to repair the method."""
     raised_at = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
 
@@ -221,6 +221,6 @@ def release_memory() -> None:
 
 
 def _asked_for(ids: Sequence[str]) -> str:
-    """Names are long: what was asked for comes behind the reason."""
+    """Say what was asked for; names are long, so it comes behind the reason."""
     batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
     return f" It was asked for {batch}."

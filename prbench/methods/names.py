@@ -21,11 +21,11 @@ BUILT_IN_METHODS = ("dart", "dno", "gmd", "mdm", "pr", "static", "wandr")
 """Methods that come with prbench, installed or not."""
 
 _WORDS = ("all", "prbench", "shuffled", "t2m-evaluator")
-"""What commands and tables mean something else by."""
+"""Words that mean something else in commands and tables."""
 _LONGEST = 100
 _FORM = re.compile(r"[A-Za-z0-9]([A-Za-z0-9 ._+()-]*[A-Za-z0-9.+)])?")
 NAME_FORM = f"1 to {_LONGEST} characters of A to Z, a to z, 0 to 9, space and . _ + - ( ), first a letter or a digit"
-"""What a name may look like. Other alphabets hold letters that look like these and are not."""
+"""Form of a name, in words. Other alphabets hold letters that look like these and are not."""
 
 
 def has_form(name: object) -> bool:
@@ -49,7 +49,7 @@ def name_problem(name: object) -> str | None:
 
 
 def _bare(name: str) -> str:
-    """A name as a quick reader takes it in: small letters and digits."""
+    """Return a name as a quick reader takes it in: small letters and digits."""
     return re.sub(r"[^a-z0-9]", "", name.casefold())
 
 

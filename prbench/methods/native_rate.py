@@ -11,12 +11,12 @@ from prbench.contract import ConditionBatch, Motions
 
 
 def native_frames(n_frames: Int[np.ndarray, " n"], *, fps: float, native_fps: float) -> Int[np.ndarray, " n"]:
-    """Frames at the native rate that cover ``n_frames`` at the table's: the last one at or after the end."""
+    """Count the frames at the native rate that cover ``n_frames`` at the table's: the last one at or after the end."""
     return np.ceil((n_frames - 1) * (native_fps / fps) - 1e-9).astype(np.int64) + 1
 
 
 def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
-    """The batch as the method is to see it.
+    """Return the batch as the method is to see it.
 
     The frame before the first lies one native frame before it: its offset, a velocity, is scaled with the rate.
     """
@@ -31,7 +31,7 @@ def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
 
 
 def at_table_rate(motions: Motions, batch: ConditionBatch, *, native_fps: float) -> Motions:
-    """Linear interpolation of native motions at the times of the table's frames.
+    """Interpolate native motions linearly at the times of the table's frames.
 
     Args:
         motions: At ``native_fps``, of the lengths of :func:`native_frames`.

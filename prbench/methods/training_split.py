@@ -1,19 +1,27 @@
-"""The part of a table that a method may learn from."""
+"""The rows of a table that a method may learn from, and a copy of them for methods that never get the table itself."""
 
 from __future__ import annotations
 
+import itertools
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from pathlib import Path
 
+import psutil
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.errors import AdapterError
-from prbench.sequences import SequenceTable
+from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
+from prbench.sequences.write import write_table
 
 FIT_SEED = 0
-"""Of methods that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
+"""Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
 _SPLIT = "train"
 
 
@@ -44,12 +52,12 @@ class TrainingSplit(SequenceTable):
         return super().scalars(split=_of_training(split))
 
     def events(self) -> pa.Table:
-        """The events of the training recordings; those of the others would tell where the goals of test rows are."""
+        """Return the events of the training recordings; the others would tell where the goals of test rows are."""
         events, known = super().events(), self.recordings()["recording_id"].combine_chunks()
         return events.filter(pc.call_function("is_in", [events["recording_id"]], pc.SetLookupOptions(known)))
 
     def recordings(self) -> pa.Table:
-        """The training recordings."""
+        """Return the training recordings."""
         return super().recordings().filter(pc.field("split") == _SPLIT)
 
     @cached_property
@@ -67,7 +75,88 @@ class TrainingSplit(SequenceTable):
         return SequenceTable(self.folder, self.info)
 
 
+_TRAIN = "train"
+_PREFIX = "prbench-train-"
+
+
+class TrainingCopy(TrainingSplit):
+    """The copy, which a method takes for the table: same rows, same chunks, same digests."""
+
+    @classmethod
+    def open(cls, folder: Path | str) -> TrainingCopy:
+        """Open what :func:`write_training_copy` has written; that it may be empty is for the method to say."""
+        return cls(Path(folder), DatasetInfo.read(folder))
+
+    @cached_property
+    def identity(self) -> str:
+        """That of the whole table that was copied from."""
+        return self.info.identity_digest
+
+    @cached_property
+    def content(self) -> str:
+        """That of the whole table that was copied from."""
+        return self.info.content_digest
+
+
+def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory[str]:
+    """Make a training copy in a folder that vanishes with this process, or at the latest when the next one is made.
+
+    Raises:
+        StorageError: if it cannot be written.
+    """
+    _remove_orphans()
+    folder = tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-", ignore_cleanup_errors=True)
+    try:
+        write_training_copy(table, Path(folder.name))
+    except BaseException:
+        folder.cleanup()
+        raise
+    return folder
+
+
+def write_training_copy(table: SequenceTable, folder: Path) -> None:
+    """Write the training rows of a table, and its events and recordings of that split.
+
+    One part a chunk: whoever streams the copy adds up the same rows in the same order and portions as from the table,
+    so that a fit ends with the same bytes.
+
+    Args:
+        table: The whole table.
+        folder: Empty; made if it does not exist.
+
+    Raises:
+        StorageError: if the folder cannot be written.
+    """
+    version = table.info.protocol_version
+    table.info.write(folder)
+    portions = ([chunk.batch] for chunk in table.chunks(split=_TRAIN))
+    for index, rows in enumerate(itertools.chain([[]], portions)):  # the first part is empty, so that there is one
+        write_table(folder / "sequences" / f"part-{index:05d}.parquet", rows, SEQUENCES, protocol_version=version)
+    recordings = table.recordings().filter(pc.field("split") == _TRAIN)
+    events = table.events()
+    of_training = pc.call_function(
+        "is_in", [events["recording_id"]], pc.SetLookupOptions(recordings["recording_id"].combine_chunks())
+    )
+    for name, rows, schema in (
+        ("recordings", recordings, RECORDINGS),
+        ("events", events.filter(of_training), EVENTS),
+    ):
+        write_table(folder / f"{name}.parquet", _batches(rows), schema, protocol_version=version)
+
+
 def _of_training(split: str | None) -> str:
     if split not in (None, _SPLIT):
         raise AdapterError(f"a method may learn from split '{_SPLIT}' only; it asked for '{split}'.")
     return _SPLIT
+
+
+def _remove_orphans() -> None:
+    """Remove the copies of processes that were killed."""
+    for left in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
+        owner = left.name.removeprefix(_PREFIX).partition("-")[0]
+        if owner.isdecimal() and not psutil.pid_exists(int(owner)):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _batches(rows: pa.Table) -> list[pa.RecordBatch]:
+    return rows.combine_chunks().to_batches()

@@ -6,9 +6,11 @@ and break or hide what their own environments lack.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
+from collections.abc import Iterator
 
 _SET_BY_LIBRARIES = ("KMP_DUPLICATE_LIB_OK",)  # by threadpoolctl, when it is imported
 _NOT_THE_USERS = frozenset(name for name in _SET_BY_LIBRARIES if name not in os.environ)
@@ -32,3 +34,15 @@ def python_words(module: str, *arguments: str) -> list[str]:
     """
     paths = [os.path.abspath(path) for path in sys.path]  # noqa: PTH100 - an empty entry is the current folder
     return [sys.executable, "-P", "-c", _START, json.dumps(paths), module, *arguments]
+
+
+@contextlib.contextmanager
+def computing_threads(threads: int) -> Iterator[None]:
+    """Fix the threads of numerical libraries: the same in this process and in any other, whatever it started with."""
+    from threadpoolctl import threadpool_limits  # sets a variable, which users_environment() has to see come
+
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.get_num_threads() != threads:
+        torch.set_num_threads(threads)  # torch manages its own
+    with threadpool_limits(threads):
+        yield

@@ -17,9 +17,8 @@ from typing import BinaryIO
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions, Trainable, TrainingRun
 from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
-from prbench.methods.adapters import load_adapter
+from prbench.methods.adapters import load_adapter, used_weights, weights_digest
 from prbench.methods.declared import Declared
-from prbench.methods.isolation.training_copy import TrainingCopy
 from prbench.methods.motions import own_copy, release_memory, told, well_formed
 from prbench.methods.remote.messages import (
     WIRE_VERSION,
@@ -29,9 +28,8 @@ from prbench.methods.remote.messages import (
     read_message,
     write_message,
 )
-from prbench.methods.threads import computing_threads
-from prbench.methods.training_split import FIT_SEED
-from prbench.methods.weights import used_weights, weights_digest
+from prbench.methods.training_split import FIT_SEED, TrainingCopy
+from prbench.methods.users_environment import computing_threads
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -97,7 +95,7 @@ def _introduction(name: str, adapter: Adapter, given: Path | None) -> Header:
 
 
 def _weights(name: str, adapter: Adapter, condition: Condition, given: Path | None) -> Path | None:
-    """What is used under a condition; None also where the method has none for it, which only matters if it is asked."""
+    """Return the weights used under a condition; None where the method has none."""
     try:
         used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
     except PrbenchError:

@@ -9,7 +9,15 @@ from collections.abc import Collection
 
 from prbench.manifests import MetricConstants
 from prbench.metrics.batch import MotionBatch
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, find_families
+from prbench.metrics.registry import (
+    MetricFamily,
+    MetricInfo,
+    MetricValues,
+    exported_unit,
+    find_families,
+    printed_scale,
+    printed_unit,
+)
 from prbench.metrics.scoring import CHUNK_FRAMES, score_pair
 from prbench.metrics.targets import UNKNOWN_HAND, GazeRays, ScoringPair, ScoringTargets
 
@@ -29,6 +37,9 @@ __all__ = [
     "MetricValues",
     "MotionBatch",
     "ScoringTargets",
+    "exported_unit",
+    "printed_scale",
+    "printed_unit",
     "score",
 ]
 

@@ -75,7 +75,7 @@ class MotionBatch:
 
     @cached_property
     def sequence_of_row(self) -> Int[np.ndarray, " frames"]:
-        """Which sequence each row belongs to."""
+        """Sequence that each row belongs to."""
         return np.repeat(np.arange(self.n_sequences), self.n_frames)
 
     @cached_property

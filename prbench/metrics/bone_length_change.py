@@ -44,6 +44,16 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 
 
 FAMILY = MetricFamily(
-    (MetricInfo("bone_length_change", "Bone length change", "ratio", higher_is_better=False, main=False, position=16),),
+    (
+        MetricInfo(
+            "bone_length_change",
+            "Bone length change",
+            "ratio",
+            higher_is_better=False,
+            main=False,
+            position=16,
+            compares_with_recorded=False,
+        ),
+    ),
     _compute,
 )

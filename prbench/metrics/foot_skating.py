@@ -103,8 +103,25 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo("foot_skating", "Foot Skating", "ratio", higher_is_better=False, main=True, position=6),
-        MetricInfo("contact_share", "Foot contact", "ratio", higher_is_better=None, main=False, position=15),
+        MetricInfo(
+            "foot_skating",
+            "Foot Skating",
+            "ratio",
+            higher_is_better=False,
+            main=True,
+            position=6,
+            compares_with_recorded=False,
+            irrelevant_if_motionless=True,
+        ),
+        MetricInfo(
+            "contact_share",
+            "Foot contact",
+            "ratio",
+            higher_is_better=None,
+            main=False,
+            position=15,
+            compares_with_recorded=False,
+        ),
     ),
     _compute,
 )

@@ -30,7 +30,11 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 
 
 FAMILY = MetricFamily(
-    (MetricInfo("goal_mpjpe", "Goal MPJPE", "m", higher_is_better=False, main=True, position=3),),
+    (
+        MetricInfo(
+            "goal_mpjpe", "Goal MPJPE", "m", higher_is_better=False, main=True, position=3, compares_with_recorded=True
+        ),
+    ),
     _compute,
     minimum_frames=1,
 )

@@ -40,7 +40,16 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo("location_error", "Location Error", "rate", higher_is_better=False, main=True, position=4),
+        MetricInfo(
+            "location_error",
+            "Location Error",
+            "rate",
+            higher_is_better=False,
+            main=True,
+            position=4,
+            compares_with_recorded=True,
+            title_in_study="Loc Err",
+        ),
         MetricInfo(
             "location_error_horizontal",
             "Location Error (horizontal)",
@@ -48,6 +57,7 @@ FAMILY = MetricFamily(
             higher_is_better=False,
             main=False,
             position=14,
+            compares_with_recorded=True,
         ),
     ),
     _compute,

@@ -43,6 +43,17 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 
 
 FAMILY = MetricFamily(
-    (MetricInfo("mpjpe", "MPJPE", "m", higher_is_better=False, main=True, position=5),),
+    (
+        MetricInfo(
+            "mpjpe",
+            "MPJPE",
+            "m",
+            higher_is_better=False,
+            main=True,
+            position=5,
+            compares_with_recorded=True,
+            carries_copy_remark=True,
+        ),
+    ),
     _compute,
 )

@@ -57,7 +57,7 @@ def primed(
 
 
 def _stays(on_target: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Bool[np.ndarray, " candidates"]:
-    """Whether each row and the ``hold`` rows after it are on target."""
+    """Return True for each row that is on target with the ``hold`` rows after it."""
     stays = on_target[row]
     for k in range(1, _largest(hold) + 1):
         stays &= on_target[row + np.minimum(k, hold)]
@@ -101,8 +101,24 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo("prime_success", "Prime Success", "rate", higher_is_better=True, main=True, position=1),
-        MetricInfo("prime_success_onset", "Prime Success (onset)", "rate", True, main=False, position=11),
+        MetricInfo(
+            "prime_success",
+            "Prime Success",
+            "rate",
+            higher_is_better=True,
+            main=True,
+            position=1,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "prime_success_onset",
+            "Prime Success (onset)",
+            "rate",
+            higher_is_better=True,
+            main=False,
+            position=11,
+            compares_with_recorded=False,
+        ),
     ),
     _compute,
 )

@@ -58,6 +58,7 @@ FAMILY = MetricFamily(
             higher_is_better=True,
             main=False,
             position=17,
+            compares_with_recorded=False,
         ),
     ),
     _compute,

@@ -1,4 +1,4 @@
-"""How close a looking ray passes the goal and how fast it turns, frame by frame: the evidence for priming."""
+"""Distance of a looking ray from the goal and its turning speed, frame by frame: the evidence for priming."""
 
 from __future__ import annotations
 

@@ -79,9 +79,33 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo("reach_success", "Reach Success", "rate", higher_is_better=True, main=True, position=2),
-        MetricInfo("reach_success_final", "Reach Success (final)", "rate", True, main=False, position=12),
-        MetricInfo("reach_wrist", "Reach Success (recorded wrist)", "rate", True, main=False, position=13),
+        MetricInfo(
+            "reach_success",
+            "Reach Success",
+            "rate",
+            higher_is_better=True,
+            main=True,
+            position=2,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "reach_success_final",
+            "Reach Success (final)",
+            "rate",
+            higher_is_better=True,
+            main=False,
+            position=12,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "reach_wrist",
+            "Reach Success (recorded wrist)",
+            "rate",
+            higher_is_better=True,
+            main=False,
+            position=13,
+            compares_with_recorded=True,
+        ),
     ),
     _compute,
 )

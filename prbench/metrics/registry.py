@@ -1,4 +1,4 @@
-"""What a metric says about itself, and how the metrics of this package are found.
+"""The declaration of a metric about itself, and the search for the metrics of this package.
 
 A file of this package that holds a :class:`MetricFamily` named ``FAMILY`` is part of the benchmark; nothing else needs
 to be edited.
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,19 +21,65 @@ from prbench.metrics.targets import ScoringPair
 
 @dataclass(frozen=True)
 class MetricInfo:
-    """One column of a score table."""
+    """One column of a score table: all that tables, intervals and controls need to know of a metric."""
 
     id: str
+    """Name in ``scores.parquet``, ``summary.json`` and exports; never printed."""
     title: str
-    """As printed."""
-    unit: Literal["rate", "m", "ratio"]
-    """A rate is 0 or 1 a sequence and printed as a percentage; metres and ratios are printed as they are."""
+    """Name in printed tables."""
+    unit: str
+    """``rate``, ``ratio``, or a unit such as ``m``.
+
+    A rate lies between 0 and 1, is printed in % and gets the interval of a share. All others are printed as they are.
+    """
+    _: KW_ONLY
     higher_is_better: bool | None
     """None where neither direction is a merit."""
     main: bool
     """One of the six of the study; the others stand beside them."""
     position: int
     """Place in a printed table."""
+    compares_with_recorded: bool
+    """The value compares the predicted motion with the recorded one.
+
+    Recorded motion compared with itself says nothing, so such a metric is left out where recorded motion is scored
+    against another sequence's goal. Every metric has to say this; a forgotten one would print a perfect 0.
+    """
+    can_be_negative: bool = False
+    """True if a value may be below 0; otherwise no interval reaches below 0."""
+    irrelevant_if_motionless: bool = False
+    """The value says nothing of a body that stands still: tables print a dash and rank nobody."""
+    carries_copy_remark: bool = False
+    """The remark on motions that are copies of the recorded one stands beside this metric."""
+    title_in_study: str = ""
+    """Title in the study's Table 2; empty where it is ``title``."""
+
+    @property
+    def scale(self) -> float:
+        """Factor from a stored value to the printed one."""
+        return printed_scale(self.unit)
+
+    @property
+    def arrow(self) -> str:
+        """`` ↑`` or `` ↓``, towards the better values; empty where neither direction is a merit."""
+        if self.higher_is_better is None:
+            return ""
+        return " ↑" if self.higher_is_better else " ↓"
+
+
+def printed_scale(unit: str) -> float:
+    """Return the factor from a stored value to the printed one: 100 for rates, 1 for all other units."""
+    return 100.0 if unit == "rate" else 1.0
+
+
+def printed_unit(unit: str) -> str:
+    """Return what stands behind a printed value, after a space: ``%`` for rates, nothing for ratios, else the unit."""
+    return {"rate": " %", "ratio": ""}.get(unit, f" {unit}")
+
+
+def exported_unit(unit: str) -> str:
+    """Return the unit of a value in CSV and JSON, where rates are in % too."""
+    return "%" if unit == "rate" else unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +114,22 @@ class MetricFamily:
 
 
 def find_families(package: str, path: Iterable[str]) -> tuple[MetricFamily, ...]:
-    """The ``FAMILY`` of every module of a package, by the position of their first metric."""
+    """Find the ``FAMILY`` of every module of a package.
+
+    Args:
+        package: Dotted name of the package.
+        path: Folders of its modules.
+
+    Returns:
+        The families by the position of their first metric.
+
+    Raises:
+        ValueError: if two metrics have the same id.
+    """
     modules = [importlib.import_module(f"{package}.{module.name}") for module in pkgutil.iter_modules(path)]
     families = [module.FAMILY for module in modules if hasattr(module, "FAMILY")]
+    ids = Counter(info.id for family in families for info in family.metrics)
+    repeated = sorted(name for name, count in ids.items() if count > 1)
+    if repeated:
+        raise ValueError(f"{package}: expected every metric to have an id of its own, found '{repeated[0]}' twice")
     return tuple(sorted(families, key=lambda family: family.metrics[0].position))

@@ -1,4 +1,4 @@
-"""What a metric needs to know about each sequence beside the two motions."""
+"""Goals, times and gaze: what a metric needs of each sequence beside the two motions."""
 
 from __future__ import annotations
 

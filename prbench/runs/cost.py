@@ -1,4 +1,4 @@
-"""What generating took: seconds and memory measured by the harness, network passes declared by the method."""
+"""The cost of generating: seconds and memory measured by the harness, network passes declared by the method."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class BatchCost(msgspec.Struct, frozen=True, kw_only=True):
     peak_process_bytes: int
     peak_device_bytes: int | None
     halvings: int
-    """How often a batch that did not fit in memory was cut in two."""
+    """Number of times that a batch did not fit in memory and was cut in two."""
     network_passes: int | None
     restarts: int = 0
-    """How often the method's program crashed and was started again."""
+    """Number of times that the method's program crashed and was started again."""
 
     def write(self, path: Path) -> None:
         """Write as JSON."""
@@ -43,7 +43,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     """Generated motions that were timed, without warm-up."""
     frames: int
     seconds: float
-    """Of ``generate`` alone, device synchronised, without warm-up."""
+    """Seconds of ``generate`` alone, device synchronised, without warm-up."""
     seconds_per_motion: float | None
     warm_up_motions: int
     warm_up_seconds: float

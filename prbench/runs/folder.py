@@ -42,7 +42,7 @@ class DatasetFolder:
 
     @property
     def notice(self) -> Path:
-        """What the dataset's terms ask of whoever passes the folder on; absent where they ask nothing."""
+        """Notice that the dataset's terms ask for; absent where they ask for none."""
         return self.path / NOTICE_FILE
 
     @property
@@ -63,7 +63,7 @@ class DatasetFolder:
         return sorted((self.path / ".costs").glob("batch-*.json"))
 
     def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
-        """Whether a batch is there, whole, with exactly these sequences; the checksum of every page is verified."""
+        """Return True if a batch is there, whole, with exactly these sequences; every checksum is verified."""
         try:
             rows = read_parquet(self.part(batch), verify=True)
         except (FileNotFoundError, pa.ArrowInvalid, OSError, InputFileError):
@@ -89,7 +89,7 @@ class DatasetFolder:
             )
 
     def has_scores(self) -> bool:
-        """Whether scores are there and their file is whole at its end."""
+        """Return True if scores are there and their file is whole at its end."""
         try:
             pq.read_metadata(self.scores)
         except (FileNotFoundError, pa.ArrowInvalid, OSError):

@@ -26,14 +26,14 @@ motions that came as a file; and what an old record does not say."""
 
 
 class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Which method, in which version."""
+    """A method in a certain version."""
 
     name: str
     kind: str = UNKNOWN
     """One of the kinds above. Names are checked by it: only prbench's own methods and controls bear their names."""
     package: str
-    """What a method was installed from; of a program its command, without the folders of the machine; of motions the
-    name of their file."""
+    """Package that a method was installed from; of a program its command, without the folders of the machine; of
+    motions the name of their file."""
     version: str
     weights: str | None
     """Last part of the path of the weights in use, given or bundled, for people."""
@@ -48,7 +48,7 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def origin(self) -> str:
-        """Whose method it is, from where, and how it was kept apart, in words for tables."""
+        """Origin of the method, from where, and how it was kept apart, in words for tables."""
         source = clean(self.package)
         words = {
             BUILT_IN: "built in",
@@ -62,7 +62,7 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """How the sequences were grouped; floating-point results may depend on it."""
+    """The groups of sequences; floating-point results may depend on them."""
 
     batch_size: int
     batches: int
@@ -71,7 +71,7 @@ class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Which sequences of which table."""
+    """The sequences of a table that a run was made on."""
 
     dataset: str
     title: str
@@ -82,7 +82,7 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
     sequences: int
     """Chosen by split and limit."""
     unsupported: int
-    """Of these, longer than the method can generate."""
+    """Number of them that are longer than the method can generate."""
     selection_digest: str
     """Over the ids of the chosen sequences."""
     batch_plan: BatchPlanRecord

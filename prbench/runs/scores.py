@@ -1,4 +1,4 @@
-"""``scores.parquet``: one value of one metric of one motion a row."""
+"""Columns of predictions and scores, and ``scores.parquet``: one value of one metric of one motion a row."""
 
 from __future__ import annotations
 
@@ -12,9 +12,33 @@ import pyarrow.parquet as pq
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.parquet_files import read_parquet
-from prbench.runs.schema import RUN_SCHEMA_VERSION, SCORES
 from prbench.shown import quoted
+from prbench.skeleton import N_JOINTS
 from prbench.storage import atomic_path
+
+RUN_SCHEMA_VERSION = 1
+
+PREDICTIONS = pa.schema(
+    [
+        pa.field("sequence_id", pa.string(), nullable=False),
+        pa.field("sample", pa.int32(), nullable=False),
+        pa.field("seed", pa.int64(), nullable=False),
+        pa.field("joints", pa.list_(pa.list_(pa.float32(), N_JOINTS * 3)), nullable=False),
+    ]
+)
+"""One generated motion a row: canonical frame, metres, encoded like the sequence table."""
+
+SCORES = pa.schema(
+    [
+        pa.field("sequence_id", pa.string(), nullable=False),
+        pa.field("dataset", pa.string(), nullable=False),
+        pa.field("sample", pa.int32(), nullable=False),
+        pa.field("metric", pa.string(), nullable=False),
+        pa.field("value", pa.float64(), nullable=False),
+        pa.field("flag", pa.string(), nullable=True),
+    ]
+)
+"""One value a row; rates are 0 or 1."""
 
 
 def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:

@@ -10,13 +10,13 @@ from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import RunError
 from prbench.limits import LARGEST_JSON
-from prbench.runs.schema import RUN_SCHEMA_VERSION
+from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.storage import write_json
 
 FILE_NAME = "summary.json"
 RECORDED_MOTION = "recorded_motion"
 """Flag of a motion that is the recorded one, beside its MPJPE."""
-RECORDED_SHARE = 0.01
+_RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
@@ -33,19 +33,19 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
     high: float | None
     """Bounds of the interval; None where too few recordings allow none."""
     level: float
-    """Of the interval, such as 0.95."""
+    """Confidence level of the interval, such as 0.95."""
     interval: str
     """Name of the estimator of the interval."""
     sequences: int
     recordings: int
     marks: tuple[str, ...]
-    """What a reader must know of the interval: ``few_recordings``, ``one_recording``, ``all_equal``."""
+    """Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``."""
     flags: dict[str, int]
     """Number of motions that carry each remark."""
 
 
 class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """What a method scored on one dataset. Holds no time of day, host or path."""
+    """Scores of a method on one dataset. Holds no time of day, host or path."""
 
     schema_version: int = RUN_SCHEMA_VERSION
     dataset: str
@@ -72,12 +72,12 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def hands_in_recordings(self) -> bool:
-        """Whether there are too many of them for an accident, so that the scores are those of no method."""
-        return self.recorded_motions > RECORDED_SHARE * self._motions
+        """True if there are too many of them for an accident, so that the scores are those of no method."""
+        return self.recorded_motions > _RECORDED_SHARE * self._motions
 
     @property
     def recorded_motion_mark(self) -> str:
-        """What a table says of them; empty if there are none."""
+        """Remark of tables on them; empty if there are none."""
         if not self.recorded_motions:
             return ""
         rank = "; never ranked" if self.hands_in_recordings else ""

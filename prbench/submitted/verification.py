@@ -1,4 +1,4 @@
-"""Whether the files of a run follow from one another: summary from scores, scores from motions and table.
+"""Check that the files of a run follow from one another: summary from scores, scores from motions and table.
 
 The summary is made anew from ``scores.parquet`` wherever a run is read, and one that says something else is refused.
 The scores are made anew where the motions and their table are at hand (about 1 s for 7,000 sequences); where they are
@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
-from prbench.evaluation.progress import silent
-from prbench.evaluation.stored_results import require_scores, require_summary
-from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.evaluation.request import silent
+from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.manifests import load_protocol
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
@@ -32,7 +31,7 @@ class CheckedSummary:
 
     summary: DatasetSummary
     unverified: str
-    """Why the scores could not be held against the motions; empty where they were."""
+    """Reason why the scores could not be held against the motions; empty where they were."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def _require_summary_of(
 def summary_of(
     record: RunRecord, table: TableRecord, scores: pa.Table, recording_of: Mapping[str, str]
 ) -> DatasetSummary:
-    """What ``summary.json`` has to say, from ``run.json``, the scores and the recording of each sequence."""
+    """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each sequence."""
     return summarise(
         scores,
         ScoredSet(
@@ -102,7 +101,7 @@ def summary_of(
 
 
 def _name_their_recording(sequence_ids: Sequence[str]) -> bool:
-    """Whether ids have all six parts; those of an imported release have three."""
+    """Return True where ids have all six parts; those of an imported release have three."""
     parts = {name.count("/") + 1 for name in sequence_ids}
     return len(parts) == 1 and min(parts) >= 6
 

@@ -14,12 +14,11 @@ from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import digest_of, load_manifest, load_protocol
-from prbench.methods.cache import cache_folder
 from prbench.methods.installed import list_adapters
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
-from prbench.storage import text_digest
+from prbench.storage import cache_folder, text_digest
 from prbench.synthetic import GENERATOR_VERSION
 
 if TYPE_CHECKING:

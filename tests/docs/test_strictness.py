@@ -12,9 +12,8 @@ import pytest
 
 from prbench.contract import Motions
 from prbench.errors import AdapterError
-from prbench.methods.remote.answers import motions_in
+from prbench.methods.remote.answers import Introduction, motions_in
 from prbench.methods.remote.faults import ReportedError
-from prbench.methods.remote.introduction import Introduction
 from prbench.methods.remote.messages import motions_of, motions_payload, parse_header, shown_json
 from tests.docs.exchange import batch
 from tests.docs.test_wire_protocol import section, table

@@ -19,7 +19,7 @@ from prbench.methods.motions import generate_checked
 from prbench.methods.names import NAME_FORM
 from prbench.methods.remote import answers, messages, process
 from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.methods.remote.program import Program
+from prbench.methods.remote.process import Program
 from prbench.skeleton import PARENTS, Joint
 from tests.docs.exchange import PAGE, Exchange, batch, decoded, page_with
 from tests.docs.interpreters import javascript

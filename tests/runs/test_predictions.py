@@ -10,7 +10,7 @@ import pytest
 from prbench.errors import PredictionsError
 from prbench.runs.folder import DatasetFolder
 from prbench.runs.predictions import PredictionRows, Predictions, parquet, write_part
-from prbench.runs.schema import PREDICTIONS
+from prbench.runs.scores import PREDICTIONS
 
 
 def motions(*lengths: int, start: float = 0.0) -> PredictionRows:

@@ -18,7 +18,8 @@ from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.report import CheckRequest, Outcome
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
-from prbench.methods.methods import forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 from prbench.methods.programs import is_program
 
 Tell = Callable[..., None]

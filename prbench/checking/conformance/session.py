@@ -25,7 +25,8 @@ from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.report import CheckRequest, Finding, Outcome, Report, failed, skipped
 from prbench.checking.conformance.subject import working_folder
 from prbench.errors import UsageError
-from prbench.methods.methods import MethodSpec, method_spec
+from prbench.methods.loaded_methods import MethodSpec
+from prbench.methods.methods import method_spec
 from prbench.methods.names import METHOD_CONTROLS
 from prbench.methods.remote.faults import exit_story
 from prbench.methods.users_environment import python_words, users_environment

@@ -17,7 +17,8 @@ from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.evaluation.conditions import ConditionSource, run_salt
 from prbench.manifests import load_protocol
 from prbench.methods.declared import Declared
-from prbench.methods.methods import LoadedMethod, MethodSpec
+from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
+from prbench.methods.methods import fitted_to
 from prbench.methods.native_rate import native_frames
 from prbench.sequences import SequenceTable
 
@@ -76,7 +77,7 @@ class Subject:
         if self.spec.program is None:
             self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table)
         else:
-            self.spec = self.spec.fitted_to(SequenceTable.open(table).with_sequences())
+            self.spec = fitted_to(self.spec, SequenceTable.open(table).with_sequences())
         return self.spec.load()
 
     def load_again(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from prbench.checking.doctor.anatomy import Distances
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding, on_straight_lines
-from prbench.methods.body_size import wrong_unit
+from prbench.methods.coordinates import wrong_unit
 from prbench.skeleton import N_JOINTS, bone_lengths
 
 _SHAPELESS = 3.0  # times the spread of a coordinate; a body's joints have mean heights much farther apart

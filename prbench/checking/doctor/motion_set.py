@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.methods.body_size import spread_poses
+from prbench.methods.coordinates import spread_poses
 
 
 @dataclass(frozen=True)

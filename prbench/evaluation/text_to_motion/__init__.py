@@ -4,16 +4,18 @@ The metrics are NumPy; the networks (:mod:`.networks`, :mod:`.extractor`) import
 needs them.
 """
 
-from prbench.evaluation.text_to_motion.distances import (
+from prbench.evaluation.text_to_motion.measure import Repeated
+from prbench.evaluation.text_to_motion.metrics import (
+    FewSamplesWarning,
+    RPrecision,
     diversity,
     draw_diversity_pairs,
     draw_multimodality_pairs,
+    fid,
     multimodal_distance,
     multimodality,
+    r_precision,
 )
-from prbench.evaluation.text_to_motion.fid import FewSamplesWarning, fid
-from prbench.evaluation.text_to_motion.r_precision import RPrecision, r_precision
-from prbench.evaluation.text_to_motion.repetitions import Repeated
 
 __all__ = [
     "FewSamplesWarning",

@@ -8,8 +8,14 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from prbench.evaluation.text_to_motion.configuration import MOVEMENT_FEATURES, SNIPPET, EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementEncoder, TextEncoder
+from prbench.evaluation.text_to_motion.networks import (
+    MOVEMENT_FEATURES,
+    SNIPPET,
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementEncoder,
+    TextEncoder,
+)
 from prbench.representation import Statistics
 from prbench.text import EncodedText
 from prbench.text import TextEncoder as TokenVectors
@@ -100,7 +106,7 @@ def _similar(lengths: Int[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " rows"
 def _standardised(
     features: Sequence[Float[np.ndarray, "_ 263"]], snippets: Int[np.ndarray, " n"], statistics: Statistics
 ) -> Float[np.ndarray, "n frames 259"]:
-    """Without contacts, standardised, then padded with zeros to the longest."""
+    """Drop the contacts, standardise, then pad with zeros to the longest."""
     batch = np.zeros((len(features), int(snippets.max()) * SNIPPET, MOVEMENT_FEATURES), dtype=np.float32)
     for row, (motion, count) in enumerate(zip(features, snippets)):
         kept = statistics.standardise(motion[: count * SNIPPET])

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from prbench.evaluation.text_to_motion.distances import (
+from prbench.evaluation.text_to_motion.metrics import (
     DIVERSITY_PAIRS,
+    TOP,
+    FewSamplesWarning,
+    RPrecision,
     diversity,
     draw_diversity_pairs,
+    fid,
     multimodal_distance,
+    r_precision,
 )
-from prbench.evaluation.text_to_motion.fid import FewSamplesWarning, fid
-from prbench.evaluation.text_to_motion.r_precision import TOP, RPrecision, r_precision
 
-R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
+_R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
 FID, DISTANCE, DIVERSITY, MULTIMODALITY = "fid", "multimodal_distance", "diversity", "multimodality"
-METRICS = (*R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
+METRICS = (*_R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
 """Ids in the order in which they are shown; R-precision as shares from 0 to 1."""
 
 
@@ -32,7 +36,7 @@ class EmbeddedPairs:
     motion: Float[np.ndarray, "pairs dimension"]
 
     def shuffled(self, generator: np.random.Generator) -> EmbeddedPairs:
-        """The same pairs in another order: it decides which 32 are ranked together."""
+        """Return the same pairs in another order: it decides which 32 are ranked together."""
         order = generator.permutation(len(self.captions))
         return EmbeddedPairs(tuple(self.captions[i] for i in order), self.text[order], self.motion[order])
 
@@ -47,7 +51,7 @@ class Measured:
     """One repetition."""
 
     values: dict[str, float]
-    """By id of :data:`METRICS`."""
+    """Values by the ids of :data:`METRICS`."""
     ranking: RPrecision
 
 
@@ -58,7 +62,7 @@ def measure_pairs(pairs: EmbeddedPairs) -> Measured:
         ValueError: if there are fewer than 32 pairs.
     """
     ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
-    values = dict(zip(R_PRECISION, ranking.top.tolist()))
+    values = dict(zip(_R_PRECISION, ranking.top.tolist()))
     return Measured(values | {DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking)
 
 
@@ -79,3 +83,23 @@ def measure_motions(
         distance = fid(recorded, motion)
     pairs = draw_diversity_pairs(len(motion), generator, n_pairs=diversity_pairs)
     return {FID: distance, DIVERSITY: diversity(motion, pairs)}
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """One number over repetitions of the whole evaluation. The interval says how far chance moves the mean of these
+    repetitions; it knows nothing of the choice of recordings or of training.
+    """  # noqa: D205
+
+    mean: float
+    half_width: float | None
+    """1.96 · population standard deviation / √repetitions; None for a single one."""
+    values: tuple[float, ...]
+    """One a repetition."""
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Repeated:
+        """Summarise the values of at least one repetition."""
+        numbers = np.asarray(values, dtype=np.float64)
+        half = 1.96 * float(numbers.std()) / float(np.sqrt(len(numbers))) if len(numbers) > 1 else None
+        return cls(float(numbers.mean()), half, tuple(float(number) for number in numbers))

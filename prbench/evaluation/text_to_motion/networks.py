@@ -1,17 +1,57 @@
-"""The networks of the text–motion matching evaluator (docs/specification/text-to-motion-eval.md#feature-extractor).
-
-Frames are axis 1. Recurrent inputs are packed to their true lengths, so padding leaves no trace.
-"""
+"""The evaluator's networks and their sizes."""
 
 from __future__ import annotations
 
+from typing import Literal
+
+import msgspec
 import torch
 from jaxtyping import Float, Int
 from torch import nn
 from torch.nn.utils.rnn import pack_padded_sequence
 
-from prbench.evaluation.text_to_motion.configuration import GLOVE, MOVEMENT_FEATURES, EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.words import POS_CLASSES, WORD_DIMENSION
+from prbench.representation import N_FEATURES, Mode
+from prbench.representation.features import FOOT_CONTACTS
+
+MOVEMENT_FEATURES = FOOT_CONTACTS.start
+"""Number of the 263 features that the movement encoder sees: all but the four contacts."""
+SNIPPET = 4
+"""Frames that become one snippet."""
+GLOVE = "glove"
+assert N_FEATURES - MOVEMENT_FEATURES == 4
+
+
+class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Defaults are those of the text-to-motion paper.
+
+    Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+    """
+
+    movement_width: int = 512
+    """Channels of the movement encoder, and numbers of a snippet."""
+    motion_width: int = 1024
+    """Hidden size of the motion encoder's GRU, in each direction."""
+    text_width: int = 512
+    """Hidden size of the text encoder's GRU, in each direction."""
+    embedding: int = 512
+    """Dimension of the space that both encoders map into."""
+    text: Literal["glove", "hashed-ngrams", "distilbert"] = "glove"
+    """Name of the word vectors that the text encoder reads. Numbers of different ones never stand in one column."""
+    most_tokens: int = 64
+    """Later tokens of a text are dropped. GloVe's captions are cut to 20 words whatever stands here."""
+    representation: Mode = "continuous"
+    fps: float = 20.0
+    max_frames: int = 196
+    """Longer motions are cropped to this before they are embedded."""
+
+    def __post_init__(self) -> None:
+        for name in ("movement_width", "motion_width", "text_width", "embedding", "most_tokens"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be 1 or more")
+        if self.max_frames < SNIPPET:
+            raise ValueError(f"`max_frames` must be {SNIPPET} or more")
+
 
 _SLOPE = 0.2
 _DROPOUT = 0.2
@@ -68,7 +108,7 @@ class MovementDecoder(nn.Module):
         return self.convolutions(self.input(snippets).transpose(1, 2)).transpose(1, 2)
 
 
-class SequenceEncoder(nn.Module):
+class _SequenceEncoder(nn.Module):
     """Linear, bidirectional GRU with a learned initial state, and a head on the last states of both directions.
 
     Args:
@@ -97,20 +137,7 @@ class SequenceEncoder(nn.Module):
         return self.head(torch.cat((last[0], last[1]), dim=-1))
 
 
-def _halving(inputs: int, outputs: int) -> nn.Sequential:
-    convolution = nn.Conv1d(inputs, outputs, 4, stride=2, padding=1)
-    return nn.Sequential(convolution, nn.Dropout(_DROPOUT), nn.LeakyReLU(_SLOPE))
-
-
-def _ended(
-    steps: Float[torch.Tensor, "batch steps channels"], lengths: Int[torch.Tensor, " batch"]
-) -> Float[torch.Tensor, "batch steps channels"]:
-    """Zero from each row's length on."""
-    beyond = torch.arange(steps.shape[1], device=steps.device) >= lengths[:, None]
-    return steps.masked_fill(beyond[..., None], 0.0)
-
-
-class MotionEncoder(SequenceEncoder):
+class MotionEncoder(_SequenceEncoder):
     """Snippets to an embedding."""
 
     def __init__(self, configuration: EvaluatorConfiguration) -> None:
@@ -131,7 +158,7 @@ class TextEncoder(nn.Module):
         words = WORD_DIMENSION if configuration.text == GLOVE else dimension
         self.classes = nn.Linear(len(POS_CLASSES), words) if configuration.text == GLOVE else None
         width = configuration.text_width
-        self.sequence = SequenceEncoder(words, width, width, width, configuration.embedding)
+        self.sequence = _SequenceEncoder(words, width, width, width, configuration.embedding)
 
     def forward(
         self, tokens: Float[torch.Tensor, "batch tokens dimension"], lengths: Int[torch.Tensor, " batch"]
@@ -140,3 +167,16 @@ class TextEncoder(nn.Module):
         if self.classes is not None:
             tokens = tokens[..., :WORD_DIMENSION] + self.classes(tokens[..., WORD_DIMENSION:])
         return self.sequence(tokens, lengths)
+
+
+def _halving(inputs: int, outputs: int) -> nn.Sequential:
+    convolution = nn.Conv1d(inputs, outputs, 4, stride=2, padding=1)
+    return nn.Sequential(convolution, nn.Dropout(_DROPOUT), nn.LeakyReLU(_SLOPE))
+
+
+def _ended(
+    steps: Float[torch.Tensor, "batch steps channels"], lengths: Int[torch.Tensor, " batch"]
+) -> Float[torch.Tensor, "batch steps channels"]:
+    """Zero from each row's length on."""
+    beyond = torch.arange(steps.shape[1], device=steps.device) >= lengths[:, None]
+    return steps.masked_fill(beyond[..., None], 0.0)

@@ -39,7 +39,7 @@ class WordVectors:
     classes: Mapping[str, str]
     """List of each word that is in one; the first of :data:`LISTS` wins."""
     digest: str
-    """Of everything that decides a number; evaluators are tied to it."""
+    """Digest of everything that decides a number; evaluators are tied to it."""
 
     @classmethod
     @foreign_input()

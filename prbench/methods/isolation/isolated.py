@@ -9,11 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.methods.isolation.bubblewrap import BUBBLEWRAP, HOME, available_fence, bubblewrap_words
-from prbench.methods.isolation.environment import isolated_environment, readable_folders, text_encoder
-from prbench.methods.isolation.interpreter import executable_folders, import_path, python_folders
-from prbench.methods.isolation.mounts import Shown
-from prbench.methods.remote.program import Program
+from prbench.methods.isolation.bubblewrap import BUBBLEWRAP, HOME, Shown, available_fence, bubblewrap_words
+from prbench.methods.isolation.environment import (
+    executable_folders,
+    import_path,
+    isolated_environment,
+    python_folders,
+    readable_folders,
+    text_encoder,
+)
+from prbench.methods.remote.process import Program
 from prbench.methods.users_environment import users_environment
 
 _FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process
@@ -22,10 +27,10 @@ _WORKER = "prbench.methods.worker"
 
 @dataclass(frozen=True)
 class Fit:
-    """What a method is fitted from, and where it leaves what it learns."""
+    """Folders of a fit: training rows, and the result."""
 
     train: Path
-    """A copy of the training rows."""
+    """Folder of a copy of the training rows."""
     folder: Path
 
 
@@ -39,10 +44,10 @@ def worker_program(
     fit: Fit | None = None,
     timeout: float | None = None,
 ) -> Program:
-    """The worker that runs an installed method at a distance.
+    """Return the worker that runs an installed method at a distance.
 
     Args:
-        name: Of the method.
+        name: Name of the method.
         target: ``module:callable`` of its entry point.
         weights: A file or folder, or a name that the method knows.
         options: For the method; files that their values name by absolute paths are shown to it.
@@ -69,7 +74,7 @@ def worker_program(
 
 
 def fenced(program: Program, *, readable: Iterable[Path], weights: Path | None, hidden: tuple[Path, ...]) -> Program:
-    """A user's program behind the best fence that works here, its own folder read-only.
+    """Put a user's program behind the best fence that works here, its own folder read-only.
 
     Raises:
         UsageError: if its folder is one that has to be withheld.
@@ -97,5 +102,5 @@ def _behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, 
 
 
 def _inside(environment: Mapping[str, str]) -> dict[str, str]:
-    """Behind bubblewrap there is an empty home, an empty temporary folder, and no network to ask for models."""
+    """Add the variables behind bubblewrap: an empty home, an empty temporary folder, no network to ask for models."""
     return {**environment, "HOME": HOME, "TMPDIR": "/tmp", "HF_HUB_OFFLINE": "1"}

@@ -18,15 +18,15 @@ _Seconds = Annotated[float, msgspec.Meta(gt=0)]
 _Text = Annotated[str, msgspec.Meta(min_length=1)]
 
 
-class MethodTable(msgspec.Struct, frozen=True, kw_only=True):
+class _MethodTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[method]``: what is started, and where."""
 
     command: _Text | Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
     """Program and arguments: a list, or one text that is split into words."""
     name: _Text | None = None
-    """What the program must call itself; anything if absent."""
+    """Name that the program must introduce itself by; any name if absent."""
     directory: str = "."
-    """Where it starts, relative to the file."""
+    """Folder that it starts in, relative to the file."""
 
 
 class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab"):
@@ -39,9 +39,9 @@ class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab"
     container: _Text | None = None
     """Image, best named by its digest."""
     engine: Literal["podman", "docker"] | None = None
-    """What runs the container; by default the first of these that is installed."""
+    """Program that runs the container; by default the first of these that is installed."""
     gpus: bool = False
-    """Whether the container sees the machine's NVIDIA GPUs."""
+    """True if the container sees the machine's NVIDIA GPUs."""
     user: _Text | None = None
     """``uid:gid`` inside the container."""
     volumes: tuple[_Text, ...] = ()
@@ -50,8 +50,8 @@ class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab"
     """Further environment variables."""
 
 
-class LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[limits]``, seconds."""
+class _LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[limits]``: time limits, seconds."""
 
     start_s: _Seconds = 120.0
     """Until the program has introduced itself."""
@@ -60,22 +60,22 @@ class LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MethodDescription(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole file."""
+    """The whole TOML file."""
 
-    method: MethodTable
+    method: _MethodTable
     environment: EnvironmentTable = EnvironmentTable()
-    limits: LimitsTable = LimitsTable()
+    limits: _LimitsTable = _LimitsTable()
 
     @classmethod
     def of(cls, words: tuple[str, ...]) -> MethodDescription:
-        """Of a bare command."""
-        return cls(method=MethodTable(command=words))
+        """Describe a bare command."""
+        return cls(method=_MethodTable(command=words))
 
 
 _TABLES: dict[str, type[msgspec.Struct]] = {
-    "method": MethodTable,
+    "method": _MethodTable,
     "environment": EnvironmentTable,
-    "limits": LimitsTable,
+    "limits": _LimitsTable,
 }
 _PLACES = ("virtual_environment", "conda", "container")
 _OF_CONTAINERS = ("engine", "gpus", "user", "volumes")

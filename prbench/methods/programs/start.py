@@ -9,10 +9,9 @@ from pathlib import Path
 
 from prbench.errors import InputFileError
 from prbench.methods.programs.description import MethodDescription, read_description
-from prbench.methods.programs.reference import PREFIX, is_command, is_description, short_name
 from prbench.methods.programs.surroundings import Surroundings, below, inside_environment
-from prbench.methods.programs.words import shown_command, split_command
-from prbench.methods.remote.program import Program
+from prbench.methods.programs.words import PREFIX, is_command, is_description, short_name, shown_command, split_command
+from prbench.methods.remote.process import Program
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class MethodProgram:
     package: str
     """The command and its environment, for the record: without the folders of this machine."""
     expected_name: str | None = None
-    """What it must call itself; anything if None."""
+    """Name that it must introduce itself by; any name if None."""
     readable: tuple[Path, ...] = ()
     """Files and folders that it needs beside the system's."""
     in_container: bool = False
@@ -41,7 +40,7 @@ def program_of(
 
     Args:
         method: As given by ``--method``.
-        environment: Of the program.
+        environment: Environment variables of the program.
         weights: A file or folder that the user gave.
         timeout: Seconds for a batch; by default the description's.
         hidden: Folders that a container must not see.
@@ -56,7 +55,7 @@ def program_of(
 
 
 def runs_in_container(method: str) -> bool:
-    """Whether a method is described to run in a container.
+    """Return True if a method is described to run in a container.
 
     Raises:
         InputFileError: if its TOML file is not what it should be.
@@ -65,7 +64,7 @@ def runs_in_container(method: str) -> bool:
 
 
 def own_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """The user's environment as a program of their own gets it: without the harness's variables."""
+    """Return the user's environment as a program of their own gets it: without the harness's variables."""
     return {name: value for name, value in environment.items() if not name.upper().startswith("PRBENCH_")}
 
 
@@ -122,6 +121,6 @@ def _method_program(
 
 
 def _named_files(start: Surroundings) -> tuple[Path, ...]:
-    """What the command itself names that exists: its program, and files or folders outside its directory."""
+    """Return the existing paths that the command names: its program, and files or folders outside its directory."""
     paths = (start.directory / Path(word).expanduser() for word in start.words)
     return tuple(Path(os.path.normpath(path)) for path in paths if path.exists())

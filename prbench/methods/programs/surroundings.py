@@ -1,16 +1,55 @@
-"""In what a program runs: the user's own environment, a virtual environment, conda or a container."""
+"""Find what a command starts, and put it into the environment that it needs: virtual environment, conda, container."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.methods.programs.description import EnvironmentTable
-from prbench.methods.programs.executables import find_executable, require_script
+
+_INTERPRETERS = {".py": "python", ".js": "node", ".mjs": "node", ".cjs": "node", ".jl": "julia", ".r": "Rscript"}
+
+
+def find_executable(word: str, *, directory: Path, path: str, where: str) -> str:
+    """Find the absolute path of a program as a shell in ``directory`` would find it.
+
+    Args:
+        word: A name that is looked up in ``path``, or a path, relative to ``directory``.
+        directory: Where the program starts.
+        path: Folders, joined as in the variable ``PATH``.
+        where: Name of the command's source in messages.
+
+    Raises:
+        UsageError: if there is no such program, with what may have been meant.
+    """
+    if _is_path(word):
+        file = directory / Path(word).expanduser()
+        return str(_require_executable(file, word, where))
+    found = shutil.which(word, path=path)
+    if found is None:
+        raise UsageError(f"{where}: the program '{word}' was not found.{_hint(word, directory, path)}")
+    return str(Path(found).absolute())
+
+
+def require_script(words: tuple[str, ...], *, directory: Path, where: str) -> None:
+    """Refuse a script that is not there before its interpreter does so in its own words.
+
+    Raises:
+        UsageError: with the nearest file.
+    """
+    if len(words) < 2 or Path(words[1]).suffix.lower() not in _INTERPRETERS:
+        return
+    file = directory / Path(words[1]).expanduser()
+    if not file.is_file():
+        beside = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise UsageError(
+            f"{where}: expected the file {words[1]} in {directory}, found none.{did_you_mean(file.name, beside)}"
+        )
+
 
 _METHOD_FOLDER = "/method"  # where a container finds the program's folder
 _BIN = "Scripts" if os.name == "nt" else "bin"
@@ -26,12 +65,12 @@ class Surroundings:
     where: str
     """What to call the command's source in messages."""
     readable: tuple[Path, ...] = ()
-    """What it cannot do without beside its directory and its executable."""
+    """Paths that it needs beside its directory and its executable."""
     place: str = ""
     """Kind and name of the environment, for the record."""
 
     def found(self) -> Surroundings:
-        """With the program's absolute path; words that begin with ``~/`` are those of the user's home.
+        """Return the same with the program's absolute path; words that begin with ``~/`` lead to the user's home.
 
         Raises:
             UsageError: if the program, or the script that it is to run, does not exist.
@@ -46,7 +85,7 @@ class Surroundings:
 def inside_environment(
     start: Surroundings, table: EnvironmentTable, *, file: Path, weights: Path | None, hidden: tuple[Path, ...]
 ) -> Surroundings:
-    """The command inside the environment that a description asks for.
+    """Return the command inside the environment that a description asks for.
 
     Args:
         start: The command as it would run in the user's own environment.
@@ -70,8 +109,39 @@ def inside_environment(
 
 
 def below(file: Path, path: str) -> Path:
-    """A path in a description: absolute, in the user's home, or relative to the file's folder."""
+    """Resolve a path of a description: absolute, in the user's home, or relative to the file's folder."""
     return Path(os.path.normpath(file.absolute().parent / Path(path).expanduser()))
+
+
+def _is_path(word: str) -> bool:
+    return "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~")
+
+
+def _require_executable(file: Path, word: str, where: str) -> Path:
+    if not file.is_file():
+        names = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise UsageError(f"{where}: expected a program at {file}, found none.{did_you_mean(file.name, names)}")
+    if not os.access(file, os.X_OK):
+        started = f' Start it with its interpreter: cmd:"{_interpreter(word)} {word}".' if _interpreter(word) else ""
+        raise UsageError(f"{where}: {file} is a file, but not one that can be executed.{started}")
+    return Path(os.path.normpath(file.absolute()))
+
+
+def _hint(word: str, directory: Path, path: str) -> str:
+    if (directory / word).is_file():
+        interpreter = _interpreter(word)
+        return f' Did you mean cmd:"{interpreter} {word}"?' if interpreter else f" Did you mean ./{word}?"
+    return did_you_mean(word, _names_in(path)) or " It is looked up in the folders of PATH."
+
+
+def _interpreter(word: str) -> str:
+    return _INTERPRETERS.get(Path(word).suffix.lower(), "")
+
+
+def _names_in(path: str) -> Iterator[str]:
+    for folder in dict.fromkeys(path.split(os.pathsep)):
+        if folder and Path(folder).is_dir():
+            yield from (file.name for file in Path(folder).iterdir())
 
 
 def _in_virtual_environment(start: Surroundings, named: str, file: Path) -> Surroundings:
@@ -142,7 +212,7 @@ def _in_container(
 
 
 def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tuple[str, str]:
-    """Name and path of what runs containers."""
+    """Return name and path of the program that runs containers."""
     names = (asked,) if asked else ("podman", "docker")
     for name in names:
         program = shutil.which(name, path=environment.get("PATH", os.defpath))
@@ -158,7 +228,7 @@ def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tu
 
 
 def _volume(text: str, file: Path) -> tuple[Path, str]:
-    """A folder of this machine and its place in the container; ``C:`` of Windows is no separator."""
+    """Return a folder of this machine and its place in the container; ``C:`` of Windows is no separator."""
     drive = 2 if text[1:2] == ":" and text[:1].isalpha() else 0
     source, _, target = text[drive:].partition(":")
     folder = below(file, text[:drive] + source)
@@ -177,7 +247,7 @@ def _user(engine: str, asked: str | None) -> list[str]:
 
 
 def _masked(mounts: list[tuple[Path, str]], hidden: tuple[Path, ...]) -> list[str]:
-    """Places in the container that would show a hidden folder."""
+    """Return the places in the container that would show a hidden folder."""
     places = []
     for source, target in mounts:
         for folder in hidden:

@@ -1,12 +1,13 @@
-"""A command as one text, split into words as the user's system splits them, and shown without the user's folders."""
+"""Tell apart by its form what ``--method`` names; split a program's command into words, show it without folders."""
 
 from __future__ import annotations
 
 import os
 import re
 import shlex
+import textwrap
 from collections.abc import Iterable
-from pathlib import PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from prbench.errors import UsageError
 
@@ -14,7 +15,7 @@ _WINDOWS_TOKEN = re.compile(r'(?P<slashes>\\*)(?P<quote>"{1,2})|(?P<space>[ \t]+
 
 
 def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> tuple[str, ...]:
-    """The words of a command line; no shell takes part, so there are no pipes and no variables.
+    """Split a command line into words; no shell takes part, so there are no pipes and no variables.
 
     Args:
         text: As the user wrote it.
@@ -34,12 +35,12 @@ def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> 
 
 
 def shown_command(words: Iterable[str]) -> str:
-    """A command for a record that others may read: absolute paths are cut to their last part."""
+    """Return a command for a record that others may read: absolute paths are cut to their last part."""
     return shlex.join(without_folders(word) for word in words)
 
 
 def without_folders(word: str) -> str:
-    """A word of a command; an absolute path, also behind ``--key=``, is cut to its last part."""
+    """Cut an absolute path, also behind ``--key=``, to its last part; return any other word as it is."""
     key, equals, value = word.partition("=")
     if equals and key.startswith("-"):
         return f"{key}={without_folders(value)}"
@@ -49,8 +50,36 @@ def without_folders(word: str) -> str:
     return word
 
 
+PREFIX = "cmd:"
+_SUFFIX = ".toml"
+_LONGEST = 60  # characters of a command in messages
+
+
+def is_command(method: str) -> bool:
+    """Return True for a command, such as ``cmd:python glide.py``."""
+    return method.startswith(PREFIX)
+
+
+def is_description(method: str) -> bool:
+    """Return True for the path of a description, such as ``glide.toml``."""
+    return not is_command(method) and method.lower().endswith(_SUFFIX)
+
+
+def is_program(method: str) -> bool:
+    """Return True for a program of its own, False for the name of an installed adapter or of a control."""
+    return is_command(method) or is_description(method)
+
+
+def short_name(method: str) -> str:
+    """Return the name that a method has before it has introduced itself; never a path."""
+    if is_command(method):
+        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
+        return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
+    return Path(method).stem if is_description(method) else method
+
+
 def _split_on_windows(text: str) -> list[str]:
-    """As programs on Windows split what they are given: quotes group, a backslash escapes only before a quote."""
+    """Split as programs on Windows do: quotes group, a backslash escapes only before a quote."""
     words: list[str] = []
     word, quoted, begun = "", False, False
     for token in _WINDOWS_TOKEN.finditer(text):

@@ -8,13 +8,11 @@ from collections.abc import Mapping, Sequence
 import prbench
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.methods.remote.answers import error_text, motions_in
+from prbench.methods.remote.answers import Introduction, RemoteWeights, error_text, motions_in
 from prbench.methods.remote.faults import Ended, Fault, ReportedError, TimedOut
-from prbench.methods.remote.introduction import Introduction, RemoteWeights
 from prbench.methods.remote.log import ProgramLog
 from prbench.methods.remote.messages import WIRE_VERSION, Header, conditions_payload
-from prbench.methods.remote.process import ProgramProcess
-from prbench.methods.remote.program import Program
+from prbench.methods.remote.process import Program, ProgramProcess
 from prbench.skeleton import N_JOINTS
 
 __all__ = ["RemoteAdapter", "RemoteWeights"]
@@ -38,14 +36,14 @@ class RemoteAdapter:
         self._program, self._hello = program, hello
         self._closed = False
         self.restarts = 0
-        """How often the program was started again after a crash."""
+        """Number of times that the program was started again after a crash."""
         introduction = self._introduction = self._launch(f"method '{program.name}'")
         self.name, self.version = introduction.name, introduction.version
         self.conditions: frozenset[Condition] = introduction.declared.conditions
         self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
         self.motionless = introduction.declared.motionless
         self.weights: Mapping[Condition, RemoteWeights] = introduction.weights
-        """What it says that it will use under each condition; empty if it says nothing."""
+        """Weights that it says it uses under each condition; empty if it says nothing."""
         self.trainable = introduction.trainable
 
     @classmethod
@@ -59,7 +57,7 @@ class RemoteAdapter:
             weights: An absolute path, or a name that the program knows, or None for its default.
             options: ``--option key=value``, handed on as they are.
             device: ``cpu``, ``cuda`` …
-            threads: That it may use.
+            threads: Threads that it may use.
 
         Raises:
             AdapterError: if it cannot be started, refuses its settings, or does not introduce itself in time and as
@@ -88,7 +86,7 @@ class RemoteAdapter:
 
     @property
     def exit_status(self) -> int | None:
-        """Once it is closed: how the program ended by itself; None if it had to be ended."""
+        """Exit status of the program once it is closed; None if it had to be ended."""
         return self._process.exit_status
 
     def close(self) -> None:
@@ -97,7 +95,7 @@ class RemoteAdapter:
         self._finalizer()
 
     def _asked(self, batch: ConditionBatch, seed: int, origin: str) -> Motions:
-        """One attempt.
+        """Ask once.
 
         Raises:
             AdapterError: if it failed for good.
@@ -153,7 +151,7 @@ class RemoteAdapter:
             raise AdapterError(f"{error}{_log_story(process.log, even_if_empty=False)}") from error
 
     def _told(self, origin: str, fault: Fault, asked_for: str = "", *, if_late: str = _SLOW_BATCH) -> str:
-        """A fault, what to do about it, what was asked for, and the end of the log."""
+        """Describe a fault: what to do about it, what was asked for, and the end of the log."""
         text = f"{origin}: its program {fault}.".replace("..", ".")
         if isinstance(fault, TimedOut):
             text += if_late
@@ -165,7 +163,7 @@ class RemoteAdapter:
 
 
 def _asked_for(ids: Sequence[str]) -> str:
-    """Ids are long: what they stand for comes behind the reason."""
+    """Say what was asked for; ids are long, so it comes behind the reason."""
     batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
     return f" It was asked for {batch}."
 

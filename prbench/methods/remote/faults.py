@@ -1,4 +1,4 @@
-"""What can go wrong with a program, as half a sentence that begins after its name."""
+"""Faults of a program, each as half a sentence that begins after its name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ReportedError(Fault):
 
 
 def excerpt(found: bytes | bytearray, limit: int = 80) -> str:
-    r"""The first characters of what was found, in quotes, whatever bytes they are.
+    r"""Return the first characters of what was found, in quotes, whatever bytes they are.
 
     >>> excerpt(b"epoch 1\r\n")
     "'epoch 1'"
@@ -42,7 +42,7 @@ def excerpt(found: bytes | bytearray, limit: int = 80) -> str:
 
 
 def exit_story(status: int) -> str:
-    """How a process ended, from its return code.
+    """Say how a process ended, from its return code.
 
     >>> exit_story(1)
     'ended with exit status 1'

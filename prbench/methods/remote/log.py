@@ -1,4 +1,4 @@
-"""What a program writes to stderr: kept in a file of bounded size, its last lines at hand for messages."""
+"""The log of a program: its stderr in a file of bounded size, the last lines at hand for messages."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ProgramLog:
         return self._path if self._written else None
 
     def tail(self, lines: int = 10) -> list[str]:
-        """The last lines, the beginning of an overlong one cut."""
+        """Return the last lines, overlong ones cut."""
         text = self._tail.decode(errors="replace")
         return [_printable(line) for line in text.splitlines() if line.strip()][-lines:]
 
@@ -100,7 +100,7 @@ class _BoundedFile:
 
 
 def _file_name(name: str) -> str:
-    """What messages call a program, fit for a file: folders and odd characters left out.
+    """Make a file name of the name that a program has in messages: folders and odd characters are left out.
 
     >>> _file_name("/opt/envs/glide/bin/python '/home/me/my glide.py' --fast")
     'python-my-glide.py---fast'
@@ -117,6 +117,6 @@ def _prune(folder: Path) -> None:
 
 
 def _printable(line: str) -> str:
-    """Without what would move the cursor or colour a terminal."""
+    """Remove what would move the cursor or colour a terminal."""
     line = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", line.expandtabs(4))
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)[:400]

@@ -58,7 +58,7 @@ class Outbox:
             raise TimedOut(f"did not read its stdin within {deadline.seconds:g} s ({self.progress()})") from None
 
     def progress(self) -> str:
-        """How much of the message the program has taken."""
+        """Say how much of the message the program has taken."""
         return f"{self.written:,} of {self.total:,} bytes of the request went into its stdin"
 
     def close(self) -> None:
@@ -166,7 +166,7 @@ class Inbox:
             raise _no_message(line, f" ({error})") from error
 
     def _refuse_line(self, deadline: Deadline) -> None:
-        """What begins so can be no header; take in a little more of it for the message."""
+        """Take in a little more of what can be no header, so that the message can show it."""
         patience = Deadline(min(deadline.remaining(), _LINE_PATIENCE))
         while len(self._buffer) < 400 and b"\n" not in self._buffer:
             try:
@@ -206,7 +206,7 @@ class Inbox:
         )
 
     def _ended_soon(self) -> str | None:
-        """How the program ended; a pipe closes a moment before its process is gone."""
+        """Say how the program ended; a pipe closes a moment before its process is gone."""
         patience = Deadline(1.0)
         while (ended := self._ended()) is None and patience.remaining():
             time.sleep(0.01)

@@ -10,6 +10,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import psutil
 
@@ -18,12 +20,32 @@ from prbench.methods.remote.faults import exit_story
 from prbench.methods.remote.log import ProgramLog
 from prbench.methods.remote.messages import Header, encode_message
 from prbench.methods.remote.pipes import Deadline, Inbox, Outbox
-from prbench.methods.remote.program import Program
+
+
+@dataclass(frozen=True)
+class Program:
+    """A method's program. Picklable, so that every worker can start its own; it knows nothing about tables."""
+
+    name: str
+    """Name in messages until it has introduced itself."""
+    words: tuple[str, ...]
+    """The whole command: a fence, ``conda run`` and the like included."""
+    directory: Path | None
+    """Folder that it starts in; None for an empty temporary folder of its own."""
+    environment: tuple[tuple[str, str], ...]
+    """The whole environment; nothing is inherited beside it."""
+    start_timeout: float = 120.0
+    """Seconds until it has introduced itself."""
+    batch_timeout: float = 600.0
+    """Seconds until a batch is answered."""
+    fence: str | None = None
+    """None for the user's own program; ``process`` or ``bubblewrap`` for an installed method kept at a distance."""
+
 
 EXIT_SECONDS = 5.0
-"""For a program to end after its stdin was closed."""
+"""Time for a program to end after its stdin was closed."""
 TERM_SECONDS = 2.0
-"""And again after SIGTERM."""
+"""Time for it to end after SIGTERM."""
 
 
 class ProgramProcess:
@@ -53,11 +75,11 @@ class ProgramProcess:
         self.over = False
         """It was closed or killed."""
         self.exit_status: int | None = None
-        """Once it is closed: how it ended by itself; None if it had to be ended."""
+        """Exit status once it is closed; None if it had to be ended."""
 
     @property
     def pid(self) -> int:
-        """Of the process that was started, a fence or ``conda run`` included."""
+        """Process id of what was started, which may be a fence or ``conda run``."""
         return self._popen.pid
 
     def ask(
@@ -66,8 +88,8 @@ class ProgramProcess:
         """Send a message and wait for the answer; what goes wrong, Ctrl-C included, kills the program.
 
         Args:
-            header: Of the message.
-            payload: Of the message.
+            header: Header of the message.
+            payload: Payload of the message.
             timeout: Seconds for both.
             answer_limit: Bytes of payload that the answer may have.
 
@@ -152,7 +174,7 @@ class ProgramProcess:
             time.sleep(0.01)
 
     def _kin(self) -> Iterator[psutil.Process]:
-        """What the program has started and is still there: its descendants, and all others of its group."""
+        """Yield the processes that the program has started and that still run: its descendants and its group."""
         seen = {self._popen.pid}
         with contextlib.suppress(psutil.Error):
             for process in psutil.Process(self._popen.pid).children(recursive=True):

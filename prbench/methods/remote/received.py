@@ -98,7 +98,7 @@ def _texts(column: pa.Array) -> list[str]:
 
 
 def _frames(column: pa.Array, ids: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """All frames (total, 22, 3) and the offsets of the rows."""
+    """Return all frames (total, 22, 3) and the offsets of the rows."""
     if not _is_list(column.type):
         raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
     offsets, values = _unwrapped(column)
@@ -126,7 +126,7 @@ def _is_list(type_: pa.DataType) -> bool:
 
 
 def _unwrapped(column: pa.Array) -> tuple[np.ndarray, pa.Array]:
-    """Offsets from 0 and the values between the first and the last, whatever slice of its buffers a column is."""
+    """Return offsets from 0 and the values between first and last, whatever slice of its buffers a column is."""
     if pa.types.is_fixed_size_list(column.type):
         return np.arange(len(column) + 1) * column.type.list_size, column.flatten()
     offsets = column.offsets.to_numpy().astype(np.int64)
@@ -134,7 +134,7 @@ def _unwrapped(column: pa.Array) -> tuple[np.ndarray, pa.Array]:
 
 
 def _wanted(shape: tuple[int, ...]) -> int:
-    """The size of a level that no frame shows, since there are none."""
+    """Return the size of a level that no frame shows, since there are none."""
     return 3 if shape else _NUMBERS
 
 

@@ -52,7 +52,7 @@ class ColumnMotions:
 
     archive: Archive
     starts: Int[np.ndarray, " n"] | None
-    """Where each motion begins among all frames; None if they are padded, one a row."""
+    """Frame at which each motion begins; None if they are padded, one a row."""
     n_frames: Int[np.ndarray, " n"]
     _unpacked: _Unpacked = field(default_factory=lambda: _Unpacked(), repr=False)
 
@@ -193,7 +193,7 @@ def _whole_numbers(archive: Archive, name: str, n: int, *, smallest: int) -> np.
 
 
 def _is_padded(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> bool:
-    """Whether ``joints`` has a row a motion, or the frames of all after one another."""
+    """Return True if ``joints`` has a row a motion, False if it has the frames of all after one another."""
     leading = leading_axes(header.shape)
     if leading is None or len(leading) not in (1, 2) or not _is_float(header.dtype):
         raise PredictionsError(f"{path}, 'joints': expected {_FORMS}, found {header.shape} of {header.dtype}.")
@@ -256,7 +256,7 @@ def _is_float(dtype: np.dtype) -> bool:
 
 @contextlib.contextmanager
 def _as_predictions_error() -> Iterator[None]:
-    """What is wrong with the file is wrong with the predictions."""
+    """Turn errors of the file into errors of the predictions."""
     try:
         yield
     except InputFileError as error:

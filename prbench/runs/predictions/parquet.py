@@ -146,7 +146,7 @@ def _numbers(leaves: pa.Array) -> np.ndarray:
 
 
 def _ends(lists: pa.Array) -> np.ndarray:
-    """Where each list begins among all their items, then the number of items; a null holds none."""
+    """Return the place at which each list begins among all items, then the number of items; a null holds none."""
     lengths = lists.value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
     return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +11,63 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.boundary import foreign_input
-from prbench.errors import PredictionsError
+from prbench.bounded import open_regular
+from prbench.errors import InputFileError, PredictionsError
+from prbench.numpy_files import ArrayHeader, map_array, read_header
 from prbench.runs.predictions.npz import index_npz
-from prbench.runs.predictions.numbered import index_numbered, numbered_folder
 from prbench.runs.predictions.parquet import index_parquet
-from prbench.runs.predictions.rows import IndexedRows, MotionStore, Numbering, PredictionRows, as_float32
+from prbench.runs.predictions.rows import IndexedRows, MotionStore, Numbering, PredictionRows, as_float32, leading_axes
+from prbench.skeleton import N_JOINTS
+
+FOLDER = "motions"
+_NAME = re.compile(r"\d+\.npy", re.ASCII)
+_FORM = "the shape (frames, 22, 3) or (frames, 66) of float32 or float64"
+
+
+def _numbered_folder(path: Path) -> Path | None:
+    """The folder of numbered motions that a path means: itself or its ``motions``; None if there is none."""
+    if (path / FOLDER).is_dir():
+        return path / FOLDER
+    return path if path.name == FOLDER or any(path.glob("*.npy")) else None
+
+
+def index_numbered(folder: Path, numbering: Numbering | None) -> IndexedRows:
+    """Read names and headers of all files.
+
+    Args:
+        folder: Holds the ``.npy`` files.
+        numbering: What their numbers mean.
+
+    Raises:
+        PredictionsError: if there are more or fewer files than rows, or a name or a header is wrong.
+    """
+    if numbering is None:
+        raise PredictionsError(
+            f"{folder}: expected to be told what the numbers of the files mean. Add --conditions FILE, the file of"
+            " `prbench export-conditions` that the motions were made from; the number is the row in it, from 0."
+        )
+    paths = _paths(folder, numbering)
+    headers = [_header(path) for path in paths]
+    lengths = np.array([header.shape[0] for header in headers], dtype=np.int64)
+    return IndexedRows(paths, "opaque_id", numbering.ids, numbering.samples, lengths, _NumberedMotions(paths))
+
+
+@dataclass(frozen=True)
+class _NumberedMotions:
+    """One file a motion."""
+
+    paths: tuple[Path, ...]
+
+    def make_ready(self) -> None:
+        """Nothing has to be done."""
+
+    def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """See :class:`MotionStore`."""
+        return [_motion(self.paths[row]) for row in rows]
+
+    def where(self, row: int) -> str:
+        """See :class:`MotionStore`."""
+        return str(self.paths[row])
 
 
 @dataclass(frozen=True)
@@ -25,10 +78,10 @@ class Predictions:
     id_column: str
     """``sequence_id`` or ``opaque_id``."""
     ids: tuple[str, ...]
-    """Of every motion, in the order of the files."""
+    """Id of every motion, in the order of the files."""
     samples: tuple[int, ...]
     n_frames: Int[np.ndarray, " n"] | None
-    """Of every motion; None where only the motions themselves tell (Parquet)."""
+    """Length of every motion; None where only the motions themselves tell (Parquet)."""
     _store: MotionStore = field(repr=False)
     _row_of: dict[tuple[str, int], int] = field(repr=False)
     """(id, sample) → row; of repeated ones the last."""
@@ -83,13 +136,58 @@ class Predictions:
         return PredictionRows(as_float32(np.concatenate(found)), np.concatenate(([0], np.cumsum(lengths))))
 
 
+def _paths(folder: Path, numbering: Numbering) -> tuple[Path, ...]:
+    """The file of each row."""
+    rows = len(numbering.ids)
+    by_number: dict[int, Path] = {}
+    for path in sorted(path for path in folder.glob("*.npy") if path.name[0] != "."):
+        if not _NAME.fullmatch(path.name):
+            raise PredictionsError(f"{path}: expected a number as name, such as 0000000012.npy, found '{path.name}'.")
+        number = int(path.stem)
+        if number >= rows:
+            one = " The files seem to count from 1; count from 0." if number == rows and 0 not in by_number else ""
+            raise PredictionsError(
+                f"{path}: expected a number below {rows}, the rows of {numbering.source}, found {number}.{one}"
+            )
+        if number in by_number:
+            raise PredictionsError(f"{path}: expected each number once, found {number} in {by_number[number]}, too.")
+        by_number[number] = path
+    missing = [row for row in range(rows) if row not in by_number]
+    if missing:
+        raise PredictionsError(
+            f"{folder}: expected {rows} files, one a row of {numbering.source}, found {len(by_number)}; the first that"
+            f" is missing is {missing[0]:010d}.npy."
+        )
+    return tuple(by_number[row] for row in range(rows))
+
+
+def _header(path: Path) -> ArrayHeader:
+    try:
+        with open_regular(path) as file:
+            header = read_header(file, path, "")
+    except InputFileError as error:
+        raise PredictionsError(str(error)) from error
+    leading = leading_axes(header.shape)
+    if leading is None or len(leading) != 1 or header.dtype.kind != "f" or header.dtype.itemsize not in (4, 8):
+        raise PredictionsError(f"{path}: expected {_FORM}, found {header.shape} of {header.dtype}.")
+    return header
+
+
+def _motion(path: Path) -> np.ndarray:
+    header = _header(path)
+    try:
+        return as_float32(map_array(path, header)).reshape(-1, N_JOINTS, 3)
+    except InputFileError as error:
+        raise PredictionsError(str(error)) from error
+
+
 def _indexed(path: Path, numbering: Numbering | None) -> IndexedRows:
     if path.suffix.lower() == ".npz" and not path.is_dir():
         return index_npz(path)
     if not path.is_dir():
         _require_parquet(path)
         return index_parquet((path,))
-    if folder := numbered_folder(path):
+    if folder := _numbered_folder(path):
         return index_numbered(folder, numbering)
     parts = tuple(sorted(part for part in path.glob("*.parquet") if part.name[0] != "."))
     if not parts:

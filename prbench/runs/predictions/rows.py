@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Float, Int
 
+from prbench.runs.scores import PREDICTIONS
+from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
 
 POSE_SIZE = N_JOINTS * 3
@@ -22,7 +25,7 @@ class PredictionRows:
     values: Float[np.ndarray, "total 22 3"]
     """Canonical frames, metres."""
     offsets: Int[np.ndarray, " offsets"]
-    """Where each motion begins, then the number of all frames."""
+    """Row at which each motion begins, then the number of all frames."""
 
     @classmethod
     def from_padded(
@@ -52,7 +55,7 @@ class MotionStore(Protocol):
 
 @dataclass(frozen=True)
 class IndexedRows:
-    """What a predictions file holds, known without reading a motion."""
+    """Contents of a predictions file, known without reading a motion."""
 
     paths: tuple[Path, ...]
     id_column: str
@@ -66,7 +69,7 @@ class IndexedRows:
 
 @dataclass(frozen=True)
 class Numbering:
-    """Which motion the files of a folder of numbered motions are: file number i is row i."""
+    """The motions of a folder of numbered files: file number i is row i."""
 
     source: Path
     """The conditions file whose rows are numbered."""
@@ -86,3 +89,40 @@ def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
     """The numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
     with np.errstate(over="ignore"):
         return np.asarray(joints, dtype=np.float32)
+
+
+def write_part(
+    path: Path,
+    sequence_ids: Sequence[str],
+    seeds: Sequence[Sequence[int]],
+    samples: Sequence[PredictionRows],
+    *,
+    protocol_version: int,
+) -> None:
+    """Write the motions of one batch, whole or not at all, sample by sample.
+
+    Args:
+        path: The Parquet file.
+        sequence_ids: Of the batch's rows.
+        seeds: For each sample the noise seed of each row.
+        samples: For each sample the motions of the batch.
+        protocol_version: Stands in the file's metadata.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    batches = [_record_batch(sequence_ids, sample, seeds[sample], motions) for sample, motions in enumerate(samples)]
+    write_table(path, batches, PREDICTIONS, protocol_version=protocol_version)
+
+
+def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions: PredictionRows) -> pa.RecordBatch:
+    values = pa.array(motions.values.astype(np.float32).reshape(-1))
+    offsets = pa.array(motions.offsets.astype(np.int32))
+    joints = pa.ListArray.from_arrays(offsets, pa.FixedSizeListArray.from_arrays(values, POSE_SIZE))
+    columns = [
+        pa.array(ids, pa.string()),
+        pa.array([sample] * len(ids), pa.int32()),
+        pa.array(seeds, pa.int64()),
+        joints.cast(PREDICTIONS.field("joints").type),
+    ]
+    return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS)

@@ -1,22 +1,89 @@
-"""The rows of a conditions file in memory, and batches of them."""
+"""A conditions file in memory: its rows, batches of them, and what it says about itself, which never names the data."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.contract import GIVEN, Condition, ConditionBatch
-from prbench.errors import UsageError
-from prbench.submitted.offline.information import ConditionsInfo
+from prbench.errors import InputFileError, UsageError
+from prbench.storage import text_digest
+
+FORMAT_VERSION = 1
+METADATA_KEY = "prbench_conditions"
+"""Key of the Parquet metadata, and name of the array in an ``.npz``, that holds the information as JSON."""
+
+
+class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings that the rows of a conditions file were made with. A method may see them as it may see the rows."""
+
+    format_version: int = FORMAT_VERSION
+    condition: Condition
+    seed: int
+    """The run's seed, behind opaque ids and noise seeds."""
+    samples: int
+    """Rows of each sequence, with noise of their own."""
+    split: str
+    limit: int | None
+    max_frames: int | None
+    """Longer sequences, at the rate of the file, were left out."""
+    native_fps: float | None
+    """Rate that ``n_frames`` and ``fps`` are given at; None for the table's own."""
+    protocol_version: int
+    tables: tuple[str, ...]
+    """Fingerprints of the tables, sorted."""
+
+    def as_json(self) -> str:
+        """One line, sorted keys."""
+        return msgspec.json.encode(self, order="sorted").decode()
+
+    @classmethod
+    def from_json(cls, text: str | bytes, path: Path) -> ConditionsInfo:
+        """Read what :meth:`as_json` wrote.
+
+        Args:
+            text: JSON.
+            path: The file that it stands in, for messages.
+
+        Raises:
+            InputFileError: if it is of a newer version or not what the format asks for.
+        """
+        remedy = "Export the conditions again with `prbench export-conditions`."
+        try:
+            version = msgspec.json.decode(text, type=_Versioned).format_version
+            if version == FORMAT_VERSION:
+                return msgspec.json.decode(text, type=cls)
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise InputFileError(
+                path, METADATA_KEY, expected="what prbench wrote about the file", found=str(error), remedy=remedy
+            ) from error
+        raise InputFileError(
+            path, METADATA_KEY, expected=f"format version {FORMAT_VERSION}", found=str(version), remedy=remedy
+        )
+
+
+class _Versioned(msgspec.Struct):
+    format_version: int
+
+
+def fingerprints(identities: Iterable[str]) -> tuple[str, ...]:
+    """One digest a table, sorted. Whoever has the table recognises it; the key of the opaque ids does not follow.
+
+    Args:
+        identities: Identity digests of the tables.
+    """
+    return tuple(sorted(text_digest("prbench conditions", identity) for identity in identities))
+
 
 DEFAULT_BATCH_SIZE = 64
-SUFFIXES = (".parquet", ".npz")
+_SUFFIXES = (".parquet", ".npz")
 
 
 @dataclass(frozen=True)
@@ -24,7 +91,7 @@ class SampledBatch:
     """Some rows of a conditions file as a method gets them."""
 
     sample: int
-    """Which of the motions of each sequence is drawn; the same for all rows."""
+    """Number of the motion that is drawn of each sequence; the same for all rows."""
     rows: Int[np.ndarray, " batch"]
     """Their places in the file, from 0."""
     batch: ConditionBatch
@@ -88,7 +155,7 @@ class ConditionsFile:
 
 
 def given_columns(condition: Condition) -> tuple[str, ...]:
-    """The columns that a condition fills beyond those that every file has, in the order of the format."""
+    """Return the columns that a condition fills beyond those that every file has, in the order of the format."""
     order = ("text", "initial_joints", "previous_joints", "goal_joints", "goal_location")
     return tuple(name for name in order if name in GIVEN[condition])
 
@@ -99,8 +166,8 @@ def require_suffix(path: Path) -> None:
     Raises:
         UsageError: naming the two suffixes.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}, found '{path.suffix}'.")
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}, found '{path.suffix}'.")
 
 
 def _taken(values: tuple[str, ...] | np.ndarray | None, rows: np.ndarray) -> tuple[str, ...] | np.ndarray | None:

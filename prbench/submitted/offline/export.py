@@ -21,9 +21,14 @@ from prbench.methods.native_rate import at_native_rate
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.storage import turn_into_paths, write_text
-from prbench.submitted.offline.conditions_file import ConditionsFile, given_columns, require_suffix
-from prbench.submitted.offline.information import ConditionsInfo, fingerprints
-from prbench.submitted.offline.read import write_conditions
+from prbench.submitted.offline.conditions_file import (
+    ConditionsFile,
+    ConditionsInfo,
+    fingerprints,
+    given_columns,
+    require_suffix,
+)
+from prbench.submitted.offline.files import write_conditions
 
 _RECORDED_MOTION = frozenset({"initial_joints", "previous_joints", "goal_joints", "goal_location"})
 GOALS = frozenset({"goal_joints", "goal_location"})
@@ -31,7 +36,7 @@ GOALS = frozenset({"goal_joints", "goal_location"})
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """Which conditions to write.
+    """The conditions to write, and the file for them.
 
     Raises:
         UsageError: if parts of it do not fit together.
@@ -46,7 +51,7 @@ class ExportRequest:
     samples: int = 1
     split: str = "test"
     limit: int | None = None
-    """As `prbench run --limit`: of each dataset so many sequences."""
+    """Number of sequences of each dataset, as `prbench run --limit` has it."""
     max_frames: int | None = None
     """Leave out longer sequences; they count as unsupported when the motions are scored."""
     native_fps: float | None = None
@@ -76,17 +81,17 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written."""
+    """Counts of what was written."""
 
     out: Path
     rows: int
     """Motions to be generated."""
     sequences: dict[str, int]
-    """By dataset."""
+    """Sequences by dataset."""
     left_out: dict[str, int]
     """Sequences longer than ``max_frames``, by dataset."""
     notices: tuple[str, ...]
-    """What the datasets' terms ask of whoever passes the file on; stands beside it as ``*.NOTICE.txt``."""
+    """Notice that the datasets' terms ask for; it stands beside the file as ``*.NOTICE.txt``."""
 
 
 def export_conditions(request: ExportRequest) -> ExportReport:
@@ -126,7 +131,7 @@ class MadeConditions:
     file: ConditionsFile
     selections: tuple[Selection, ...]
     left_out: tuple[int, ...]
-    """Of each table, sequences longer than the limit."""
+    """Count the sequences of each table that are longer than the limit."""
 
 
 def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeConditions:

@@ -16,10 +16,9 @@ from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import RunRecord
 from prbench.sequences import SequenceTable
-from prbench.submitted.score_predictions.board import write_plain
 from prbench.submitted.score_predictions.complete import Wanted, require_complete
 from prbench.submitted.score_predictions.request import ScoreReport, ScoreRequest
-from prbench.submitted.score_predictions.scored import About, Scored, Work
+from prbench.submitted.score_predictions.scored import About, Scored, Work, write_plain
 
 _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "max_frames", "native_fps", "name")
 

@@ -1,4 +1,4 @@
-"""Whether every sequence has its motions, each exactly once and of the right length, before any motion is read."""
+"""Check before any motion is read that every sequence has its motions, each once and of the right length."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Wanted:
     """The motions that have to be there."""
 
     path: Path
-    """Of the predictions, as the user named it."""
+    """Path of the predictions, as the user named it."""
     selections: tuple[Selection, ...]
     """One a table."""
     seed: int
-    """Behind opaque ids."""
+    """Seed behind opaque ids."""
     samples: int | None
     """Motions of each sequence; None for as many as are there."""
     native_fps: float | None

@@ -1,4 +1,4 @@
-"""What a user asks of scoring, and what comes of it."""
+"""The request of scoring, and the report that comes of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from prbench.storage import turn_into_paths
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreRequest:
-    """Which predictions to score on which tables.
+    """The predictions to score, and the tables to score them on.
 
     What is None is taken from the run, or from the conditions file; saying it otherwise than that file is an error.
 
@@ -32,13 +32,13 @@ class ScoreRequest:
     conditions: Path | None = None
     """The file of `prbench export-conditions` that the motions were made from."""
     split: str | None = None
-    """By default that of the run, else ``test``."""
+    """Split; by default that of the run, else ``test``."""
     limit: int | None = None
-    """By default that of the run, else none."""
+    """Sequences of each dataset; by default as many as the run has, else all."""
     seed: int | None = None
-    """Behind the opaque ids, if the predictions have those; 0 by default."""
+    """Seed behind the opaque ids, if the predictions have those; 0 by default."""
     condition: Condition | None = None
-    """What the method was given, for the record."""
+    """Condition that the method was given, for the record."""
     control: str | None = None
     """``shuffled-goal`` if that is how the conditions were made; a conditions file tells by its goals."""
     max_frames: int | None = None
@@ -46,7 +46,7 @@ class ScoreRequest:
     native_fps: float | None = None
     """Rate of the motions, if it is another than the table's; they are resampled."""
     name: str | None = None
-    """Of the method; by default that of the file."""
+    """Name of the method; by default that of the file."""
     allow_length_mismatch: bool = False
     out: Path | None = None
     """Folder for ``scores.parquet`` and ``summary.json`` (of several datasets, a sub-folder each), and for what a
@@ -71,8 +71,8 @@ class ScoreReport:
     scores: pa.Table
     summary: DatasetSummary
     folder: Path | None
-    """Where they were written."""
+    """Folder that they were written to; None if nowhere."""
     origin: str
-    """Whose motions they are, in words: ``MethodRecord.origin``."""
+    """Origin of the motions, in words: ``MethodRecord.origin``."""
     motionless: bool = False
     """The run declares that its motions stand still, so that Foot Skating says nothing."""

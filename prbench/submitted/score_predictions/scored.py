@@ -4,22 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
+import prbench
 from prbench.engine import Engine
+from prbench.errors import StorageError
 from prbench.evaluation.planning import Selection
-from prbench.evaluation.progress import Progress, ProgressCallback
+from prbench.evaluation.request import Progress, ProgressCallback
+from prbench.evaluation.results import ScoredSet, summarise
 from prbench.evaluation.scoring import ScoringRules, score_selection
-from prbench.evaluation.summarise import ScoredSet, summarise
+from prbench.manifests import load_protocol
+from prbench.runs import record as run_record
+from prbench.runs.cost import total_cost
+from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
+from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.runs.scores import RUN_SCHEMA_VERSION, write_scores
 from prbench.runs.summary import DatasetSummary
+from prbench.storage import file_digest, remove_half_written, text_digest
+from prbench.submitted.score_predictions.stated import Stated
 
 
 @dataclass(frozen=True)
 class Work:
-    """Where the work is done, and who is told how far it is."""
+    """The engine that does the work, and the receiver of its progress."""
 
     engine: Engine
     progress: ProgressCallback
@@ -27,7 +38,7 @@ class Work:
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """What a summary says of the motions beside their scores."""
+    """Facts on the motions that a summary holds beside their scores."""
 
     method: str
     condition: str
@@ -41,7 +52,7 @@ class Scored:
     chosen: Selection
     """The sequences of split and limit."""
     selection: Selection
-    """Of these, the ones that were scored."""
+    """The chosen sequences that were scored."""
     scores: pa.Table
     summary: DatasetSummary
 
@@ -73,9 +84,112 @@ class Scored:
         return cls(chosen, selection, scores, summarise(scores, scored))
 
 
+_ELSEWHERE = "offline"
+"""Device of a method whose motions came as a file."""
+UNSTATED = "unstated"
+"""Condition of motions of which nobody said what they were made from; never ranked."""
+
+
+def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, ...]) -> RunRecord:
+    """Return what is known of a submission as a run's record; its version is the digest of its files."""
+    protocol = load_protocol()
+    return RunRecord(
+        schema_version=RUN_SCHEMA_VERSION,
+        prbench_version=prbench.__version__,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        method=MethodRecord(
+            name=name,
+            kind=FILE,
+            package=path.name,
+            version=_predictions_digest(path)[:12],
+            weights=None,
+            weights_digest=None,
+            options={},
+            max_frames=stated.max_frames,
+            native_fps=stated.native_fps,
+            motionless=False,
+        ),
+        condition=stated.condition.value if stated.condition else UNSTATED,
+        control=stated.control,
+        split=stated.split,
+        limit=stated.limit,
+        seed=stated.seed,
+        samples=scored[0].summary.samples,
+        device=_ELSEWHERE,
+        threads=0,
+        packages={},
+        tables=tuple(_table_record(one) for one in scored),
+    )
+
+
+def _predictions_digest(path: Path) -> str:
+    """SHA-256 of a file, or of the names and contents of a folder's files."""
+    if path.is_file():
+        return file_digest(path)
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    return text_digest(*(part for file in files for part in (file.relative_to(path).as_posix(), file_digest(file))))
+
+
+def write_submission(folder: Path, record: RunRecord, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
+    """Write the scores of a submission as a leaderboard reads them; its motions stay where they are.
+
+    Returns:
+        The folder of each dataset.
+
+    Raises:
+        RunError: if the folder belongs to another submission.
+        StorageError: if it holds something else, or cannot be written.
+    """
+    _require_no_run(folder)
+    run = RunFolder.prepare(folder, record)
+    parts = [run.dataset(one.summary.dataset) for one in scored]
+    for part, one in zip(parts, scored):
+        write_scores(part.scores, [one.scores])
+        total_cost([], batches=0).write(part.cost)  # nothing was measured
+        one.summary.write(part.path)
+    return tuple(part.path for part in parts)
+
+
+def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
+    """Write the scores of a run beside those that it has itself.
+
+    Raises:
+        StorageError: if the folder is that of a run, or cannot be written.
+    """
+    _require_no_run(folder)
+    remove_half_written(folder)
+    parts = [folder if len(scored) == 1 else folder / one.summary.dataset for one in scored]
+    for part, one in zip(parts, scored):
+        write_scores(part / "scores.parquet", [one.scores])
+        one.summary.write(part)
+    return tuple(parts)
+
+
 def _reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
     done = 0
     for window in windows:
         yield window
         done += len(np.unique(window["sequence_id"].to_numpy()))
         progress(Progress(selection.table.info.dataset, "score", done, len(selection)))
+
+
+def _require_no_run(folder: Path) -> None:
+    if (folder / run_record.FILE_NAME).is_file() and RunRecord.read(folder).method.kind != FILE:
+        raise StorageError(f"{folder}: is a run folder with scores of its own. Choose another folder for --out.")
+
+
+def _table_record(scored: Scored) -> TableRecord:
+    table, chosen = scored.selection.table, scored.chosen
+    return TableRecord(
+        dataset=table.info.dataset,
+        title=table.info.title,
+        synthetic=table.info.synthetic,
+        redistribution=table.info.redistribution,
+        identity_digest=table.identity,
+        content_digest=table.content,
+        sequences=len(chosen),
+        unsupported=len(chosen) - len(scored.selection),
+        selection_digest=chosen.digest,
+        batch_plan=BatchPlanRecord(batch_size=0, batches=0, digest=""),
+    )

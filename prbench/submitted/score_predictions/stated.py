@@ -1,4 +1,4 @@
-"""How the motions of a submission were made: as the request says it, or its conditions file."""
+"""Statements on how the motions of a submission were made: by the request, or by its conditions file."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from prbench.contract import Condition
 from prbench.errors import PredictionsError, UsageError
 from prbench.evaluation.controls import SHUFFLED_GOAL
 from prbench.sequences import SequenceTable
-from prbench.submitted.offline.conditions_file import ConditionsFile, given_columns
+from prbench.submitted.offline.conditions_file import ConditionsFile, fingerprints, given_columns
 from prbench.submitted.offline.export import GOALS, ExportRequest, conditions_of
-from prbench.submitted.offline.information import fingerprints
 from prbench.submitted.score_predictions.request import ScoreRequest
 
 _STATED_TWICE = ("condition", "seed", "split", "limit", "max_frames", "native_fps")
@@ -20,7 +19,7 @@ _STATED_TWICE = ("condition", "seed", "split", "limit", "max_frames", "native_fp
 
 @dataclass(frozen=True)
 class Stated:
-    """What is known of motions beside themselves."""
+    """Everything known of motions beside themselves."""
 
     condition: Condition | None
     control: str | None
@@ -34,7 +33,7 @@ class Stated:
 
 
 def stated_by_request(request: ScoreRequest) -> Stated:
-    """Without a conditions file the request is all there is."""
+    """Take what the request says, where there is no conditions file."""
     return Stated(
         request.condition,
         request.control,
@@ -47,7 +46,7 @@ def stated_by_request(request: ScoreRequest) -> Stated:
 
 
 def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable], request: ScoreRequest) -> Stated:
-    """What the conditions file says, compared with the request and, row by row, with the tables.
+    """Read the conditions file, and compare it with the request and, row by row, with the tables.
 
     Raises:
         UsageError: if the request says something else.
@@ -80,7 +79,7 @@ def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable]
 
 
 def _control(conditions: ConditionsFile, tables: list[SequenceTable], request: ScoreRequest) -> str | None:
-    """Whether the goals are those of other sequences; the rows must be what the tables give in either case."""
+    """Return the control by which the goals are those of other sequences; the rows must be what the tables give."""
     different = _first_difference(conditions, tables, request, control=None)
     if different is None:
         return None

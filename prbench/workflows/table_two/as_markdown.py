@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
+from prbench.metrics import exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     BlockLayout,
@@ -26,7 +27,6 @@ _MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "ze
 """Marks of the study's row labels."""
 COST_TITLES = ("s/motion", "passes/motion", "MiB")
 SCHEMA_VERSION = 1
-_UNITS = {"rate": "%", "m": "m", "ratio": "ratio"}
 
 
 def as_markdown(layout: TableLayout) -> str:
@@ -127,7 +127,7 @@ def as_builtins(layout: TableLayout) -> dict[str, object]:
         "schema_version": SCHEMA_VERSION,
         "table": "2",
         "metrics": [
-            {"id": info.id, "unit": _UNITS[info.unit], "higher_is_better": info.higher_is_better}
+            {"id": info.id, "unit": exported_unit(info.unit), "higher_is_better": info.higher_is_better}
             for info in MAIN_METRICS
         ],
         "ranked_from": FEWEST_RANKED,

@@ -23,8 +23,6 @@ from prbench.workflows.table_two.order import METRIC, Step, order_of
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import load_table_two
 
-_METRIC_TITLES = {"location_error": "Loc Err"}
-"""Titles for which the study's table prints another word than the metric's own."""
 _CONTROLS_TITLE = "Controls"
 _CONTROL = "control"
 _MEBIBYTE = 2**20
@@ -139,9 +137,8 @@ class TableLayout:
 
 
 def metric_title(info: MetricInfo) -> str:
-    """Return a metric's title as the study's table prints it, with its direction."""
-    arrow = {True: " ↑", False: " ↓", None: ""}[info.higher_is_better]
-    return f"{_METRIC_TITLES.get(info.id, info.title)}{arrow}"
+    """Return the title as the study's table prints it, with its direction."""
+    return f"{info.title_in_study or info.title}{info.arrow}"
 
 
 def lay_out(
@@ -224,9 +221,8 @@ def _cell(row: TableRow | None, info: MetricInfo) -> Cell | None:
     metric = row.entry.metric(info.id) if row is not None else None
     if row is None or metric is None or hides(row.entry, info):
         return None
-    scale = 100.0 if info.unit == "rate" else 1.0
-    low, high = (None if bound is None else scale * bound for bound in (metric.low, metric.high))
-    return Cell(scale * metric.mean, low, high, row.ranks.get(info.id))
+    low, high = (None if bound is None else info.scale * bound for bound in (metric.low, metric.high))
+    return Cell(info.scale * metric.mean, low, high, row.ranks.get(info.id))
 
 
 def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:

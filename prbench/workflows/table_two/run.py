@@ -16,8 +16,7 @@ from pathlib import Path
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import StorageError
-from prbench.evaluation.progress import ProgressCallback, silent
-from prbench.evaluation.request import RunRequest
+from prbench.evaluation.request import ProgressCallback, RunRequest, silent
 from prbench.evaluation.run import run_method
 from prbench.locks import sole_writer
 from prbench.sequences import SequenceTable

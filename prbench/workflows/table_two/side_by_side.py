@@ -18,7 +18,7 @@ from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import missing_batches
 from prbench.locks import sole_writer
-from prbench.methods.methods import forget_loaded_methods
+from prbench.methods.loaded_methods import forget_loaded_methods
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import FILE_NAME as RECORD
 

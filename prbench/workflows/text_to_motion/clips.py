@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import TableError, UsageError
-from prbench.evaluation.text_to_motion.configuration import GLOVE, SNIPPET, EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.r_precision import BATCH
+from prbench.evaluation.text_to_motion.metrics import BATCH
+from prbench.evaluation.text_to_motion.networks import GLOVE, SNIPPET, EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.words import GloveCaptions, WordVectors
 from prbench.randomness import named_generator
 from prbench.sequences import CorpusTable, SequenceTable

@@ -13,20 +13,20 @@ from jaxtyping import Float
 import prbench
 from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion import draw_multimodality_pairs, multimodality
-from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.distances import (
-    DIVERSITY_PAIRS,
-    MULTIMODALITY_PROMPTS,
-    MULTIMODALITY_SAMPLES,
-)
 from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.fid import FEWEST
 from prbench.evaluation.text_to_motion.measure import (
     MULTIMODALITY,
     EmbeddedPairs,
     measure_motions,
     measure_pairs,
 )
+from prbench.evaluation.text_to_motion.metrics import (
+    DIVERSITY_PAIRS,
+    FEWEST,
+    MULTIMODALITY_PROMPTS,
+    MULTIMODALITY_SAMPLES,
+)
+from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
 from prbench.training.motions import open_table
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench.workflows.text_to_motion.evaluator_file import LoadedEvaluator, load_evaluator

@@ -8,9 +8,13 @@ from pathlib import Path
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementEncoder, TextEncoder
+from prbench.evaluation.text_to_motion.networks import (
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementEncoder,
+    TextEncoder,
+)
 from prbench.representation import N_FEATURES, Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.training.weights import Weights, read_weights

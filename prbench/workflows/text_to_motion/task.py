@@ -10,7 +10,7 @@ from typing import Any, cast
 import torch
 
 from prbench.errors import UsageError
-from prbench.evaluation.text_to_motion.configuration import GLOVE, EvaluatorConfiguration
+from prbench.evaluation.text_to_motion.networks import GLOVE, EvaluatorConfiguration
 from prbench.representation import N_FEATURES, Statistics
 from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, read_weights

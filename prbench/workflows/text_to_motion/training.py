@@ -15,9 +15,16 @@ from torch import nn
 from torch.nn.functional import pairwise_distance
 
 from prbench.errors import TableError
-from prbench.evaluation.text_to_motion.configuration import MOVEMENT_FEATURES, SNIPPET, EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.extractor import cut_tokens
-from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementDecoder, MovementEncoder, TextEncoder
+from prbench.evaluation.text_to_motion.networks import (
+    MOVEMENT_FEATURES,
+    SNIPPET,
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementDecoder,
+    MovementEncoder,
+    TextEncoder,
+)
 from prbench.representation import Statistics
 from prbench.text import TextEncoder as TokenVectors
 from prbench.training import MotionBatch

@@ -11,7 +11,8 @@ from prbench.checking.conformance import Outcome
 from prbench.checking.conformance.check import examine
 from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.subject import Subject
-from prbench.methods.methods import forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 
 PROGRAM = """
     import os, sys

@@ -5,9 +5,14 @@ import pytest
 import torch
 from torch import nn
 
-from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
 from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.networks import MotionEncoder, MovementDecoder, MovementEncoder, TextEncoder
+from prbench.evaluation.text_to_motion.networks import (
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementDecoder,
+    MovementEncoder,
+    TextEncoder,
+)
 from prbench.representation import Statistics
 from prbench.text import text_encoder
 

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from prbench.errors import InputFileError
-from prbench.evaluation.text_to_motion.configuration import EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.networks import TextEncoder
+from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration, TextEncoder
 from prbench.evaluation.text_to_motion.words import LISTS, POS_CLASSES, GloveCaptions, WordVectors
 
 WORDS = ["unk", "sos", "eos", "walk", "left", "hand"]

@@ -15,7 +15,8 @@ import pytest
 from prbench.errors import AdapterError, UsageError
 from prbench.evaluation.run import run_method
 from prbench.methods.isolation import available_fence
-from prbench.methods.methods import forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 from tests.evaluation.test_run import request
 from tests.method_fixtures import adapter_source
 

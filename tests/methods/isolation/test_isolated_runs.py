@@ -13,7 +13,8 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, RunError
 from prbench.evaluation.run import run_method
-from prbench.methods.methods import forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 from prbench.methods.motions import generate_checked
 from prbench.runs.record import RunRecord
 from tests.evaluation.test_run import reproducible_bytes, request

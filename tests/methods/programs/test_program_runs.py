@@ -15,7 +15,8 @@ from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, RunError, UsageError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
-from prbench.methods.methods import forget_loaded_methods, method_spec
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 from prbench.runs.record import RunRecord
 from prbench.runs.summary import DatasetSummary
 from prbench.storage import file_digest

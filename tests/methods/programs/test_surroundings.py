@@ -12,6 +12,7 @@ import pytest
 
 from prbench.errors import InputFileError, UsageError
 from prbench.methods.programs import MethodProgram, own_environment, program_of
+from prbench.methods.programs.surroundings import find_executable, require_script
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="makes programs as POSIX systems have them")
 
@@ -181,3 +182,51 @@ def test_limits_come_from_the_file_and_the_users_timeout_comes_before_them(folde
 def test_a_program_gets_the_users_environment_without_the_harness_variables():
     user = {"PATH": "p", "PRBENCH_CACHE": "c", "prbench_samples": "s", "TOKEN": "t"}
     assert own_environment(user) == {"PATH": "p", "TOKEN": "t"}
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> Path:
+    """``bin/glide`` and ``bin/walk`` can be executed, ``glide.py`` and ``notes`` cannot."""
+    (tmp_path / "bin").mkdir()
+    for name in ("bin/glide", "bin/walk", "glide.py", "notes"):
+        (tmp_path / name).write_text("#!/bin/sh\n")
+        (tmp_path / name).chmod(0o755 if name.startswith("bin/") else 0o644)
+    return tmp_path
+
+
+def found(programs: Path, word: str) -> str:
+    return find_executable(word, directory=programs, path=str(programs / "bin"), where="here")
+
+
+def test_a_name_is_looked_up_in_path_and_a_path_in_the_directory(programs):
+    assert found(programs, "glide") == found(programs, "bin/glide") == found(programs, "./bin/../bin/glide")
+    assert found(programs, "glide") == str(programs / "bin/glide")
+
+
+def test_a_path_may_begin_at_home(programs, monkeypatch):
+    monkeypatch.setenv("HOME", str(programs))
+    assert found(programs / "bin", "~/bin/walk") == str(programs / "bin/walk")
+
+
+@pytest.mark.parametrize(
+    ("word", "answer"),
+    [
+        ("glid", "the program 'glid' was not found. Did you mean 'glide'?"),
+        ("bin/wallk", "found none. Did you mean 'walk'?"),
+        ("glide.py", 'not found. Did you mean cmd:"python glide.py"?'),
+        ("./glide.py", 'not one that can be executed. Start it with its interpreter: cmd:"python ./glide.py".'),
+        ("notes", "not found. Did you mean ./notes?"),
+        ("zzzzzzzzz", "It is looked up in the folders of PATH."),
+    ],
+)
+def test_a_program_that_is_not_there_is_answered_with_what_may_be_meant(programs, word, answer):
+    with pytest.raises(UsageError) as error:
+        found(programs, word)
+    assert answer in str(error.value)
+
+
+def test_a_script_that_is_not_there_is_answered_with_the_nearest_file(programs):
+    require_script(("python", "glide.py"), directory=programs, where="here")
+    require_script(("python", "-m", "glide"), directory=programs, where="here")
+    with pytest.raises(UsageError, match=r"expected the file glid\.py in .*, found none\. Did you mean 'glide\.py'\?"):
+        require_script(("python", "glid.py"), directory=programs, where="here")

@@ -8,8 +8,7 @@ import subprocess
 import pytest
 
 from prbench.errors import UsageError
-from prbench.methods.programs.reference import is_program, short_name
-from prbench.methods.programs.words import shown_command, split_command
+from prbench.methods.programs.words import is_program, short_name, shown_command, split_command
 
 
 def test_words_of_a_posix_command_keep_what_is_quoted_together():

@@ -15,7 +15,7 @@ import psutil
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.messages import motions_payload
-from prbench.methods.remote.program import Program
+from prbench.methods.remote.process import Program
 
 MARK = "REMOTE_TEST_MARK"
 """Variable by which a test finds the processes that its program has left behind."""

@@ -13,8 +13,7 @@ from prbench.checking.conformance.check import check
 from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
-from prbench.methods.adapters import find_adapter
-from prbench.methods.weights import used_weights, weights_digest
+from prbench.methods.adapters import find_adapter, used_weights, weights_digest
 
 _IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""

@@ -11,7 +11,7 @@ import psutil
 from prbench.checking.conformance.check import check
 from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
-from prbench.methods.methods import unload_method
+from prbench.methods.loaded_methods import unload_method
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.faults import exit_story
 from prbench.methods.remote.process import EXIT_SECONDS

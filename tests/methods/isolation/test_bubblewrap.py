@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.methods.isolation.mounts import Mask, Mount, Shown, arrange
+from prbench.methods.isolation.bubblewrap import Mask, Mount, Shown, arrange
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from prbench.evaluation.stored_results import metric_differences
+from prbench.evaluation.results import metric_differences
 from prbench.runs.summary import MetricSummary
 
 

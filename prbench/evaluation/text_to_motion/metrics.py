@@ -1,0 +1,177 @@
+"""The text-to-motion metrics: FID, matching distance, R-precision, diversity and multimodality."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+FEWEST = 1000
+"""Below this many samples a warning says that the number is biased upwards."""
+
+
+class FewSamplesWarning(UserWarning):
+    """The covariance of an embedding is estimated from few samples."""
+
+
+def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, "generated dimension"]) -> float:
+    """‖μ₁ − μ₂‖² + Tr(C₁ + C₂ − 2(C₁C₂)^½), with sample covariances (n − 1), in float64.
+
+    The trace of the root is the sum of the roots of the eigenvalues of C₁C₂. They are those of the symmetric matrix
+    RᵀC₂R where C₁ = RRᵀ, so none is complex, and matrices of too few samples need no jitter; what rounding makes
+    negative is 0.
+
+    Args:
+        real: Embeddings of recorded motions, two or more.
+        generated: Embeddings of generated motions, two or more.
+
+    Raises:
+        ValueError: if a set has fewer than two samples or holds NaN or infinity.
+    """
+    fewest = min(len(real), len(generated))
+    if fewest < 2:
+        raise ValueError(f"FID needs two samples or more of each kind, found {len(real)} and {len(generated)}")
+    if fewest < FEWEST:
+        message = f"FID of {len(real)} and {len(generated)} samples: biased upwards below {FEWEST}."
+        warnings.warn(message, FewSamplesWarning, stacklevel=2)
+    real, generated = real.astype(np.float64), generated.astype(np.float64)
+    if not (np.isfinite(real).all() and np.isfinite(generated).all()):
+        raise ValueError("FID: an embedding is not finite")
+    first, second = np.atleast_2d(np.cov(real, rowvar=False)), np.atleast_2d(np.cov(generated, rowvar=False))
+    means = np.square(real.mean(axis=0) - generated.mean(axis=0)).sum()
+    return float(means + np.trace(first) + np.trace(second) - 2.0 * _trace_of_root(first, second))
+
+
+DIVERSITY_PAIRS = 300
+MULTIMODALITY_PROMPTS = 100
+MULTIMODALITY_SAMPLES = 30
+"""Motions generated for each prompt."""
+_MULTIMODALITY_PAIRS = 10
+"""Pairs of them that are compared."""
+
+
+def multimodal_distance(
+    text: Float[np.ndarray, "pairs dimension"], motion: Float[np.ndarray, "pairs dimension"]
+) -> float:
+    """Mean distance between each text and its own motion, also called the matching score; lower is better."""
+    return _mean_distance(text, motion)
+
+
+def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Int[np.ndarray, "2 pairs"]) -> float:
+    """Mean distance of random pairs of motions; best near that of recorded motions.
+
+    Args:
+        motion: Embeddings.
+        pairs: From :func:`draw_diversity_pairs`.
+    """
+    return _mean_distance(motion[pairs[0]], motion[pairs[1]])
+
+
+def draw_diversity_pairs(
+    n_motions: int, generator: np.random.Generator, *, n_pairs: int = DIVERSITY_PAIRS
+) -> Int[np.ndarray, "2 pairs"]:
+    """Two sets of motions, each without repetition. They may overlap, and a motion may meet itself.
+
+    Raises:
+        ValueError: if there are not more motions than pairs.
+    """
+    if n_motions <= n_pairs:
+        raise ValueError(f"diversity over {n_pairs} pairs needs more than {n_pairs} motions, found {n_motions}")
+    return np.stack([generator.choice(n_motions, n_pairs, replace=False) for _ in range(2)])
+
+
+def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs: Int[np.ndarray, "2 pairs"]) -> float:
+    """Mean distance of random pairs among the motions of one prompt, over all prompts.
+
+    Args:
+        motion: Embeddings of several motions of each prompt.
+        pairs: From :func:`draw_multimodality_pairs`; the same for all prompts.
+    """
+    return _mean_distance(motion[:, pairs[0]], motion[:, pairs[1]])
+
+
+def draw_multimodality_pairs(
+    n_samples: int, generator: np.random.Generator, *, n_pairs: int = _MULTIMODALITY_PAIRS
+) -> Int[np.ndarray, "2 pairs"]:
+    """Two sets of samples, each without repetition.
+
+    Raises:
+        ValueError: if there are fewer samples than pairs.
+    """
+    if n_samples < n_pairs:
+        raise ValueError(f"multimodality over {n_pairs} pairs needs at least {n_pairs} samples, found {n_samples}")
+    return np.stack([generator.choice(n_samples, n_pairs, replace=False) for _ in range(2)])
+
+
+BATCH = 32
+"""Pairs that are ranked together. Part of the metric: the number means nothing with another one."""
+TOP = 3
+
+
+@dataclass(frozen=True, eq=False)
+class RPrecision:
+    """R-precision and what it was counted over."""
+
+    top: Float[np.ndarray, " 3"]
+    """Share of texts whose own motion is the nearest, among the two nearest, among the three nearest."""
+    n_pairs: int
+    """Pairs that were ranked: whole batches only."""
+    n_dropped: int
+    """Pairs of the last, incomplete batch."""
+    n_duplicates: int
+    """Ranked texts that another text of their batch equals. The other's motion counts as a wrong one."""
+
+
+def r_precision(
+    text: Float[np.ndarray, "pairs dimension"],
+    motion: Float[np.ndarray, "pairs dimension"],
+    captions: Sequence[str] | None = None,
+) -> RPrecision:
+    """Rank the motions of each batch of 32 pairs for each of its texts.
+
+    A motion exactly as near as the text's own counts as nearer, so that equal embeddings earn nothing.
+
+    Args:
+        text: Embeddings of the texts.
+        motion: Embeddings of the motions; row i belongs to text i.
+        captions: The texts, to count how many are not unique in their batch.
+
+    Raises:
+        ValueError: if there are fewer than 32 pairs.
+    """
+    n = len(text) // BATCH * BATCH
+    if n == 0:
+        raise ValueError(f"R-precision needs at least {BATCH} pairs, found {len(text)}")
+    ranks = np.concatenate([_ranks(text[i : i + BATCH], motion[i : i + BATCH]) for i in range(0, n, BATCH)])
+    top = np.array([np.mean(ranks < k) for k in range(1, TOP + 1)])
+    duplicates = sum(_duplicates(captions[i : i + BATCH]) for i in range(0, n, BATCH)) if captions is not None else 0
+    return RPrecision(top, n, len(text) - n, duplicates)
+
+
+def _trace_of_root(first: Float[np.ndarray, "d d"], second: Float[np.ndarray, "d d"]) -> float:
+    values, vectors = np.linalg.eigh(first)
+    root = vectors * np.sqrt(np.clip(values, 0.0, None))
+    eigenvalues = np.linalg.eigvalsh(root.T @ second @ root)
+    return float(np.sqrt(np.clip(eigenvalues, 0.0, None)).sum())
+
+
+def _mean_distance(first: Float[np.ndarray, "*rows dimension"], second: Float[np.ndarray, "*rows dimension"]) -> float:
+    difference = first.astype(np.float64) - second.astype(np.float64)
+    return float(np.sqrt(np.square(difference).sum(axis=-1)).mean())
+
+
+def _ranks(
+    text: Float[np.ndarray, "batch dimension"], motion: Float[np.ndarray, "batch dimension"]
+) -> Int[np.ndarray, " batch"]:
+    """Count the other motions that are as near to each text as its own, or nearer."""
+    difference = text[:, None].astype(np.float64) - motion[None].astype(np.float64)
+    distances = np.sqrt(np.square(difference).sum(axis=-1))  # (texts, motions)
+    return (distances <= distances.diagonal()[:, None]).sum(axis=1) - 1
+
+
+def _duplicates(captions: Sequence[str]) -> int:
+    return sum(count for count in Counter(captions).values() if count > 1)
