@@ -22,7 +22,7 @@ from prbench.readers import (
     reader_for,
     require_one_origin,
 )
-from prbench.readers.extents import cut_short
+from prbench.readers.cut_short import cut_short
 from prbench.readers.parse_cache import remembered_digest
 from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording

@@ -15,13 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.bounded import open_regular
-from prbench.errors import PrbenchError
 from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
-from prbench.readers import KnowsEnds, RecordingFiles, reader_for
 from prbench.readers.files import header_names
 from prbench.readers.found import InputFile
 from prbench.readers.zipped import opened, source_of
-from prbench.recording import Recording
 
 ONE_SYSTEM = 0.5
 """Seconds by which two streams that one tracking system writes frame by frame may end apart: half of what a person
@@ -51,26 +48,6 @@ class Extent:
     """True where a late start is normal."""
     slack: float = ONE_SYSTEM
     """Seconds by which it may begin after the recording or end before it."""
-
-
-def cut_short(found: RecordingFiles, recording: Recording | None = None) -> tuple[str, ...]:
-    """Hold the ends of all streams of a recording against its span.
-
-    Args:
-        found: The recording's files; only their ends are looked at.
-        recording: What reading it gave, where somebody has: it tells what the ends of files in archives do not.
-
-    Returns:
-        One message a stream that ends early or begins late. None of a recording whose files cannot be made out
-        (reading it says why), or whose reader does not know the ends.
-    """
-    reader = reader_for(found.dataset)
-    if not isinstance(reader, KnowsEnds):
-        return ()
-    try:
-        return shortfalls(reader.extents(found, recording))
-    except (PrbenchError, OSError):
-        return ()
 
 
 def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:

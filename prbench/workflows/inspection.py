@@ -14,8 +14,8 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.aria_mps import check_trajectory, source_of
+from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
-from prbench.readers.extents import cut_short
 from prbench.readers.integrity import damage
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
 

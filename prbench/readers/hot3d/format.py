@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
-from prbench.readers.hot3d.hands_umetrack import HandModel
 
 METADATA_FILE = "metadata.json"
 OBJECTS_FILE = "dynamic_objects.csv"
@@ -121,6 +120,21 @@ class MaskRows:
 
     time_ns: Int[np.ndarray, " n"]
     good: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """One user's left hand, at rest, in the frame of its wrist."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    weights: Float[np.ndarray, "v 17"]
+    """Share of each bone in each vertex; rows sum to 1."""
+    joint_positions: Float[np.ndarray, "22 3"]
+    joint_axes: Float[np.ndarray, "22 3"]
+    landmarks: Float[np.ndarray, "21 3"]
+    """Finger tips thumb to little, wrist, two of the thumb, three a finger, palm."""
+    landmark_weights: Float[np.ndarray, "21 17"]
+    triangles: Int[np.ndarray, "f 3"]
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.bounded import open_regular, whole_lines
@@ -31,22 +30,7 @@ PALM_LANDMARK = 20
 METRES_A_UNIT = 1e-3
 
 
-@dataclass(frozen=True)
-class HandModel:
-    """One user's left hand, at rest, in the frame of its wrist."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    weights: Float[np.ndarray, "v 17"]
-    """Share of each bone in each vertex; rows sum to 1."""
-    joint_positions: Float[np.ndarray, "22 3"]
-    joint_axes: Float[np.ndarray, "22 3"]
-    landmarks: Float[np.ndarray, "21 3"]
-    """Finger tips thumb to little, wrist, two of the thumb, three a finger, palm."""
-    landmark_weights: Float[np.ndarray, "21 17"]
-    triangles: Int[np.ndarray, "f 3"]
-
-
-def bone_transforms(model: HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
+def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
     """Return the pose of every bone in the frame of the wrist, relative to its rest.
 
     Args:
@@ -221,7 +205,7 @@ class _Profile(msgspec.Struct):
 _PROFILE = msgspec.json.Decoder(_Profile, strict=False)
 
 
-def read_profile(path: Path) -> HandModel:
+def read_profile(path: Path) -> hot3d.HandModel:
     """The user's left hand, metres.
 
     Raises:
@@ -240,7 +224,7 @@ def read_profile(path: Path) -> HandModel:
         if found != expected:
             raise InputFileError(path, name, expected=f"the shape {expected}", found=f"{found}")
     _require_places(path, model)
-    return HandModel(
+    return hot3d.HandModel(
         vertices=np.array(model.mesh_vertices) * METRES_A_UNIT,
         weights=weights,
         joint_positions=np.array(model.joint_rest_positions) * METRES_A_UNIT,

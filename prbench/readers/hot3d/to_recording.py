@@ -53,7 +53,7 @@ def hand_streams(
     return tuple(streams), _hand_remarks(posed)
 
 
-def umetrack_points(rows: hot3d.HandRows, model: umetrack.HandModel | None) -> hot3d.HandPoints:
+def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3d.HandPoints:
     """One hand, one row an instant; without a model no vertices. Source world, metres."""
     kept = hot3d.first_of_pairs(rows.time_ns)
     position = rows.position[kept]

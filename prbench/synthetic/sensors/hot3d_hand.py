@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.hot3d import hands_umetrack as umetrack
-from prbench.readers.hot3d.hands_umetrack import HandModel
+from prbench.readers.hot3d.format import HandModel
 
 _BASES = ((0.20, -0.10, 0.18), (1.00, 0.00, 0.28), (1.00, 0.02, 0.00), (0.95, 0.00, -0.25), (0.86, -0.04, -0.48))
 _STEPS = (
