@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
 DEFAULT_WEIGHTS = "mdm-small"
-_NO_PROMPT, _OWN_PROMPT = "none", "own"
+_NO_PROMPT = "none"
+_OWN_PROMPT = "own"
 _MODES = ("fast", "paper")
 
 

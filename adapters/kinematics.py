@@ -28,7 +28,9 @@ from prbench.skeleton import N_JOINTS, PARENTS, Joint
 _SHORTEST = 1e-12  # of a vector that is made a unit vector; keeps zero vectors, and their gradients, finite
 _OPPOSITE = 1e-6  # length of the sum of two unit vectors below which they count as opposite
 _NO_HEADING = 1e-3  # sine between hips and spine below which the shoulders say where left is
-_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_X = (1.0, 0.0, 0.0)
+_Y = (0.0, 1.0, 0.0)
+_Z = (0.0, 0.0, 1.0)
 _REST = {
     _X: (Joint.LEFT_HIP, Joint.LEFT_COLLAR, Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
     _Y: (Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK),
@@ -48,7 +50,8 @@ def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, 
 
 def matrices_of(rows: Float[torch.Tensor, "*batch 6"]) -> Float[torch.Tensor, "*batch 3 3"]:
     """Rotation matrices of six numbers that may be no rotation: Gram-Schmidt, the first row keeps its direction."""
-    first, second = rows[..., :3], rows[..., 3:]
+    first = rows[..., :3]
+    second = rows[..., 3:]
     first = unit(first)
     second = unit(second - (first * second).sum(-1, keepdim=True) * first)
     return torch.stack((first, second, torch.linalg.cross(first, second)), -2)
@@ -136,7 +139,8 @@ def forward_kinematics(
         offsets: Of each joint from its parent at rest (:func:`rest_offsets`), metres; broadcasts against ``batch``.
     """
     tree = _tree(rotations.dtype, rotations.device)
-    world, joints = [rotations[..., :1, :, :]], [pelvis[..., None, :]]
+    world = [rotations[..., :1, :, :]]
+    joints = [pelvis[..., None, :]]
     for level in tree.levels:
         before = world[-1].index_select(-3, level.parents)
         world.append(before @ rotations.index_select(-3, level.joints))
@@ -165,10 +169,12 @@ class _Tree:
 
     def __init__(self, dtype: torch.dtype, device: torch.device) -> None:
         self.levels: list[_Level] = []
-        listed, above = [0], [0]
+        listed = [0]
+        above = [0]
         while below := [joint for joint in range(N_JOINTS) if PARENTS[joint] in above]:
             self.levels.append(_Level(below, above, device))
-            listed, above = listed + below, below
+            listed = listed + below
+            above = below
         self.order = torch.tensor([listed.index(joint) for joint in range(N_JOINTS)], device=device)
         """From the joints level by level to the usual order."""
         rest = torch.zeros(N_JOINTS, 3)

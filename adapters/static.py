@@ -71,7 +71,8 @@ def mean_pose(train: SequenceTable) -> np.ndarray:
     Raises:
         AdapterError: if there is no such sequence.
     """
-    total, frames = np.zeros((N_JOINTS, 3)), 0
+    total = np.zeros((N_JOINTS, 3))
+    frames = 0
     for chunk in train.chunks(split="train", columns=["joints"]):
         total += chunk.joints.sum(axis=0, dtype=np.float64)
         frames += len(chunk.joints)

@@ -288,7 +288,8 @@ class Archive:
         Raises:
             InputFileError: if the archive is damaged.
         """
-        info, header = self.members[name], self.header(name)
+        info = self.members[name]
+        header = self.header(name)
         with open(self.path, "rb") as file:
             file.seek(info.header_offset)
             local = file.read(_LOCAL_HEADER_BYTES)
@@ -338,7 +339,8 @@ class Archive:
         return map_array(target, replace(header, offset=0))
 
     def _header(self, name: str, stream: _ByteStream) -> ArrayHeader:
-        header, info = read_header(stream, self.path, f"'{name}'", remedy=self.remedy), self.members[name]
+        header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)
+        info = self.members[name]
         if header.offset + header.nbytes != info.file_size:
             raise InputFileError(
                 self.path,

@@ -43,12 +43,15 @@ def slab_test(
         box_min: Lower corners of the boxes.
         box_max: Upper corners of the boxes.
     """
-    n, m = len(origins), len(box_min)
+    n = len(origins)
+    m = len(box_min)
     near = np.full((n, m), -np.inf)
     far = np.full((n, m), np.inf)
-    entry, leave = np.empty((n, m)), np.empty((n, m))
+    entry = np.empty((n, m))
+    leave = np.empty((n, m))
     for axis in range(3):
-        origin, direction = origins[:, axis, None], directions[:, axis, None]
+        origin = origins[:, axis, None]
+        direction = directions[:, axis, None]
         parallel = direction[:, 0] == 0
         inverse = 1.0 / np.where(direction == 0, 1.0, direction)
         np.subtract(box_min[None, :, axis], origin, out=entry)
@@ -98,7 +101,8 @@ def near_miss(
         box_min: Lower corners.
         box_max: Upper corners.
     """
-    centre, half = (box_min + box_max) / 2, (box_max - box_min) / 2
+    centre = (box_min + box_max) / 2
+    half = (box_max - box_min) / 2
     offset = centre[None] - origins[:, None]  # (n, m, 3)
     along = np.einsum("nmk,nk->nm", offset, directions)
     to_centre = offset - along[..., None] * directions[:, None]

@@ -83,7 +83,8 @@ def facing_yaw(joints: Float[np.ndarray, "22 3"]) -> float:
     across = (
         joints[Joint.RIGHT_HIP] - joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_SHOULDER] - joints[Joint.LEFT_SHOULDER]
     )
-    forward_x, forward_z = across[2], -across[0]  # Y x across
+    forward_x = across[2]  # Y x across
+    forward_z = -across[0]
     if np.hypot(forward_x, forward_z) < 1e-9:
         raise ValueError("the pose has no heading: hips and shoulders lie on one vertical line")
     return float(np.arctan2(forward_x, forward_z))
@@ -102,7 +103,8 @@ def canonical_frame(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarra
         Rigid transform; maps canonical coordinates into the world.
     """
     yaw = facing_yaw(joints[0])
-    cosine, sine = np.cos(yaw), np.sin(yaw)
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
     pelvis = joints[0, Joint.PELVIS]
     world_from_canonical = np.eye(4)
     world_from_canonical[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
@@ -115,7 +117,9 @@ def transform_points(a_from_b: Float[np.ndarray, "4 4"], points: Float[np.ndarra
 
     Written out axis by axis: a matrix product may round differently with another number of threads or rows.
     """
-    x, y, z = points[..., 0:1], points[..., 1:2], points[..., 2:3]
+    x = points[..., 0:1]
+    y = points[..., 1:2]
+    z = points[..., 2:3]
     return x * a_from_b[:3, 0] + y * a_from_b[:3, 1] + z * a_from_b[:3, 2] + a_from_b[:3, 3]
 
 
@@ -147,7 +151,8 @@ def head_forward(
         sideways), or head within 1 cm of the neck. Degenerate poses take the torso (pelvis to neck) as their vertical.
         Poses without any torso or shoulder axis have H = 0.
     """
-    neck, head = joints[..., Joint.NECK, :], joints[..., Joint.HEAD, :]
+    neck = joints[..., Joint.NECK, :]
+    head = joints[..., Joint.HEAD, :]
     shoulders = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
     up, neck_length = _normalised(head - neck)
     left, sine = _orthogonal_part(shoulders, up)

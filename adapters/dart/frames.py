@@ -63,7 +63,8 @@ class Frames:
     def of_joints(cls, joints: Float[Tensor, "batch frames_and_one 22 3"]) -> Frames:
         """All frames but the last, which is where the last delta leads to."""
         rotations = fitted_rotations(joints)
-        orientation, pelvis = rotations[:, :, 0], joints[:, :, Joint.PELVIS]
+        orientation = rotations[:, :, 0]
+        pelvis = joints[:, :, Joint.PELVIS]
         return cls(
             translation=pelvis[:, :-1],
             orientation=orientation[:, :-1],
@@ -114,7 +115,8 @@ class Frames:
 
     def seen_from(self, placement: Placement) -> Frames:
         """Express the frames in the frame of reference that ``placement`` places in the present one."""
-        back, origin = placement.rotation.mT, placement.origin
+        back = placement.rotation.mT
+        origin = placement.origin
         return Frames(
             translation=_turned(back, self.translation - _broadcast(origin, self.translation)),
             orientation=back[:, None] @ self.orientation,

@@ -60,7 +60,8 @@ class PreparedDenoiser:
             of_heads = projected.view(rows, _LATENT + 1, 3, layer.self_attention.heads, -1)
             query, key, value = of_heads.permute(2, 0, 3, 1, 4).unbind()
             if number == len(self.layers) - 1:
-                query, stream = query[:, :, -1:], stream.view(rows, _LATENT + 1, -1)[:, -1]
+                query = query[:, :, -1:]
+                stream = stream.view(rows, _LATENT + 1, -1)[:, -1]
             looked = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).reshape(stream.shape)
             stream = layer.self_attention_norm(stream + layer.self_attention.output(looked))
             hidden = functional.gelu(layer.feed_forward.expand(stream))

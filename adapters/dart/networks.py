@@ -51,7 +51,8 @@ class PrimitiveVAE(nn.Module):
     def __init__(self, configuration: DartConfiguration) -> None:
         super().__init__()
         self.configuration = configuration
-        width, frames = configuration.vae_width, configuration.primitive_frames
+        width = configuration.vae_width
+        frames = configuration.primitive_frames
         sizes = (width, configuration.vae_heads, configuration.vae_feed_forward, configuration.vae_layers)
         self.frame_embedding = nn.Linear(N_FEATURES, width)
         self.distribution_tokens = nn.Parameter(torch.randn(2, width) * _SPREAD)

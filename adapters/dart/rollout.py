@@ -74,7 +74,8 @@ def roll_out(
     done: list[Primitive] = []
     for number in range(primitives):
         if going_on is not None:
-            history, placement = history[: going_on[number]], placement.first(going_on[number])
+            history = history[: going_on[number]]
+            placement = placement.first(going_on[number])
         if checkpointing and torch.is_grad_enabled():
             latent, features = checkpoint(_generate, model, sample, number, history, use_reentrant=False)
         else:

@@ -126,7 +126,8 @@ class DartTraining(TrainingModule):
         return torch.arange(min(motions, most or motions)).repeat_interleave(self.objective.windows)
 
     def _windows(self, batch: MotionBatch, rows: Int[Tensor, " windows"], generator: torch.Generator) -> Window:
-        n, device = self.objective.primitives, batch.joints.device
+        n = self.objective.primitives
+        device = batch.joints.device
         starts = drawn_starts(batch.n_frames.cpu()[rows], n, self.configuration, generator)
         with torch.autocast(device.type, enabled=False):
             return window(batch, rows.to(device), starts.to(device), n, self.configuration)
@@ -193,7 +194,8 @@ class DartTraining(TrainingModule):
         with torch.autocast(cut.valid.device.type, enabled=False):
             recorded = cut.primitive(number, self.configuration.future_frames)
             features = self._scaling().standardised(recorded)
-            history, future = features[:, :HISTORY_FRAMES], features[:, HISTORY_FRAMES:]
+            history = features[:, :HISTORY_FRAMES]
+            future = features[:, HISTORY_FRAMES:]
             chosen = torch.rand(len(features), generator=generator).to(history.device) < moment.feedback
             if own is not None:
                 history = torch.where(chosen[:, None, None], self._scaling().standardised(own), history)

@@ -116,7 +116,8 @@ class ConditionScaling:
         ``condition_scaling = "none"`` is the literal reading of the study: metres, and metres per frame for the
         velocity (docs/specification/pr-model.md#gaps-in-the-study, gap 8).
         """
-        parts, kept = configuration.condition_parts, torch.ones_like(mean)
+        parts = configuration.condition_parts
+        kept = torch.ones_like(mean)
         if configuration.condition_scaling == "none":
             mean = torch.zeros_like(mean)
             std = torch.ones_like(std)

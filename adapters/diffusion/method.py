@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
 """Kind of goal of a model, by the condition of the protocol."""
-FARTHEST_GOAL, HIGHEST_GOAL = 10.0, 3.0
+FARTHEST_GOAL = 10.0
+HIGHEST_GOAL = 3.0
 """Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher."""
 TEXT_GUIDANCE = 2.5
 """docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation."""

@@ -178,7 +178,8 @@ def _ddim_moves(schedule: CosineSchedule, steps: int, spacing: Spacing) -> Itera
     """√ᾱ' x0 + √(1 - ᾱ') ε with ε = (x - √ᾱ x0) / √(1 - ᾱ), collected by x0 and x; noisiest first."""
     chain = schedule.chain(steps, spacing)
     for i in range(len(chain) - 1, -1, -1):
-        here, cleaner = chain.alphas_cumprod[i], chain.alphas_cumprod_previous[i]
+        here = chain.alphas_cumprod[i]
+        cleaner = chain.alphas_cumprod_previous[i]
         of_state = math.sqrt((1.0 - cleaner) / (1.0 - here))
         yield int(chain.indices[i]), math.sqrt(cleaner) - math.sqrt(here) * of_state, of_state
 

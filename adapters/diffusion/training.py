@@ -167,7 +167,8 @@ class DiffusionTraining(TrainingModule):
         draw = self.draw(batch, step)
         padding = batch.padding
         clean = ((batch.features - self.mean) / self.std).masked_fill(padding[..., None], 0.0)
-        signal, noise = self.signal[draw.step][:, None, None], self.noise[draw.step][:, None, None]
+        signal = self.signal[draw.step][:, None, None]
+        noise = self.noise[draw.step][:, None, None]
         condition = self.condition(batch, draw.without_text)
         predicted = self.denoiser(signal * clean + noise * draw.noise, draw.step, condition, batch.n_frames)
         with torch.autocast(clean.device.type, enabled=False):  # joints are cumulative sums: float32 only
@@ -177,7 +178,8 @@ class DiffusionTraining(TrainingModule):
 
     def draw(self, batch: MotionBatch, step: int) -> Draw:
         """Draw the random numbers of a step for a batch of this shape: a function of seed, step and rank."""
-        generator, device = self.generator(step), batch.features.device
+        generator = self.generator(step)
+        device = batch.features.device
         n = len(batch.features)
         t = torch.randint(len(self.signal), (n,), generator=generator)
         without_text = torch.rand(n, generator=generator) < self.objective.text_drop

@@ -58,7 +58,8 @@ class Ablation:
             config: Of ``prbench train``.
             folder: Where trainings and runs go.
         """
-        start, steps = [], []
+        start = []
+        steps = []
         if self.pretraining != "none":
             shared = self.pretrained_model
             prior = f"{folder}/{_folder_name('mdm', self.pretraining, shared)}"

@@ -113,7 +113,8 @@ class WANDR:
 
     def _noise(self, batch: ConditionBatch) -> _Noise:
         """Draw the noise of each row from its own seed; its length and the other rows leave no trace in it."""
-        size, steps = self.network.configuration.latent, int(batch.n_frames.max()) - 1
+        size = self.network.configuration.latent
+        steps = int(batch.n_frames.max()) - 1
         first = np.zeros((len(batch), len(self.network.delta.mean)))
         latents = np.zeros((len(batch), steps, size))
         for row, (seed, n) in enumerate(zip(batch.noise_seed, batch.n_frames, strict=True)):
@@ -197,7 +198,8 @@ def roll_out(
         start: Where the sequences begin, and where they are to go.
         noise: Standard normal: the latent of each step.
     """
-    state, delta = start.state, start.delta
+    state = start.state
+    delta = start.delta
     joints = [state.joints(start.offsets)]
     for step in range(noise.shape[1]):
         left = (start.n_frames - 1 - step).clamp_min(1)  # padding goes on as in its last frame

@@ -24,7 +24,8 @@ FREE_TO_CHANGE = frozenset({"dropout", "original_deviation"})
 _MOST_MOTIONS = 4096
 """Number of motions that statistics are made from, spread evenly over the training split."""
 _TOGETHER = 64
-_LEAST_SEEN, _LEAST_DELTA = 0.02, 1e-3
+_LEAST_SEEN = 0.02
+_LEAST_DELTA = 1e-3
 """Smallest deviations of a state's numbers and of a change's (metres, numbers of a matrix). Some hardly vary, such as a
 hip's rotation in recordings of one person; whatever is a little different later must not look enormous."""
 
@@ -80,7 +81,8 @@ def _take_statistics(network: WandrNetwork, data: TrainingData) -> None:
     Raises:
         UsageError: if no motion has three frames at the network's rate.
     """
-    seen, deltas = [], []
+    seen = []
+    deltas = []
     for batch in _batches(data):
         recordings = Recordings.of(batch, network.configuration.fps)
         places = starts(recordings, 1)

@@ -140,9 +140,11 @@ class WandrTraining(TrainingModule):
         goals = goal_frames(recordings, places, generator)
         state = recordings.states(places)
         delta = recordings.states(places.later(-1)).delta_to(state)
-        joints, offsets = recordings.joints[places.index], recordings.offsets[places.row]
+        joints = recordings.joints[places.index]
+        offsets = recordings.offsets[places.row]
         recorded = recordings.states(places.following(length))
-        changes, positions = [], []
+        changes = []
+        positions = []
         for step in range(length):
             here = places.later(step)
             condition = self._condition(recordings, here, goals, state, delta=delta, joints=joints)

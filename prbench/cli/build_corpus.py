@@ -81,11 +81,13 @@ def _build(arguments: argparse.Namespace) -> int:
 def _options(arguments: argparse.Namespace) -> CorpusOptions:
     from prbench.corpora import CorpusOptions
 
-    source, recordings = dict(arguments.option), arguments.recordings
+    source = dict(arguments.option)
+    recordings = arguments.recordings
     if arguments.corpus == "synthetic":
         source = {"seed": str(arguments.seed), **source}
         if recordings.isdecimal():
-            source, recordings = {"recordings": recordings, **source}, "*"
+            source = {"recordings": recordings, **source}
+            recordings = "*"
     return CorpusOptions(
         fps=arguments.fps,
         max_frames=arguments.max_frames,
@@ -98,7 +100,8 @@ def _options(arguments: argparse.Namespace) -> CorpusOptions:
 
 
 def _print_report(report: CorpusReport) -> int:
-    counts, info = report.info.counts, report.info
+    counts = report.info.counts
+    info = report.info
     left_out = counts.recordings_failed + counts.recordings_skipped
     why = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
     rows = [

@@ -69,7 +69,8 @@ def _compare(arguments: argparse.Namespace) -> int:
     rows = []
     compared = compare_runs(arguments.first, arguments.second, checker=_checker(arguments))
     for row in compared.metrics:
-        difference, p = row.comparison.difference, row.comparison.adjusted_p_value
+        difference = row.comparison.difference
+        p = row.comparison.adjusted_p_value
         scale = row.info.scale
         unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
         if "all_equal" in difference.marks:

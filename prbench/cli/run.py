@@ -223,9 +223,11 @@ def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunReques
     from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
     from prbench.workflows import first_run
 
-    limit, batch_size = arguments.limit, arguments.batch_size or DEFAULT_BATCH_SIZE
+    limit = arguments.limit
+    batch_size = arguments.batch_size or DEFAULT_BATCH_SIZE
     if not arguments.data and not arguments.sequence:
-        limit, batch_size = limit or first_run.SEQUENCES, arguments.batch_size or first_run.BATCH_SIZE
+        limit = limit or first_run.SEQUENCES
+        batch_size = arguments.batch_size or first_run.BATCH_SIZE
     return RunRequest(
         method=arguments.method,
         data=data,

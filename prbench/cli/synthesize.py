@@ -162,7 +162,8 @@ def _write_corpus_tree(arguments: argparse.Namespace) -> None:
     """Write synthetic people in the layout of a text-motion dataset."""
     from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
 
-    done, planned = itertools.count(1), arguments.recordings or DEFAULT_RECORDINGS
+    done = itertools.count(1)
+    planned = arguments.recordings or DEFAULT_RECORDINGS
     with progress(f"writing {arguments.layout}") as show:
         tree = synthesize_corpus_tree(
             arguments.layout,

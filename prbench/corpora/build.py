@@ -78,7 +78,9 @@ def build_corpus(
         options.on_error == "fail",
         parts.work_folder(out),
     )
-    finished, done, total = [], 0, sum(len(group.recordings) for group in groups)
+    finished = []
+    done = 0
+    total = sum(len(group.recordings) for group in groups)
     with sole_writer(out), parts.working_in_parts(out):
         for part in engine.map(job, groups, if_full=job.if_full):
             finished.append(part)

@@ -112,7 +112,8 @@ def build_from_sources(
     _require_distinct(sources)
     dataset = sources[0].dataset
     _require_same_dataset(out, dataset)
-    manifest, protocol = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)), load_protocol()
+    manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
+    protocol = load_protocol()
     options.curation.require_fits(manifest)
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
     with sole_writer(out), working_in_parts(out):

@@ -24,8 +24,10 @@ _ARMS = (
 _SMOOTHING = 0.17  # seconds
 _BEFORE = 1.0  # seconds before a minimum in which the wrist must have moved and gaze is looked at
 _STARTED = 0.35  # m/s relative to the pelvis; slower wrists did not reach
-_BENT, _STRETCHED = 0.55, 0.95  # share of the arm's length
-_ON_WRIST, _FAR_FROM_WRIST = 0.10, 0.45  # metres between ray and wrist
+_BENT = 0.55  # share of the arm's length
+_STRETCHED = 0.95
+_ON_WRIST = 0.10  # metres between ray and wrist
+_FAR_FROM_WRIST = 0.45
 _NEAR_HINT = 0.5  # seconds
 _WEIGHTS = {"arm": 0.35, "gaze": 0.35, "stop": 0.20, "moved": 0.10}
 _HINT_SHARE = 0.5
@@ -58,7 +60,8 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
     body = recording.body
     if body is None or int(body.valid.sum()) < 3:
         return None
-    times, joints = body.times[body.valid], body.joints[body.valid]
+    times = body.times[body.valid]
+    joints = body.joints[body.valid]
     moved = [float(_relative_speed(times, joints, arm[2]).sum()) for arm in _ARMS]
     found = [
         _judged(recording, times, joints, side, int(row), moved[side] >= max(moved))

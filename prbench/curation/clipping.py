@@ -56,7 +56,8 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     )
     if uncovered is not None:
         return uncovered
-    step, max_gap = 1 / grid.fps, constants.largest_interpolated_gap
+    step = 1 / grid.fps
+    max_gap = constants.largest_interpolated_gap
     times = grid.times
     joints = _joints_at(recording.body, times)
     if not _has_heading(joints[0]):

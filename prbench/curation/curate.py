@@ -137,7 +137,8 @@ def _sequence(
     world_from_canonical = canonical_frame(piece.joints)
     canonical_from_world = invert_rigid(world_from_canonical)
     turned = Rotation.from_matrix(canonical_from_world[:3, :3])
-    head_position, head_rotation = piece.head_position, piece.head_rotation
+    head_position = piece.head_position
+    head_rotation = piece.head_rotation
     if head_position is not None and head_rotation is not None:
         head_position = transform_points(canonical_from_world, head_position)
         head_rotation = (turned * Rotation.from_quat(head_rotation, scalar_first=True)).as_quat(
@@ -208,7 +209,10 @@ def _reaching_wrist(event: PickPutEvent, place: Place, piece: Clip) -> int:
 
 
 def _event_record(recording: Recording, story: _Story) -> EventRecord:
-    event, place, prime, published = story.event, story.event.place, story.prime, story.event.published_priming
+    event = story.event
+    place = story.event.place
+    prime = story.prime
+    published = story.event.published_priming
     wrists = {wrist.side: wrist.position for wrist in wrists_at(recording.hands, recording.body, event.event_time)}
     return EventRecord(
         event_id=event.event_id,

@@ -39,7 +39,8 @@ KINDS: dict[str, str] = {
     "values": "the same sequence, event or recording in both, with other values in the columns named",
 }
 """Kinds of changes in the order of a report."""
-_SAME_TIME, _SAME_PLACE = 1e-6, 1e-5  # s, m
+_SAME_TIME = 1e-6  # s, m
+_SAME_PLACE = 1e-5
 Event = dict[str, Any]
 """One row of ``events``."""
 
@@ -179,7 +180,8 @@ def _pair_group(ours: list[Event], theirs: list[Event]) -> Iterator[tuple[Event 
     partner: dict[int, int] = {}
     taken: set[int] = set()
     for index in np.argsort(gaps[rows, columns], kind="stable") if len(rows) else ():
-        row, column = int(rows[index]), int(columns[index])
+        row = int(rows[index])
+        column = int(columns[index])
         if row not in partner and column not in taken:
             partner[row] = column
             taken.add(column)
@@ -199,7 +201,8 @@ def _change(
         assert event is not None
         decided = _why_absent(absent, event["recording_id"])
         return _described("appeared" if one is None else "vanished", one, other, decided)
-    was, is_now = one["outcome"] == "sequence", other["outcome"] == "sequence"
+    was = one["outcome"] == "sequence"
+    is_now = other["outcome"] == "sequence"
     if was != is_now:
         return _described("lost" if was else "gained", one, other, _decision(other if was else one))
     if (one["outcome"], one["stage"]) != (other["outcome"], other["stage"]):
@@ -266,7 +269,8 @@ def _described(kind: Kind, one: Event | None, other: Event | None, decided_by: s
 def _why_absent(recordings: dict[str, Row], recording_id: str) -> str:
     if recording_id not in recordings:
         return "recording not in that build"
-    status, message = recordings[recording_id]["status"], recordings[recording_id]["message"]
+    status = recordings[recording_id]["status"]
+    message = recordings[recording_id]["message"]
     return "in_hand or annotations: no such event within 1 s" if status == "read" else f"recording {status}: {message}"
 
 

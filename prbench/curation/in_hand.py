@@ -98,7 +98,8 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         displacement = _displacement(samples.centre[start:stop], pick or put)
         if displacement < rule.smallest_displacement:
             continue
-        held_before, held_after = bool(staying[:start].all()), bool(staying[stop:].all())
+        held_before = bool(staying[:start].all())
+        held_after = bool(staying[stop:].all())
         found.append(
             Holding(
                 track=track,

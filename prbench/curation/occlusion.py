@@ -49,7 +49,8 @@ class Surroundings:
             reach: Distance from the eye to the place that is looked at; the last 2 cm before it are free.
             but: Id of the object that is looked at, which does not hide itself.
         """
-        nearest, names = reach - MARGIN, np.full(len(times), "", dtype=object)
+        nearest = reach - MARGIN
+        names = np.full(len(times), "", dtype=object)
         for occluder, mesh in self._meshes:
             if occluder.object_id == but:
                 continue

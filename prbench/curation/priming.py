@@ -43,8 +43,10 @@ def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray
         origin: ``eye`` = central pupil frame, where the direction is defined; ``camera`` = the scene camera's centre,
             as the paper words it (5.8 cm away on Aria glasses, docs/specification/aria-mps.md#open-choices).
     """
-    gaze, camera = recording.gaze, recording.camera
-    times, origins = gaze.times[gaze.valid], gaze.origin[gaze.valid]
+    gaze = recording.gaze
+    camera = recording.camera
+    times = gaze.times[gaze.valid]
+    origins = gaze.origin[gaze.valid]
     if origin == "camera" and camera.valid.any():
         origins = interpolate(camera.times[camera.valid], camera.position[camera.valid], times)
     return times, origins, gaze.direction[gaze.valid]
@@ -89,7 +91,8 @@ def find_prime(
         nearest = float(distance.min(initial=np.inf))
         value = nearest if np.isfinite(nearest) else None
         return Decision("not_primed", "priming", value, constants.near_miss_distance)
-    index, through = int(primed[0]), ""
+    index = int(primed[0])
+    through = ""
     if view is not None:
         reach = np.where(hit, np.maximum(slabs.near[:, 0], 0.0), misses.along[:, 0])
         looks = primed if view.required else primed[:1]
@@ -97,9 +100,11 @@ def find_prime(
         if view.required and all(obstacles):
             return Decision("not_primed", OCCLUSION_STAGE, float(len(looks)))
         chosen = obstacles.index("") if view.required else 0
-        index, through = int(looks[chosen]), obstacles[chosen]
+        index = int(looks[chosen])
+        through = obstacles[chosen]
     sample = first + index
-    before, after = max(sample - 1, 0), min(sample + 1, len(times) - 1)
+    before = max(sample - 1, 0)
+    after = min(sample + 1, len(times) - 1)
     spacing = times[sample] - times[before] if sample > 0 else times[after] - times[sample]
     return Prime(
         time=float(times[sample]),

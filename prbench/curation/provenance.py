@@ -135,7 +135,8 @@ class FunnelRow:
 
 def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     """Return one row a stage, from files found to sequences."""
-    counts, outcomes = info.counts, info.outcomes
+    counts = info.counts
+    outcomes = info.outcomes
     left_out = counts.recordings_failed + counts.recordings_skipped
     read_reason = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
     if counts.recordings_cut_short:

@@ -1,4 +1,4 @@
-"""From table rows to what a method may know: the firewall between a method and the recorded motion.
+"""Turns table rows into what a method may know: the firewall between a method and the recorded motion.
 
 A :class:`ConditionSource` holds what conditions are made of for all chosen sequences (first, previous and last frame,
 text, goal), about 1 kB a sequence. It copies these out of the table, so that nothing that a batch refers to leads back
@@ -48,7 +48,8 @@ class ConditionSource:
         parts: dict[str, list[np.ndarray]] = {name: [] for name in ("initial", "previous", "last", "goal", "tilt")}
         for _, chunk in selection.windows(_COLUMNS):
             text += chunk.strings("text")
-            joints, offsets = chunk.joints, chunk.offsets
+            joints = chunk.joints
+            offsets = chunk.offsets
             parts["initial"].append(joints[offsets[:-1]])
             parts["last"].append(joints[offsets[1:] - 1])
             parts["previous"].append(chunk.poses("previous_joints"))

@@ -71,7 +71,9 @@ def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through
     """Recorded joints; a batch never crosses a window, so one window at a time is in memory."""
     waiting = iter(plan)
     for place, chunk in selection.windows(["joints", "next_joints"]):
-        joints, offsets, n_frames = chunk.joints, chunk.offsets, chunk.n_frames
+        joints = chunk.joints
+        offsets = chunk.offsets
+        n_frames = chunk.n_frames
         if through_features:
             joints = _through_features(chunk)
         taken = 0

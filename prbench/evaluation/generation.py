@@ -64,7 +64,10 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
     method = task.method.load()
     warm_up = not method.warmed_up
     _reset_device_peak()
-    samples, halvings, peak, crashes_before = [], 0, 0, method.restarts
+    samples = []
+    halvings = 0
+    peak = 0
+    crashes_before = method.restarts
     started = _synchronised_time()
     with computing_threads(task.method.threads):
         for batch in task.conditions:

@@ -190,7 +190,9 @@ def mean_interval(
         return data.estimate(None, None, "none")
     if len(data.sequences) < _FEWEST_FOR_BOOTSTRAP:
         reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(jackknife_variance(data))
-        low, high, method = data.mean - reach, data.mean + reach, "t-jackknife"
+        low = data.mean - reach
+        high = data.mean + reach
+        method = "t-jackknife"
     else:
         low, high = _bootstrap(data)
         method = "bootstrap"
@@ -199,14 +201,16 @@ def mean_interval(
 
 def jackknife_variance(data: ClusteredValues) -> float:
     """Variance of the mean over sequences, from leaving out one recording (of two or more) at a time."""
-    count, n = len(data.sequences), data.sequences.sum()
+    count = len(data.sequences)
+    n = data.sequences.sum()
     without = (data.totals.sum() - data.totals) / (n - data.sequences)
     return float((count - 1) / count * ((without - data.mean) ** 2).sum())
 
 
 def effective_sample_size(data: ClusteredValues) -> float:
     """The number of independent sequences whose rate would be known as well as this one (rate neither 0 nor 1)."""
-    count, n = len(data.sequences), int(data.sequences.sum())
+    count = len(data.sequences)
+    n = int(data.sequences.sum())
     at_least = n**2 / float((data.sequences.astype(np.float64) ** 2).sum())
     if count == 1:
         return at_least

@@ -64,7 +64,9 @@ class Selection:
             while rows >= WINDOW:
                 joined = _joined(pending)
                 yield slice(start, start + WINDOW), SequenceChunk(joined.slice(0, WINDOW))
-                start, rows, pending = start + WINDOW, rows - WINDOW, [joined.slice(WINDOW)]
+                start = start + WINDOW
+                rows = rows - WINDOW
+                pending = [joined.slice(WINDOW)]
         if rows:
             yield slice(start, start + rows), SequenceChunk(_joined(pending))
 

@@ -189,7 +189,8 @@ def _dataset(
         spec = fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
-    source, scored_goals = ConditionSource.read(selection), None
+    source = ConditionSource.read(selection)
+    scored_goals = None
     if request.control == SHUFFLED_GOAL:
         shuffled = source.with_goals_of(derangement(selection, seed=request.seed))
         if request.method in RECORDED_MOTION:

@@ -85,7 +85,8 @@ def _row(table: pa.Table, row: int) -> str:
 def _differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple[str, object, object]]:
     """Key, expected and found value of what a summary says otherwise than the scores."""
     for name in DatasetSummary.__struct_fields__:
-        expected, found = getattr(made, name), getattr(stored, name)
+        expected = getattr(made, name)
+        found = getattr(stored, name)
         if name != "metrics" and expected != found:
             yield name, expected, found
     names = [metric.metric for metric in made.metrics]

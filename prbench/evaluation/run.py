@@ -168,7 +168,8 @@ def _missing(prepared: PreparedRun, dataset: PreparedDataset, files: DatasetFold
 def _tasks(
     prepared: PreparedRun, dataset: PreparedDataset, files: DatasetFolder, wanted: frozenset[int]
 ) -> Iterator[BatchTask]:
-    request, protocol = prepared.request, load_protocol()
+    request = prepared.request
+    protocol = load_protocol()
     salt = run_salt(request.seed, dataset.selection.table.identity)
     given = None
     if request.is_control:
@@ -218,7 +219,8 @@ def _scored(
 
 
 def _scored_set(prepared: PreparedRun, dataset: PreparedDataset) -> ScoredSet:
-    request, selection = prepared.request, dataset.selection
+    request = prepared.request
+    selection = dataset.selection
     return ScoredSet(
         info=selection.table.info,
         recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
@@ -251,7 +253,8 @@ def _windows(
 
 
 def _counted(windows: Iterator[pa.Table], dataset: PreparedDataset, progress: ProgressCallback) -> Iterator[pa.Table]:
-    done, total = 0, len(dataset.selection)
+    done = 0
+    total = len(dataset.selection)
     for window in windows:
         yield window
         done += len(window["sequence_id"].unique())

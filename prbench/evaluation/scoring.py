@@ -181,13 +181,17 @@ def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample
     """Name the sequence where a motion cannot be scored."""
 
     def place(row: int) -> str:
-        where, method = window.predictions.where(window.names[row], sample), window.rules.run_of
+        where = window.predictions.where(window.names[row], sample)
+        method = window.rules.run_of
         return f"{where}, {ids[row]}" if method is None else f"method '{method}', sequence {ids[row]} in {where}"
 
     remedy = SAME_LENGTH if window.rules.run_of is None else _NOT_AS_KEPT
-    expected, fps, native_fps = recorded.n_frames, _fps(window), window.rules.native_fps
+    expected = recorded.n_frames
+    fps = _fps(window)
+    native_fps = window.rules.native_fps
     if native_fps is not None:
-        expected, fps = native_frames(expected, fps=fps, native_fps=native_fps), native_fps
+        expected = native_frames(expected, fps=fps, native_fps=native_fps)
+        fps = native_fps
     if not window.rules.allow_length_mismatch:
         wrong = length_problem(place, expected, predicted.n_frames, fps=fps)
         if wrong is not None:

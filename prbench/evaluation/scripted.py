@@ -107,7 +107,8 @@ def _nod_to_goal(joints: np.ndarray, goal: np.ndarray, head_tilt_deg: np.ndarray
 def _about_pelvis(joints: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Joints (batch, 1, 22, 3) turned by yaw (batch, frames) about the vertical through the pelvis."""
     pelvis = joints[:, :, :1]
-    cosine, sine = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
+    cosine = np.cos(yaw)[..., None]
+    sine = np.sin(yaw)[..., None]
     x, y, z = np.moveaxis(joints - pelvis, -1, 0)
     turned = np.stack(np.broadcast_arrays(x * cosine + z * sine, y, z * cosine - x * sine), axis=-1)
     return turned + pelvis

@@ -1,4 +1,4 @@
-"""From the words of ``--method`` to how the method is made, and from there to its fit on a table."""
+"""Resolves the words of ``--method`` to a way of making the method, and fits it to a table."""
 
 from __future__ import annotations
 

@@ -114,7 +114,8 @@ def well_formed(
         raise AdapterError(
             f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{_asked_for(ids)}"
         )
-    joints, n_frames = motions.joints, _as_array(motions.n_frames)
+    joints = motions.joints
+    n_frames = _as_array(motions.n_frames)
     if not isinstance(joints, np.ndarray):
         remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
         found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")

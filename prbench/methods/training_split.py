@@ -53,7 +53,8 @@ class TrainingSplit(SequenceTable):
 
     def events(self) -> pa.Table:
         """Return the events of the training recordings; the others would tell where the goals of test rows are."""
-        events, known = super().events(), self.recordings()["recording_id"].combine_chunks()
+        events = super().events()
+        known = self.recordings()["recording_id"].combine_chunks()
         return events.filter(pc.call_function("is_in", [events["recording_id"]], pc.SetLookupOptions(known)))
 
     def recordings(self) -> pa.Table:

@@ -86,7 +86,8 @@ class MotionBatch:
 
     def part(self, start: int, stop: int) -> MotionBatch:
         """Sequences ``start`` to ``stop - 1``, without copying."""
-        begin, end = self.offsets[start], self.offsets[stop]
+        begin = self.offsets[start]
+        end = self.offsets[stop]
         return MotionBatch(self.values[begin:end], self.offsets[start : stop + 1] - begin)
 
     def shortened(self, n_frames: Int[np.ndarray, " n"]) -> MotionBatch:

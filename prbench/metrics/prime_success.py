@@ -45,11 +45,14 @@ def primed(
     on_target = track.usable & (track.distance <= constants.prime_distance + constants.threshold_tolerance)
     sequence = np.repeat(np.arange(len(candidates.count)), candidates.count)
     frame = ranges(candidates.first, candidates.count)
-    row, hold = track.row_of_frame_0[sequence] + frame, candidates.hold[sequence]
+    row = track.row_of_frame_0[sequence] + frame
+    hold = candidates.hold[sequence]
     chosen = _stays(on_target, row, hold)
     if variant == "onset":
         chosen &= (frame >= np.maximum(2, hold)) & ~on_target[row - 1]
-    row, hold, sequence = row[chosen], hold[chosen], sequence[chosen]
+    row = row[chosen]
+    hold = hold[chosen]
+    sequence = sequence[chosen]
     change = _change_at_onset(track.speed, row, hold) if variant == "onset" else track.speed[row] - track.speed[row - 1]
     success = np.zeros(len(candidates.count))
     success[sequence[change < -constants.deceleration_tolerance]] = 1.0

@@ -109,7 +109,8 @@ def gaze_track(
         fps: Frames per second.
     """
     rows, sequence, row_of_frame_0 = _rows_looked_at(motion, candidates)
-    origin, direction = gaze.origin[rows].astype(np.float64), gaze.direction[rows].astype(np.float64)
+    origin = gaze.origin[rows].astype(np.float64)
+    direction = gaze.direction[rows].astype(np.float64)
     valid = gaze.valid[rows]
     distance = ray_distance(origin, direction, goal_location[sequence])
     speed = _turning_speed(direction, sequence, fps)
@@ -128,7 +129,8 @@ def ray_distance(
 
 
 def _turning_speed(direction: np.ndarray, sequence: np.ndarray, fps: np.ndarray) -> np.ndarray:
-    before, after = direction[:-1], direction[1:]
+    before = direction[:-1]
+    after = direction[1:]
     sine = np.linalg.norm(np.cross(before, after), axis=-1)
     cosine = (before * after).sum(axis=-1)
     speed = np.full(len(direction), np.nan)

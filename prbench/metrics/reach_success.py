@@ -65,7 +65,8 @@ def _within_reach(squared: np.ndarray, constants: MetricConstants) -> np.ndarray
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
-    predicted, targets = pair.predicted, pair.targets
+    predicted = pair.predicted
+    targets = pair.targets
     squared = _squared_wrist_distance(predicted, targets.goal_location)
     at_any = _within_reach(np.minimum.reduceat(squared, predicted.first), constants)
     at_end = _within_reach(squared[predicted.last], constants)

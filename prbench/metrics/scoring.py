@@ -59,7 +59,8 @@ def _infos(families: tuple[MetricFamily, ...], metrics: Collection[str] | None) 
 
 
 def _check(pair: ScoringPair, families: tuple[MetricFamily, ...], *, allow_length_mismatch: bool) -> None:
-    predicted, recorded = pair.predicted, pair.recorded
+    predicted = pair.predicted
+    recorded = pair.recorded
     if not len(pair.targets) == predicted.n_sequences == recorded.n_sequences:
         raise ValueError(
             f"expected as many predicted as recorded motions and targets, found {predicted.n_sequences},"

@@ -1,4 +1,4 @@
-"""From when to when each stream of a recording reaches, and which of them stop before the recording does.
+"""First and last times of a recording's streams, and messages about those that stop before the recording does.
 
 A text file that was cut between two lines reads as whole, and what happened after the cut is missing without a word.
 Only the other streams of the recording can tell: they go on. A reader with a method ``extents`` says which streams its
@@ -32,7 +32,7 @@ _REMEDY = "it may be cut off: compare its size with the original, or copy or dow
 
 @dataclass(frozen=True)
 class Extent:
-    """From when to when one stream reaches."""
+    """First and last time of one stream."""
 
     stream: str
     """Name of the stream in messages."""

@@ -87,7 +87,8 @@ def import_release(
     targets = {name: out if dataset is not None else out / name for name, _ in found}
     for target in targets.values():
         require_replaceable(target, FILE_NAME, kind="dataset")
-    reports, failed = list[ImportReport](), list[FailedDataset]()
+    reports = list[ImportReport]()
+    failed = list[FailedDataset]()
     for name, folder in found:
         try:
             with sole_writer(targets[name]):

@@ -131,7 +131,10 @@ def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motio
     directions, valid = clean_gaze(gaze, len(joints))
     previous = None
     if reading.first_frame_is_previous:
-        previous, joints, directions, valid = joints[0], joints[1:], directions[1:], valid[1:]
+        previous = joints[0]
+        joints = joints[1:]
+        directions = directions[1:]
+        valid = valid[1:]
     motion_from_canonical = _motion_from_canonical(reading, measured, block)
     canonical_from_motion = invert_rigid(motion_from_canonical)
     motion_from_goal = goal_transform(_known_goal_frame(reading), _scaled(measured.world_from_canonical, metres))

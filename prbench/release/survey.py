@@ -89,7 +89,8 @@ def _read(candidate: Candidate, found: Found) -> _Arrays | None:
         return None
     if candidate.further is not None and not _is_usable(candidate.further, further, len(joints)):
         found.report(key, "further: damaged or of another motion, not used", left_out=False)
-        candidate, further = replace(candidate, further=None), b""
+        candidate = replace(candidate, further=None)
+        further = b""
     if not np.isfinite(joints).all():
         found.report(key, "motion: expected finite numbers, found NaN or infinity")
         return None
@@ -100,7 +101,8 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
     arrays = _read(candidate, found)
     if arrays is None:
         return None
-    joints, key = arrays.joints, candidate.entry.key
+    joints = arrays.joints
+    key = candidate.entry.key
     try:
         world_from_canonical = canonical_frame(joints[first_frame:])
     except ValueError:
@@ -110,7 +112,8 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
     directions, valid = clean_gaze(arrays.gaze, len(joints))
     if arrays.gaze is not None and not valid.any():
         found.report(key, "gaze: no frame has a unit vector", left_out=False)
-    head, lengths = joints[primed, Joint.HEAD], bone_lengths(joints)
+    head = joints[primed, Joint.HEAD]
+    lengths = bone_lengths(joints)
     ray = [ray_distance(head[None], directions[primed][None], goal[None])[0] for goal in goals]
     return Measured(
         candidate=arrays.candidate,

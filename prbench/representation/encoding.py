@@ -65,7 +65,8 @@ def encode(
     check_joints(motion, source=source, upright=upright)
 
     cos, sin, half_turns = _headings(motion, mode)
-    steps, here = motion[1:] - motion[:-1], motion[:-1]
+    steps = motion[1:] - motion[:-1]
+    here = motion[:-1]
     pelvis = here[:, Joint.PELVIS]
     root_steps = _turned(steps[:, Joint.PELVIS], cos[1:], sin[1:])  # seen from the frame they lead to
     positions = _turned(here[:, 1:] - (pelvis * (1, 0, 1))[:, None], cos[:-1, None], sin[:-1, None])
@@ -97,10 +98,12 @@ def _reference_headings(forward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     Opposite to +Z w comes close to 0: there the original's rounding is larger than the tolerance of a comparison.
     """
     x, z = forward.T
-    w, y = np.sqrt(x**2 + z**2) + z, -x
+    w = np.sqrt(x**2 + z**2) + z
+    y = -x
     length = np.sqrt(w**2 + y**2)
     y[length == 0], length[length == 0] = 1.0, 1.0  # exactly opposite: half a turn
-    w, y = w / length, y / length
+    w = w / length
+    y = y / length
     w[0], y[0] = 1.0, 0.0
     return w**2 - y**2, 2 * w * y, np.arcsin(np.clip(y[1:] * w[:-1] - w[1:] * y[:-1], -1, 1))
 
@@ -220,7 +223,8 @@ def _sum_before(values: np.ndarray) -> np.ndarray:
 
 def _matrices(columns: np.ndarray) -> np.ndarray:
     """Rotation matrices (..., 3, 3) from their first two columns (..., 6)."""
-    first, second = columns[..., :3], columns[..., 3:]
+    first = columns[..., :3]
+    second = columns[..., 3:]
     first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
     second = second - (first * second).sum(axis=-1, keepdims=True) * first
     second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)

@@ -91,7 +91,8 @@ def encode(
 
     cos, sin, yaw = _headings(held, mode)
     steps = held[:, 1:] - held[:, :-1]
-    here, pelvis = held[:, :-1], held[:, :-1, Joint.PELVIS]
+    here = held[:, :-1]
+    pelvis = held[:, :-1, Joint.PELVIS]
     ground = pelvis * pelvis.new_tensor((1.0, 0.0, 1.0))
     root_step = _turned(steps[:, :, Joint.PELVIS], cos[:, 1:], sin[:, 1:])
     positions = _turned(here[:, :, 1:] - ground[:, :, None], cos[:, :-1, None], sin[:, :-1, None])
@@ -141,7 +142,8 @@ def _headings(joints: torch.Tensor, mode: Mode) -> tuple[torch.Tensor, torch.Ten
 
 def _reference_headings(x: torch.Tensor, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Headings through quaternions (w, y) of positive w, which rounds as the original does opposite to +Z."""
-    w, y = (x.square() + z.square()).sqrt() + z, -x
+    w = (x.square() + z.square()).sqrt() + z
+    y = -x
     opposite = (w == 0) & (y == 0)
     w, y = _unit(torch.stack((w, torch.where(opposite, 1.0, y))), dim=0)
     w = pad(w[:, 1:], (1, 0), value=1.0)

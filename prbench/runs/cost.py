@@ -96,7 +96,8 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
     """Sum up single batches."""
     timed = [cost for cost in costs if not cost.warm_up]
     warm_up = [cost for cost in costs if cost.warm_up]
-    motions, seconds = sum(cost.motions for cost in timed), sum(cost.seconds for cost in timed)
+    motions = sum(cost.motions for cost in timed)
+    seconds = sum(cost.seconds for cost in timed)
     device = [cost.peak_device_bytes for cost in costs if cost.peak_device_bytes is not None]
     passes = [cost.network_passes for cost in costs if cost.network_passes is not None]
     return RunCost(

@@ -140,7 +140,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted, found = _flat(msgspec.to_builtins(self)), _flat(msgspec.to_builtins(other))
+        wanted = _flat(msgspec.to_builtins(self))
+        found = _flat(msgspec.to_builtins(other))
         for key in wanted | found:
             if wanted.get(key) != found.get(key):
                 raise RunError(

@@ -244,7 +244,8 @@ def corpus_recording_batch(records: Iterable[CorpusRecord]) -> pa.RecordBatch:
     rows = []
     for record in records:
         row = dataclasses.asdict(record)
-        counts, measured = row.pop("outcomes"), row.pop("measured")
+        counts = row.pop("outcomes")
+        measured = row.pop("measured")
         row |= {outcome: counts.get(outcome, 0) for outcome in ANNOTATION_OUTCOMES}
         rows.append(row | {"measured": [{"key": key, "value": text} for key, text in sorted(measured.items())]})
     return pa.RecordBatch.from_pylist(rows, schema=CORPUS_RECORDINGS)

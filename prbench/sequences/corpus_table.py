@@ -160,7 +160,8 @@ def write_corpus(
     if not replace:
         require_no_loss(folder, CORPUS_FILE, Holdings.of(recordings, "clip"), outcome="clip", what="clips")
     version = info.protocol_version
-    content, keys = ContentDigest(CLIPS.names), {name: [] for name in _IDENTITY}
+    content = ContentDigest(CLIPS.names)
+    keys = {name: [] for name in _IDENTITY}
 
     def digested(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for batch in batches:

@@ -96,7 +96,8 @@ def write_croissant(
 
 def _files(folder: Path, name: str) -> list[dict[str, Any]]:
     """The file of a table, or its parts and the set that they form."""
-    single, parts = folder / f"{name}.parquet", sorted((folder / name).glob("part-*.parquet"))
+    single = folder / f"{name}.parquet"
+    parts = sorted((folder / name).glob("part-*.parquet"))
     if single.is_file():
         return [_file(single, single.name)]
     pattern = {"@type": "cr:FileSet", "@id": _part_set(name), "name": _part_set(name), "encodingFormat": _PARQUET}

@@ -66,7 +66,12 @@ def _read_info(path: Path, kind: type[_Info], *, what: str) -> _Info:
     try:
         info = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
     except (FileNotFoundError, NotADirectoryError) as error:
-        found = "no such file in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        if folder.is_dir():
+            found = "no such file in it"
+        elif folder.is_file():
+            found = "a file"
+        else:
+            found = "no such folder"
         raise TableError(
             f"{folder}: expected a built {what} (a folder with {path.name}), found {found}. {_remedy(path, what)}"
         ) from error

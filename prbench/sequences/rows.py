@@ -25,7 +25,8 @@ def table_parts(folder: Path, name: str) -> list[Path]:
     Raises:
         TableError: if neither exists.
     """
-    single, parts = folder / f"{name}.parquet", folder / name
+    single = folder / f"{name}.parquet"
+    parts = folder / name
     if single.is_file():
         return [single]
     found = sorted(parts.glob("part-*.parquet"))
@@ -53,7 +54,8 @@ def stream_chunks(
     """
     needed = [name for name, chosen in (("split", split), ("sequence_id", ids)) if chosen is not None]
     read = list(dict.fromkeys([*columns, *needed]))
-    of_split, known = pa.array([split], type=pa.string()), pa.array(sorted(ids or ()), type=pa.string())
+    of_split = pa.array([split], type=pa.string())
+    known = pa.array(sorted(ids or ()), type=pa.string())
     for path in paths:
         with naming(path):
             for batch in open_parquet(path).iter_batches(batch_size=rows, columns=read):

@@ -57,7 +57,8 @@ def write_table_in_parts(
     Returns:
         The number of rows.
     """
-    single, parts = folder / f"{name}.parquet", folder / name
+    single = folder / f"{name}.parquet"
+    parts = folder / name
     rows = 0
     with atomic_folder(parts) as temporary:
         writers: list[_PartWriter] = []

@@ -32,9 +32,12 @@ from prbench.timelines import interpolate, slerp
 NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""
 
-_LIMB_WOBBLE, _LIMB_HZ = 0.02, (0.1, 0.5)
-_WRIST_WOBBLE, _WRIST_LIMIT = 0.008, 0.02  # metres an axis; never further from the true wrist
-_FOOT_SLIP, _FOOT_HZ = 0.015, (0.3, 0.8)
+_LIMB_WOBBLE = 0.02
+_LIMB_HZ = (0.1, 0.5)
+_WRIST_WOBBLE = 0.008  # metres an axis; never further from the true wrist
+_WRIST_LIMIT = 0.02
+_FOOT_SLIP = 0.015
+_FOOT_HZ = (0.3, 0.8)
 _ROOT_HEIGHT = 0.01
 _STRETCH = (0.9985, 0.9999)  # of a limb that a shifted trunk pulls away from its hand or foot
 _SHORTEST_WINDOW = 2  # frames

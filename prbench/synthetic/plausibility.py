@@ -20,15 +20,18 @@ from prbench.skeleton import WRISTS, Joint, bone_lengths
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import FPS, true_clips
 
-_HIPS, _KNEES = [Joint.LEFT_HIP, Joint.RIGHT_HIP], [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]
-_ANKLES, _BALLS = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE], [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
-_SHOULDERS, _ELBOWS = [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER], [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]
+_HIPS = [Joint.LEFT_HIP, Joint.RIGHT_HIP]
+_KNEES = [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]
+_ANKLES = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]
+_BALLS = [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
+_SHOULDERS = [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER]
+_ELBOWS = [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]
 _JERK_RATE = 60.0
 
 
 @runtime_checkable
 class Moving(Protocol):
-    """What is measured: joints, rotations and contacts at a uniform rate (see ``Performance``)."""
+    """The measured motion: joints, rotations and contacts at a uniform rate (see ``Performance``)."""
 
     @property
     def rate(self) -> float:
@@ -103,7 +106,7 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether the number lies inside its range."""
+        """Return True where the number lies inside its range."""
         return self.limit.low < self.value < self.limit.high
 
 

@@ -1,4 +1,4 @@
-"""How the sequences of synthetic performances compare with what the study reports of the real datasets.
+"""Compares the sequences of synthetic performances with what the study reports of the real datasets.
 
 Targets and tolerance: docs/specification/synthetic-recordings.md#statistics. Measured on true gaze, without sensors;
 what curation measures through sensors differs a little.
@@ -81,7 +81,7 @@ def sample_joints(performance: Performance, times: Float[np.ndarray, " m"]) -> F
 
 @dataclass(frozen=True)
 class SequenceStatistics:
-    """What Table 1 of the study reports of a dataset: seconds and metres."""
+    """The columns of the study's Table 1 for one dataset: seconds and metres."""
 
     duration: Spread
     gap: Spread

@@ -40,7 +40,7 @@ Size = Literal["tiny", "default", "large"]
 
 @dataclass(frozen=True)
 class _SizeOfTree:
-    """How much a size means."""
+    """Numbers that belong to one size of a tree."""
 
     recordings: int
     events: int
@@ -56,7 +56,7 @@ SIZES: dict[str, _SizeOfTree] = {
 
 @dataclass(frozen=True)
 class WrittenRecording:
-    """What one recording of a tree came to."""
+    """Result of writing one recording of a tree."""
 
     recording_id: str
     split: str
@@ -67,7 +67,7 @@ class WrittenRecording:
 
 @dataclass(frozen=True)
 class WrittenTree:
-    """What a tree came to."""
+    """Result of writing a tree."""
 
     root: Path
     recordings: tuple[WrittenRecording, ...]

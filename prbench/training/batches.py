@@ -75,16 +75,19 @@ class LengthBatches:
         while True:
             for batch in self._epoch(epoch)[skipped:]:
                 yield [(int(index), int(turn)) for index, turn in batch[self._rank :: self._world_size]]
-            epoch, skipped = epoch + 1, 0
+            epoch = epoch + 1
+            skipped = 0
 
     def _beginning(self) -> tuple[int, int]:
         """The epoch that ``start_step`` lies in, and the batches of it that come before."""
         if self._unit == "sequences":
             together = self._batch_size * self._world_size
             return divmod(self._start_step, max(len(self._lengths) // together, 1))
-        epoch, left = 0, self._start_step
+        epoch = 0
+        left = self._start_step
         while left >= (count := len(self._epoch(epoch))):
-            epoch, left = epoch + 1, left - count
+            epoch = epoch + 1
+            left = left - count
         return epoch, left
 
     def _epoch(self, epoch: int) -> list[Int[np.ndarray, "items 2"]]:

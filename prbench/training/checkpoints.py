@@ -18,7 +18,9 @@ from prbench.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.training.state import Tally, TrainingState
 
 KEPT = 2
-_TENSORS, _STATE, _TIMING = "tensors.safetensors", "state.json", "timing.json"
+_TENSORS = "tensors.safetensors"
+_STATE = "state.json"
+_TIMING = "timing.json"
 _NAME = re.compile(r"step-(\d{9})")
 
 

@@ -132,7 +132,8 @@ class _Session:
         Raises:
             TrainingStopped: if asked to stop before that.
         """
-        state, settings = self.state, self.settings
+        state = self.state
+        settings = self.settings
         # Set up here, after a checkpoint was restored: a process group copies the first process's weights to all.
         network = self.fabric.setup_module(state.module, move_to_device=False)
         self.validated_at = int(state.validations[-1]["step"]) if state.validations else 0
@@ -168,7 +169,8 @@ class _Session:
 
     def _step(self, network: Any, incoming: Iterator[Any]) -> None:
         """One step of the optimiser over ``micro_batches`` batches."""
-        state, settings = self.state, self.settings
+        state = self.state
+        settings = self.settings
         for group in state.optimiser.param_groups:
             group["lr"] = self._learning_rate(state.step)
         for micro in range(settings.micro_batches):
@@ -231,7 +233,8 @@ class _Session:
 
     def _validated(self) -> Row | None:
         """Validate the averaged weights if it is time; only the first process does, and the others wait."""
-        state, every = self.state, self.configuration.validation.every
+        state = self.state
+        every = self.configuration.validation.every
         if self.validate is None or not every or not state.step or not self._due(every):
             return None
         if self.validated_at == state.step:

@@ -177,7 +177,8 @@ def holds_mirrored(table: Table) -> bool:
 
 
 def _rows(chunk: SequenceChunk, *, corpus: bool) -> list[Row]:
-    joints, offsets = chunk.joints, chunk.offsets
+    joints = chunk.joints
+    offsets = chunk.offsets
     before = chunk.poses("previous_joints")
     after = chunk.poses("next_joints")
     goals = np.full((len(chunk), 3), np.nan) if corpus else chunk.vectors("goal_location")

@@ -110,7 +110,8 @@ def resolved(
     chosen = stage or stages[0]
     if chosen not in stages:
         raise UsageError(f"--stage: '{task.name}' has no stage '{chosen}'; its stages are: {', '.join(stages)}.")
-    package, name = task.configurations, task.name
+    package = task.configurations
+    name = task.name
     return chosen, load_configuration(configuration, package=package, task=name, stage=chosen, overrides=overrides)
 
 

@@ -126,7 +126,8 @@ class TrainingState:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Trained parameters and buffers, their averages and their moments, by name; frozen parameters stay out."""
-        module, tensors = self.module, {}
+        module = self.module
+        tensors = {}
         frozen = {name for name, parameter in module.named_parameters() if not parameter.requires_grad}
         for name, tensor in module.state_dict().items():
             if name not in frozen:

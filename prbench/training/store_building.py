@@ -188,7 +188,8 @@ def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) 
 
 def _versions(row: Row, encoding: Encoding) -> list[Row]:
     """The row as items will show it, cut to its end where that is asked for, and its mirrored copy."""
-    motion, longest = row.motion, encoding.max_frames
+    motion = row.motion
+    longest = encoding.max_frames
     if motion.n_frames > longest and encoding.crop == "end":
         row = Row(row.sequence_id, row.texts, cut(motion, motion.n_frames - longest, longest, name=row.sequence_id))
     if not encoding.mirrored:

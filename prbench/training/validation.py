@@ -65,7 +65,8 @@ class Validation:
         Raises:
             UsageError: if no table has validation sequences.
         """
-        wanted, data = configuration.validation, configuration.data
+        wanted = configuration.validation
+        data = configuration.data
         if not wanted.every:
             return None
         usable = [table for table in tables if table.scalars(split=_SPLIT).num_rows]

@@ -91,7 +91,8 @@ def _histogram(
 ) -> None:
     values = [getattr(each, quantity) for each in statistics]
     together = np.concatenate(values)
-    low, high = float(together.min()), float(together.max())
+    low = float(together.min())
+    high = float(together.max())
     edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
     if published is not None:
         _draw_band(axes, published, label="published mean, sd shaded")

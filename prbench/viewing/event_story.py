@@ -23,7 +23,9 @@ Verdict = Literal["passed", "stopped here", "not reached"]
 _MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached": " "}
 _FIGURES = 9
 _SPACING = 1.25  # metres between figures in the picture
-_GAZE, _PRIME, _EVENT = "tab:orange", "tab:purple", "black"
+_GAZE = "tab:orange"
+_PRIME = "tab:purple"
+_EVENT = "black"
 _WIDTH = 13.0  # inches
 
 
@@ -143,7 +145,8 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         )
         axes.axvline(prime, color=_PRIME, label=figure_text(f"prime ({(event.prime_kind or '').replace('_', ' ')})"))
     axes.axvline(0, color=_EVENT, linewidth=1.5, label=figure_text(event.action))
-    first, last = -story.priming_window - story.lead - 1, 5.0
+    first = -story.priming_window - story.lead - 1
+    last = 5.0
     shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
     for number, other in enumerate(shown):
         time = other.event_time - event.event_time

@@ -58,7 +58,8 @@ def curves_of(performance: Performance, event: TrueEvent, start: float, end: flo
     stride = max(1, round(_STEP * performance.rate))
     first, last = np.searchsorted(performance.times, [start, end])
     frames = np.arange(int(first), min(int(last) + 1, performance.times.size), stride)
-    joints, times = performance.joints[frames], performance.times[frames]
+    joints = performance.joints[frames]
+    times = performance.times[frames]
     forward, _ = head_forward(joints, performance.person.neck_tilt_deg)
     wrist = joints[:, WRISTS[event.hand == "right"]]
     turning = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1.0, 1.0))
@@ -159,7 +160,8 @@ def _frame(scene: Scene, time: float) -> int:
 
 def _draw_strip(axes: Axes, scene: Scene, sideways: np.ndarray) -> None:
     """Draw figures from the first frame to the event, each with the goal at its place relative to that pelvis."""
-    performance, event = scene.performance, scene.event
+    performance = scene.performance
+    event = scene.event
     for number, time in enumerate(np.linspace(scene.start, scene.end, _N_FIGURES)):
         frame = _frame(scene, time)
         at = number * _SPACING
@@ -185,7 +187,8 @@ def _draw_strip(axes: Axes, scene: Scene, sideways: np.ndarray) -> None:
 
 def _draw_top(axes: Axes, scene: Scene) -> None:
     """Draw the path of the pelvis, planted feet, fixated points, furniture and the goal from above."""
-    performance, event = scene.performance, scene.event
+    performance = scene.performance
+    event = scene.event
     for piece in performance.objects:
         if not piece.movable:
             axes.fill(*_outline(piece.position[0], piece.half_extents, piece.rotation[0]), color="0.9", zorder=0)

@@ -117,7 +117,8 @@ def citation_text(folders: Sequence[Path]) -> str:
     Raises:
         TableError: if a folder holds no built dataset, or one of which a file was edited.
     """
-    terms, entries = [], []
+    terms = []
+    entries = []
     for folder in folders:
         if (folder / CORPUS_FILE).is_file():
             table = CorpusTable(folder, CorpusInfo.read(folder))

@@ -214,7 +214,8 @@ def _clipping(event: EventRecord, chunk: SequenceChunk | None, protocol: Benchma
         return f"the recording, or the body in it, lacks {missing:.2f} s of {needed}"
     if chunk is None:
         return f"the recording covers it {interval}"
-    n, start = int(chunk.n_frames[0]), float(chunk.numbers("start_time")[0])
+    n = int(chunk.n_frames[0])
+    start = float(chunk.numbers("start_time")[0])
     return f"{n} frames at {float(chunk.numbers('fps')[0]):g} Hz from {start:.3f} s"
 
 
@@ -236,9 +237,11 @@ def _filters(event: EventRecord, options: dict[str, str]) -> str:
 
 def _motion(chunk: SequenceChunk) -> StoryMotion:
     world_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
-    low, high = chunk.vectors("goal_box_world_min")[0], chunk.vectors("goal_box_world_max")[0]
+    low = chunk.vectors("goal_box_world_min")[0]
+    high = chunk.vectors("goal_box_world_max")[0]
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    fps, start = float(chunk.numbers("fps")[0]), float(chunk.numbers("start_time")[0])
+    fps = float(chunk.numbers("fps")[0])
+    start = float(chunk.numbers("start_time")[0])
     return StoryMotion(
         times=start + np.arange(int(chunk.n_frames[0])) / fps,
         joints=chunk.joints.astype(np.float64),

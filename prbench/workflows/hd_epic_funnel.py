@@ -65,7 +65,8 @@ class PublishedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def implied_gap(self) -> float:
         """Mean gap of primed starts and ends together, seconds."""
-        picks, puts = self.pick.tested * self.pick.primed, self.put.tested * self.put.primed
+        picks = self.pick.tested * self.pick.primed
+        puts = self.put.tested * self.put.primed
         return (picks * self.pick.gap_mean + puts * self.put.gap_mean) / (picks + puts)
 
 
@@ -88,10 +89,13 @@ class FunnelLine:
 
 def funnel_lines(validation: Validation) -> list[FunnelLine]:
     """Return one line a stage, from videos to sequences; synthetic videos have no published counts beside them."""
-    known, both = published_counts(), validation.agreements[-1]
-    rule, taken = validation.outcomes, validation.published_outcomes
+    known = published_counts()
+    both = validation.agreements[-1]
+    rule = validation.outcomes
+    taken = validation.published_outcomes
     tracks = str(both.events // 2)
-    tested, primed = both.published("primed", "not_primed"), both.published("primed")
+    tested = both.published("primed", "not_primed")
+    primed = both.published("primed")
     lines = [
         FunnelLine("videos read", str(validation.recordings), "", f"{known.videos:,}"),
         FunnelLine("movements (tracks)", tracks, tracks, f"{known.tracks:,}"),

@@ -121,7 +121,8 @@ def inspect_folder(
             raise
         discovery = Discovery((), ())
     total = sum(len(found.recordings) for found in discovery.found)
-    datasets, done = [], 0
+    datasets = []
+    done = 0
     for found in discovery.found:
         inspected = []
         for recording in found.recordings:

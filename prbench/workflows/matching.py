@@ -61,7 +61,8 @@ def match_events(true: Sequence[TrueEvent], found: Sequence[EventRecord]) -> lis
     partner: dict[int, int] = {}
     taken: set[int] = set()
     for index in np.argsort(difference[rows, columns], kind="stable"):
-        row, column = int(rows[index]), int(columns[index])
+        row = int(rows[index])
+        column = int(columns[index])
         if row not in partner and column not in taken:
             partner[row] = column
             taken.add(column)
@@ -240,10 +241,15 @@ def _missed(real: Sequence[Match]) -> tuple[Miss, ...]:
     )
 
 
+def _fate(match: Match) -> str:
+    """Say what curation made of an event that happened while tracking was lost."""
+    if match.found is None:
+        return "missed"
+    return "reported" if match.found.outcome == "tracking_lost" else "found"
+
+
 def _lost_counts(lost: Sequence[Match]) -> dict[str, int]:
-    counts = Counter(
-        "missed" if m.found is None else "reported" if m.found.outcome == "tracking_lost" else "found" for m in lost
-    )
+    counts = Counter(_fate(match) for match in lost)
     return {name: counts[name] for name in ("found", "reported", "missed")}
 
 

@@ -31,7 +31,8 @@ _BETWEEN_POINTS = 0.02  # metres; what is drawn
 _POINTS_ON_AREA = 3 / _BETWEEN_POINTS**2  # a square metre gets more than are drawn, so that no cell stays empty
 _MOST_ON_MESH = 2_000_000
 _AROUND = 2.0  # metres beyond the way of the pelvis and the goal
-_ABOVE_FLOOR, _HEAD_ROOM = 0.04, 2.1  # metres; the floor would cover the whole map, and so would the ceiling
+_ABOVE_FLOOR = 0.04  # metres; the floor would cover the whole map, and so would the ceiling
+_HEAD_ROOM = 2.1
 _SUREST = {"inv_dist_std": 0.005, "dist_std": 0.05}
 """Largest deviations of a point that is drawn, 1/m and m (choice)."""
 _MESHES = "meshes"

@@ -120,7 +120,8 @@ def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
     record = run.run.record
     rows = table.scalars()
     row = rows["sequence_id"].to_pylist().index(name)
-    split, n_frames = rows["split"][row].as_py(), rows["n_frames"][row].as_py()
+    split = rows["split"][row].as_py()
+    n_frames = rows["n_frames"][row].as_py()
     if split != record.split:
         return f"it is in split '{split}', the run is of '{record.split}'."
     if record.method.max_frames is not None and n_frames > record.method.max_frames:

@@ -49,7 +49,9 @@ class JudgedEvent:
     @property
     def rule(self) -> str:
         """One of :data:`RULE_OUTCOMES`."""
-        return "no_location" if not self.located else "not_primed" if self.rule_prime is None else "primed"
+        if not self.located:
+            return "no_location"
+        return "not_primed" if self.rule_prime is None else "primed"
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,8 @@ class _JudgedRecording:
 
 def _judge_source(source: NativeSource) -> _JudgedRecording:
     """Read one recording and curate it by the rule and, where the dataset speaks, from what it publishes."""
-    manifest, protocol = load_manifest(DATASET), load_protocol()
+    manifest = load_manifest(DATASET)
+    protocol = load_protocol()
     try:
         recording = source.read()
     except PrbenchError as error:

@@ -161,7 +161,8 @@ def chosen_wrist(
     pose: Float[torch.Tensor, "batch 22 3"], location: Float[torch.Tensor, "batch 3"], hand: Hand
 ) -> Float[torch.Tensor, "batch 3"]:
     """Position of the wrist named by ``hand``, or of the one nearer to ``location``."""
-    left, right = pose[:, Joint.LEFT_WRIST], pose[:, Joint.RIGHT_WRIST]
+    left = pose[:, Joint.LEFT_WRIST]
+    right = pose[:, Joint.RIGHT_WRIST]
     if hand != "nearest":
         return left if hand == "left" else right
     left_nearer = (left - location).square().sum(-1) < (right - location).square().sum(-1)

@@ -18,7 +18,8 @@ Keep = Literal["last", "best"]
 Bones = Literal["predicted", "initial"]
 Precision = Literal["float32", "bfloat16"]
 
-_FAST_PASSES, _FAST_STEPS = 400, 4
+_FAST_PASSES = 400
+_FAST_STEPS = 4
 _SHARED = (
     "ddim-steps",
     "spacing",

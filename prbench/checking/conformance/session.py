@@ -194,7 +194,8 @@ class _Session:
                         name = under_way.name if under_way is not None else "starting"
                         self.announce(f"{name}: {event.waiting}", self._announced, len(CHECKS))
                     else:
-                        under_way, left = left[0], left[1:]
+                        under_way = left[0]
+                        left = left[1:]
                         self._announced += 1
                         self.announce(under_way.name, self._announced, len(CHECKS))
             except _Lost as lost:

@@ -30,7 +30,7 @@ class Diagnosis:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What was asked of one motion; canonical frame, metres. None means unknown and is not examined."""
+    """Expectations about one motion; canonical frame, metres. None means unknown and is not examined."""
 
     initial_joints: Float[np.ndarray, "22 3"] | None = None
     """The frame that the motion should begin with."""

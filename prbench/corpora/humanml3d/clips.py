@@ -14,7 +14,8 @@ from prbench.corpora.sources import ClipLimits, RecordingIdentity
 from prbench.manifests import Manifest
 from prbench.sequences.corpus import Annotation, Caption, Clip
 
-_WHOLE, _PART = "caption", "sub_caption"
+_WHOLE = "caption"
+_PART = "sub_caption"
 
 
 def clips_of(
@@ -36,7 +37,8 @@ def clips_of(
         limits: Lengths of clips.
         manifest: Of the dataset.
     """
-    clips, annotations = [], []
+    clips = []
+    annotations = []
     for (start, end), members in _by_span(lines, len(joints) / layout.RATE).items():
         kind = _WHOLE if members[0][1].is_whole else _PART
         name = f"{identity.dataset}/{identity.recording_id}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}"
@@ -52,7 +54,12 @@ def clips_of(
             clips += [] if clip is None else [clip]
         seen: set[str] = set()
         for number, line in members:
-            own = "no_text" if not line.text else "duplicate" if line.text in seen else outcome
+            if not line.text:
+                own = "no_text"
+            elif line.text in seen:
+                own = "duplicate"
+            else:
+                own = outcome
             seen.add(line.text)
             decided = own == outcome
             annotations.append(

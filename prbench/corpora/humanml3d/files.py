@@ -91,7 +91,8 @@ def _seconds(path: Path, number: int, cell: str) -> float:
     return 0.0 if math.isnan(value) else value
 
 
-_SHORTEST_TRUNK, _LONGEST_TRUNK = 0.05, 20.0  # metres; longer ones are in millimetres
+_SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
+_LONGEST_TRUNK = 20.0
 
 
 def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:

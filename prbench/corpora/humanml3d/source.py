@@ -20,7 +20,8 @@ from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, text_digest
 
-_BYTES_A_SECOND, _TABLE_SHARE = 3.6e6, 2.7
+_BYTES_A_SECOND = 3.6e6
+_TABLE_SHARE = 2.7
 _UNKNOWN_PERSON = "unknown"
 _FILES_OF_A_GROUP = 2  # last digits that the names of a group do not share: a hundred motions
 _MAKE_JOINTS = (
@@ -113,7 +114,8 @@ class HumanML3DCorpus:
         """Find all motions with joints, features or texts."""
         if root is None:
             raise UsageError("--root DIR is needed: the folder HumanML3D with new_joints, texts and train.txt.")
-        root, limits = root.expanduser().resolve(), self._limits(options)
+        root = root.expanduser().resolve()
+        limits = self._limits(options)
         motions = _motion_files(root)
         splits = _splits(root)
         dataset = f"{SYNTHETIC_PREFIX}humanml3d" if read_synthetic_tree(root) else "humanml3d"

@@ -114,7 +114,8 @@ def _check_sides(
     clean: CleanSuit, pieces: tuple[MotionPiece, ...], walking_speed: float, path: Path | str
 ) -> list[str]:
     """Forward, from the hips, must be where the body walks; the pelvis segment's own x axis is asked beside it."""
-    along, agrees = [], []
+    along = []
+    agrees = []
     for piece, span in zip(pieces, clean.pieces, strict=True):
         joints = piece.joints[::_SPEED_STEP]
         across = joints[:, Joint.LEFT_HIP] - joints[:, Joint.RIGHT_HIP]

@@ -60,7 +60,8 @@ def clips_of(
         limits: Lengths of clips.
         thresholds: Of the manifest.
     """
-    clips, annotations = [], []
+    clips = []
+    annotations = []
     for span in _spans(narrations):
         name = f"{identity.dataset}/{identity.recording_id}/{span.kind}/{_micros(span.start)}-{_micros(span.end)}"
         sequence_id = f"{name}/{body.pose_source}"
@@ -115,8 +116,12 @@ def _captions(span: _Span) -> tuple[tuple[Caption, ...], list[tuple[str, str, st
         for answer, text in row.texts:
             kind = span.kind if len(row.texts) == 1 else answer
             caption = Caption(text, kind)
-            outcome = "no_text" if not text else "duplicate" if caption in captions else "clip"
-            if outcome == "clip":
+            if not text:
+                outcome = "no_text"
+            elif caption in captions:
+                outcome = "duplicate"
+            else:
+                outcome = "clip"
                 captions.append(caption)
             outcomes.append((kind, text, outcome))
     return tuple(captions), outcomes
@@ -132,7 +137,8 @@ def _fit(
         return _Fit("end_before_start", length, 0.0)
     if length * limits.fps < limits.shortest - _ROUNDING:
         return _Fit("too_short", length, limits.shortest / limits.fps)
-    start, end = span.start + offset.seconds, span.end + offset.seconds
+    start = span.start + offset.seconds
+    end = span.end + offset.seconds
     placed = [_place(piece, start, end, limits.fps) for piece in pieces]
     number = int(np.argmax([n_frames for _, n_frames in placed]))
     (first, n_frames), piece = placed[number], pieces[number]

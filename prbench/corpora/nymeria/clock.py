@@ -109,7 +109,8 @@ def offset_by_correlation(
     if suit is None or glasses is None or len(suit.values) + len(glasses.values) > _LONGEST_OF_CORRELATION:
         return None, "the glasses' trajectory is too short or too broken to compare head movements"
     peak = best_agreement(suit, glasses, rate)
-    needed, ratio = thresholds["correlation_peak"], thresholds["correlation_ratio"]
+    needed = thresholds["correlation_peak"]
+    ratio = thresholds["correlation_ratio"]
     if peak.height < needed or peak.height < ratio * peak.second:
         return None, (
             f"head movements of suit and glasses agree by {peak.height:.2f} only"
@@ -169,7 +170,8 @@ def best_agreement(first: _AngularSpeed, second: _AngularSpeed, rate: float) -> 
     count = np.rint(correlate(*masks))
     enough = count >= _LEAST_OVERLAP * min(mask.sum() for mask in masks)
     n = np.maximum(count, 1.0)
-    sum_a, sum_b = correlate(a, masks[1]), correlate(masks[0], b)
+    sum_a = correlate(a, masks[1])
+    sum_b = correlate(masks[0], b)
     covariance = correlate(a, b) - sum_a * sum_b / n
     spread_a = np.maximum(correlate(a * a, masks[1]) - sum_a**2 / n, 1e-9)
     spread_b = np.maximum(correlate(masks[0], b * b) - sum_b**2 / n, 1e-9)

@@ -17,7 +17,11 @@ from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthet
 from prbench.readers.found import input_file
 from prbench.readers.synthetic_tree import require_marked
 
-SUIT, SMPL, METADATA, TRAJECTORY, OFFSET = "suit", "smpl", "metadata", "trajectory", "time_offset"
+SUIT = "suit"
+SMPL = "smpl"
+METADATA = "metadata"
+TRAJECTORY = "trajectory"
+OFFSET = "time_offset"
 """Roles of the files; narrations have the role of their kind."""
 
 _ROLES = {

@@ -24,7 +24,9 @@ NARRATION_FILES = {
     "activity_summarization": "activity_summarization.csv",
 }
 """File of each kind of text."""
-START_COLUMN, END_COLUMN, ANNOTATOR_COLUMN = "start_time", "end_time", "annotator"
+START_COLUMN = "start_time"
+END_COLUMN = "end_time"
+ANNOTATOR_COLUMN = "annotator"
 ANSWER_PREFIX = "describe my"
 """Beginning of the names of the answer columns, whatever their case."""
 NARRATION_HEADER = ("request_id", "gaia_id", START_COLUMN, END_COLUMN, ANNOTATOR_COLUMN, "creation_time")

@@ -30,7 +30,8 @@ from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest
 
-_BYTES_A_SECOND, _TABLE_SHARE = 50e6, 0.06
+_BYTES_A_SECOND = 50e6
+_TABLE_SHARE = 0.06
 _NO_GAZE = np.empty(0, dtype=np.int64)
 __all__ = ["CORPUS", "NymeriaOptions", "NymeriaRecording", "NymeriaSource", "recording_clips"]
 
@@ -141,7 +142,8 @@ class NymeriaSource:
         return (f"no text in {' and '.join(lacking)}, or no such file",) if lacking else ()
 
     def _body(self, clean: CleanSuit) -> BodyMotion:
-        manifest, thresholds = self._manifest, self._manifest.thresholds
+        manifest = self._manifest
+        thresholds = self._manifest.thresholds
         if self.options.body == "xsens":
             name = manifest.body.pose_source
             return suit_motion(
@@ -172,7 +174,8 @@ class NymeriaSource:
         path = self.found.path(OFFSET)
         if path is not None and (offset := offset_from_file(path, self.found.recording_id)) is not None:
             return offset, ()
-        thresholds, messages = self._manifest.thresholds, []
+        thresholds = self._manifest.thresholds
+        messages = []
         path = self.found.path(TRAJECTORY)
         if path is not None:
             try:
@@ -242,10 +245,12 @@ class NymeriaCorpus:
         """Find all sequences below a folder."""
         if root is None:
             raise UsageError("--root DIR is needed: your copy of Nymeria.")
-        chosen, limits = self._options(options), ClipLimits.of(options, self.manifest.thresholds)
+        chosen = self._options(options)
+        limits = ClipLimits.of(options, self.manifest.thresholds)
         sources = []
         for found in find_sequences(root):
-            name, dataset = found.recording_id, found.dataset
+            name = found.recording_id
+            dataset = found.dataset
             participant = _participant(found)
             split = found.split or split_by_participant(self.manifest, participant)
             identity = RecordingIdentity(dataset, name, participant, split, participant)

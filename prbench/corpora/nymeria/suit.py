@@ -188,7 +188,8 @@ def _pieces(suit: Suit, finite: np.ndarray, jumps: np.ndarray, shortest: float) 
 
 
 def _require_upright(suit: Suit, pieces: tuple[Piece, ...], path: Path | str) -> None:
-    head, feet = XSENS_SEGMENTS.index("Head"), [XSENS_SEGMENTS.index(name) for name in ("R_Foot", "L_Foot")]
+    head = XSENS_SEGMENTS.index("Head")
+    feet = [XSENS_SEGMENTS.index(name) for name in ("R_Foot", "L_Foot")]
     part = np.concatenate([suit.position[piece.first : piece.stop : 24] for piece in pieces])
     height = float(np.median(part[:, head, 2] - part[:, feet, 2].mean(axis=1)))
     if not height > 0.0:

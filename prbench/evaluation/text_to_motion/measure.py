@@ -22,7 +22,10 @@ from prbench.evaluation.text_to_motion.metrics import (
 )
 
 _R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
-FID, DISTANCE, DIVERSITY, MULTIMODALITY = "fid", "multimodal_distance", "diversity", "multimodality"
+FID = "fid"
+DISTANCE = "multimodal_distance"
+DIVERSITY = "diversity"
+MULTIMODALITY = "multimodality"
 METRICS = (*_R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
 """Ids in the order in which they are shown; R-precision as shares from 0 to 1."""
 

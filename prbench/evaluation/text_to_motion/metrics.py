@@ -38,10 +38,12 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     if fewest < FEWEST:
         message = f"FID of {len(real)} and {len(generated)} samples: biased upwards below {FEWEST}."
         warnings.warn(message, FewSamplesWarning, stacklevel=2)
-    real, generated = real.astype(np.float64), generated.astype(np.float64)
+    real = real.astype(np.float64)
+    generated = generated.astype(np.float64)
     if not (np.isfinite(real).all() and np.isfinite(generated).all()):
         raise ValueError("FID: an embedding is not finite")
-    first, second = np.atleast_2d(np.cov(real, rowvar=False)), np.atleast_2d(np.cov(generated, rowvar=False))
+    first = np.atleast_2d(np.cov(real, rowvar=False))
+    second = np.atleast_2d(np.cov(generated, rowvar=False))
     means = np.square(real.mean(axis=0) - generated.mean(axis=0)).sum()
     return float(means + np.trace(first) + np.trace(second) - 2.0 * _trace_of_root(first, second))
 

@@ -27,7 +27,10 @@ MOST_WORDS = 20
 LISTS = ("Loc_VIP", "Body_VIP", "Obj_VIP", "Act_VIP", "Desc_VIP")
 """Hand-made lists of words; a word of one of them has that class instead of its part of speech."""
 POS_CLASSES = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV", *LISTS, "OTHER")
-START, END, UNKNOWN, OTHER = "sos", "eos", "unk", "OTHER"
+START = "sos"
+END = "eos"
+UNKNOWN = "unk"
+OTHER = "OTHER"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,8 @@ class WordVectors:
 
     def _row(self, word: str, pos: str) -> Float[np.ndarray, " 315"]:
         if word not in self.index:
-            word, pos = UNKNOWN, OTHER
+            word = UNKNOWN
+            pos = OTHER
         kind = self.classes.get(word, pos)
         one_hot = np.zeros(len(POS_CLASSES), dtype=np.float32)
         one_hot[POS_CLASSES.index(kind if kind in POS_CLASSES else OTHER)] = 1.0

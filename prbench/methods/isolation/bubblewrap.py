@@ -53,8 +53,10 @@ def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount | Mask
     return sorted([*mounts, *masks], key=lambda step: (len(step.place.parts), isinstance(step, Mask)))
 
 
-PROCESS, BUBBLEWRAP = "process", "bubblewrap"
-HOME, WORK = "/tmp/home", "/tmp/work"  # inside the fence, where /tmp is empty and its own
+PROCESS = "process"
+BUBBLEWRAP = "bubblewrap"
+HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
+WORK = "/tmp/work"
 _NAMESPACES = ("--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL")
 _DEVICES = ("nvidia*", "dri", "kfd", "dxg")
 _PROBE_TIMEOUT = 10.0  # seconds; it takes 10 ms

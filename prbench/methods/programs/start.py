@@ -1,4 +1,4 @@
-"""From what the user wrote behind ``--method`` to how the program is started."""
+"""Finds out how a program is started from what the user wrote behind ``--method``."""
 
 from __future__ import annotations
 

@@ -81,11 +81,14 @@ def short_name(method: str) -> str:
 def _split_on_windows(text: str) -> list[str]:
     """Split as programs on Windows do: quotes group, a backslash escapes only before a quote."""
     words: list[str] = []
-    word, quoted, begun = "", False, False
+    word = ""
+    quoted = False
+    begun = False
     for token in _WINDOWS_TOKEN.finditer(text):
         if token["space"] and not quoted:
             words += [word] if begun else []
-            word, begun = "", False
+            word = ""
+            begun = False
             continue
         begun = True
         if not token["quote"]:
@@ -95,7 +98,8 @@ def _split_on_windows(text: str) -> list[str]:
         word += "\\" * (len(token["slashes"]) // 2)
         quotes = len(token["quote"])
         if escaped:
-            word, quotes = word + '"', quotes - 1
+            word = word + '"'
+            quotes = quotes - 1
         if quotes == 2 and quoted:
             word += '"'  # a doubled quote inside a quotation stands for itself
         elif quotes == 1:

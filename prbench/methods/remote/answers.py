@@ -138,7 +138,8 @@ def _require_batch(header: Header, number: int) -> None:
 
 def _reported(header: Header) -> MemoryError | ReportedError:
     """The failure that a program reports."""
-    text, out_of_memory = error_text(header), header.get("out_of_memory")
+    text = error_text(header)
+    out_of_memory = header.get("out_of_memory")
     if out_of_memory is not None and not isinstance(out_of_memory, bool):
         raise BrokenProtocol(
             f"reported the error '{text}' with 'out_of_memory' {shown_json(out_of_memory)}, where true or false was due"
@@ -185,7 +186,10 @@ def _text(header: Mapping[str, Any], key: str, origin: str) -> str:
 def _weights(value: object, origin: str) -> dict[Condition, RemoteWeights]:
     known = {condition.value: condition for condition in Condition}
     weights = {}
-    for condition, entry in (value if isinstance(value, dict) else {"": value} if value is not None else {}).items():
+    if value is None:
+        return {}
+    stated = value if isinstance(value, dict) else {"": value}  # "" is no condition, and so refused below
+    for condition, entry in stated.items():
         name, digest = (entry.get("name"), entry.get("sha256")) if isinstance(entry, dict) else (None, None)
         fits = isinstance(name, str) and isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest)
         if condition not in known or not fits:

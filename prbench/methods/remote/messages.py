@@ -79,7 +79,8 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
     Raises:
         ValueError: if the array is not (batch, frames, 22, 3), or there is not one id and length for each row.
     """
-    joints, n_frames = np.asarray(motions.joints), np.asarray(motions.n_frames)
+    joints = np.asarray(motions.joints)
+    n_frames = np.asarray(motions.n_frames)
     if joints.ndim != 4 or joints.shape[2:] != (N_JOINTS, 3):
         raise ValueError(f"expected joints of shape (batch, frames, {N_JOINTS}, 3), found {joints.shape}")
     if len(ids) != len(joints) or n_frames.shape != (len(ids),):

@@ -63,7 +63,9 @@ class ProgramProcess:
             else None
         )
         self._popen = self._started(program)
-        stdin, stdout, stderr = self._popen.stdin, self._popen.stdout, self._popen.stderr
+        stdin = self._popen.stdin
+        stdout = self._popen.stdout
+        stderr = self._popen.stderr
         assert stdin is not None
         assert stdout is not None
         assert stderr is not None

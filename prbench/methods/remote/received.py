@@ -152,7 +152,8 @@ def _whole_frames(offsets: np.ndarray, ids: Sequence[str]) -> np.ndarray:
 def _require_same_ids(asked: Sequence[str], found: Sequence[str]) -> None:
     repeated = [name for name, times in Counter(found).items() if times > 1]
     present = set(found)
-    unknown, missing = sorted(present - set(asked)), [name for name in asked if name not in present]
+    unknown = sorted(present - set(asked))
+    missing = [name for name in asked if name not in present]
     if repeated or unknown or missing:
         raise ValueError(
             f"expected each of the {len(asked)} ids of the batch once, found {len(found)} rows: missing"

@@ -1,4 +1,4 @@
-"""From the content of one Aria Digital Twin recording to a :class:`Recording` (docs/specification/adt.md).
+"""Converts the content of one Aria Digital Twin recording to a :class:`Recording` (docs/specification/adt.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 """

@@ -1,4 +1,4 @@
-"""From what the Machine Perception Services say of Aria glasses to streams in the world.
+"""Converts what the Machine Perception Services say of Aria glasses to streams in the world.
 
 Source: docs/specification/aria-mps.md.
 

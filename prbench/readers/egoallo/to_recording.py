@@ -1,4 +1,4 @@
-"""From EgoAllo's outputs to a body stream.
+"""Converts EgoAllo's outputs to a body stream.
 
 Sources: docs/specification/egoallo.md#time and docs/specification/egoallo.md#joints.
 

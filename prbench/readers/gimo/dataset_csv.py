@@ -28,7 +28,7 @@ class Row:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """For the report of a build."""
+        """Return remarks for the report of a build."""
         if not self.repeated:
             return ()
         lines = ", ".join(str(line) for line in self.repeated)

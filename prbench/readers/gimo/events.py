@@ -168,7 +168,7 @@ def _row(path: Path, line: int, cells: Mapping[str, str]) -> EventRow:
 
 
 def _confirmed(path: Path, line: int, cells: Mapping[str, str]) -> bool:
-    """Without the column every line counts; with it, only those that say yes."""
+    """Return True for every line of a file without the column, and else for lines that say yes."""
     if gimo.CONFIRMED_COLUMN not in cells:
         return True
     text = cells[gimo.CONFIRMED_COLUMN].lower()

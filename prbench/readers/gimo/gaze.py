@@ -26,7 +26,7 @@ _MOST_DIGITS = 12  # of a number of vertices
 
 @dataclass(frozen=True)
 class _PlyHeader:
-    """As much of a header as vertices need."""
+    """The part of a PLY header that vertices need."""
 
     form: str
     """``ascii``, ``binary_little_endian`` or ``binary_big_endian``."""

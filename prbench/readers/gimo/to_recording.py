@@ -1,4 +1,4 @@
-"""From the content of one GIMO segment to a :class:`Recording` (docs/specification/gimo.md).
+"""Converts the content of one GIMO segment to a :class:`Recording` (docs/specification/gimo.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 The world is the canonical room: Y up, floor near y = 0, metres of the body

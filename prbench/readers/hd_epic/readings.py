@@ -68,7 +68,7 @@ def _annotation(found: RecordingFiles, role: str) -> Path:
 def _read_clock(
     found: RecordingFiles, frames: hd_epic.FrameReadings | None
 ) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
-    """From the time file; the intermediate data tell the same time of every frame."""
+    """Read the time file; the intermediate data hold the same time of every frame."""
     path = found.path(places.TIME)
     if path is None and frames is not None:
         return hd_epic.VideoClock(frames.tracking_ns), ("frame times are those of the intermediate data",)

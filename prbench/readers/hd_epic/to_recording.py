@@ -1,4 +1,4 @@
-"""From the content of one HD-EPIC video to a :class:`Recording` (docs/specification/hd-epic.md).
+"""Converts the content of one HD-EPIC video to a :class:`Recording` (docs/specification/hd-epic.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 The recording's clock is the device clock of the glasses, in seconds.

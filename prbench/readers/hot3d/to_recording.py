@@ -1,4 +1,4 @@
-"""From the content of one HOT3D recording to a :class:`Recording` (docs/specification/hot3d.md).
+"""Converts the content of one HOT3D recording to a :class:`Recording` (docs/specification/hot3d.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 Recording clock: seconds of the ground truth (TIME_CODE), to which the device times of MPS and EgoAllo are moved.

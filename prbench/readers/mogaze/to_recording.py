@@ -1,4 +1,4 @@
-"""From the content of one MoGaze recording to a :class:`Recording` (docs/specification/mogaze.md).
+"""Converts the content of one MoGaze recording to a :class:`Recording` (docs/specification/mogaze.md).
 
 Readers call this with what the files hold, synthetic recordings with what their sensors say; so both mean the same.
 """
@@ -111,7 +111,7 @@ def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"])
 
 
 def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
-    """For each frame the last valid one, and whether that is at most ``longest`` frames ago."""
+    """Return the last valid frame before each frame, and whether it is at most ``longest`` frames ago."""
     frames = np.arange(len(valid))
     last = np.maximum.accumulate(np.where(valid, frames, -1))
     return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)

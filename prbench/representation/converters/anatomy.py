@@ -58,7 +58,8 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
         matched = _TERM.fullmatch(term)
         if matched is None:
             raise UsageError(f"{where}: expected joints and numbers such as '0.6 neck + 0.4 head', found '{text}'.")
-        name, number = matched["name"].strip(), matched["number"]
+        name = matched["name"].strip()
+        number = matched["number"]
         weight = None if number is None and sign > 0 else sign * float(number or 1)
         if name in names:
             joints.append((name, weight))

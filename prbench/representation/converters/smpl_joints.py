@@ -21,8 +21,12 @@ from prbench.representation.converters.smpl_parameters import SmplParameters
 from prbench.representation.converters.smpl_rotations import to_matrices
 from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
-REGRESSOR, TEMPLATE, SHAPES = "J_regressor", "v_template", "shapedirs"
-SMPL_JOINTS, SMPLH_JOINTS, SMPLX_JOINTS = 24, 52, 55
+REGRESSOR = "J_regressor"
+TEMPLATE = "v_template"
+SHAPES = "shapedirs"
+SMPL_JOINTS = 24
+SMPLH_JOINTS = 52
+SMPLX_JOINTS = 55
 """Rows of the regressor, by which the three models are told apart."""
 
 HOW_TO_CONVERT = (
@@ -101,7 +105,8 @@ def read_rest_joints(path: Path) -> RestJoints:
             found=f"{template.shape}, {regressor.shape} and {shapes.shape}",
             remedy="This is the model of another body.",
         )
-    body, shapes = regressor[:N_JOINTS], shapes[..., : _shape_numbers(regressor.shape[0], shapes.shape[2])]
+    body = regressor[:N_JOINTS]
+    shapes = shapes[..., : _shape_numbers(regressor.shape[0], shapes.shape[2])]
     return RestJoints(body @ template, np.einsum("jv,vck->jck", body, shapes))
 
 

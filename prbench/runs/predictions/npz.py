@@ -140,7 +140,8 @@ class _Unpacked:
 
 
 def _index_columns(archive: Archive) -> IndexedRows:
-    path, present = archive.path, list(archive.members)
+    path = archive.path
+    present = list(archive.members)
     id_column = next((name for name in _ID_COLUMNS if name in present), None)
     absent = [name for name in ("joints", "n_frames") if name not in present]
     if id_column is None or absent:

@@ -73,7 +73,8 @@ class ParquetMotions:
         opened: dict[Path, pq.ParquetFile] = {}
         for place in sorted(range(len(rows)), key=lambda i: rows[i]):
             group = self._group_of(rows[place])
-            motions, row = self._read(group, opened), rows[place] - group.start
+            motions = self._read(group, opened)
+            row = rows[place] - group.start
             found[place] = motions.values[motions.offsets[row] : motions.offsets[row + 1]]
         return found
 
@@ -109,7 +110,8 @@ def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
     leaves = column.flatten()
     if not pa.types.is_nested(leaves.type):
         return _from_flat(leaves, offsets, path, first_row=first_row)
-    frame_ends, sizes_of_lists = np.arange(offsets[-1] + 1), []
+    frame_ends = np.arange(offsets[-1] + 1)
+    sizes_of_lists = []
     while pa.types.is_nested(leaves.type):
         ends = _ends(leaves)
         frame_ends = ends[frame_ends]

@@ -171,4 +171,6 @@ def require_suffix(path: Path) -> None:
 
 
 def _taken(values: tuple[str, ...] | np.ndarray | None, rows: np.ndarray) -> tuple[str, ...] | np.ndarray | None:
-    return tuple(values[row] for row in rows) if isinstance(values, tuple) else None if values is None else values[rows]
+    if isinstance(values, tuple):
+        return tuple(values[row] for row in rows)
+    return None if values is None else values[rows]

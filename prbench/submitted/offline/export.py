@@ -109,7 +109,8 @@ def export_conditions(request: ExportRequest) -> ExportReport:
     for table in tables:
         _require_may_export(table.info, request)
     conditions = conditions_of(tables, request)
-    said, notices = _notices(tables, request), request.out.with_suffix(".NOTICE.txt")
+    said = _notices(tables, request)
+    notices = request.out.with_suffix(".NOTICE.txt")
     with sole_writer(request.out), sole_writer(notices):
         if said:  # first, so that a file is never without what its terms ask
             write_text(notices, "".join(f"{line}\n" for line in said))
@@ -136,7 +137,9 @@ class MadeConditions:
 
 def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeConditions:
     """The rows of a conditions file, in its order; nothing is written."""
-    selections, left_out, batches = [], [], []
+    selections = []
+    left_out = []
+    batches = []
     for table in tables:
         chosen = select(table, split=request.split, limit=request.limit)
         selection = supported(chosen, max_frames=request.max_frames, native_fps=request.native_fps)
@@ -182,7 +185,8 @@ def _batches(selection: Selection, request: ExportRequest) -> list[ConditionBatc
     source = ConditionSource.read(selection)
     if request.control == SHUFFLED_GOAL:
         source = source.with_goals_of(derangement(selection, seed=request.seed))
-    rows, salt = np.arange(len(selection)), run_salt(request.seed, selection.table.identity)
+    rows = np.arange(len(selection))
+    salt = run_salt(request.seed, selection.table.identity)
     first = source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
     if request.native_fps is not None:
         first = at_native_rate(first, request.native_fps)

@@ -216,7 +216,8 @@ def _column(values: tuple[str, ...] | np.ndarray, kind: pa.DataType) -> pa.Array
 
 
 def _values(column: pa.ChunkedArray) -> tuple[str, ...] | np.ndarray:
-    kind, whole = column.type, column.combine_chunks()
+    kind = column.type
+    whole = column.combine_chunks()
     if pa.types.is_string(kind):
         return tuple(whole.to_pylist())
     if pa.types.is_fixed_size_list(kind):

@@ -87,9 +87,11 @@ def require_lengths(predictions: Predictions, wanted: Wanted, samples: Sequence[
         return
     for selection in wanted.selections:
         names = _names(predictions, selection, wanted.seed)
-        expected, fps = selection.n_frames, selection.fps
+        expected = selection.n_frames
+        fps = selection.fps
         if wanted.native_fps is not None:
-            expected, fps = native_frames(expected, fps=fps, native_fps=wanted.native_fps), wanted.native_fps
+            expected = native_frames(expected, fps=fps, native_fps=wanted.native_fps)
+            fps = wanted.native_fps
         for sample in samples:
             found = np.array([predictions.length(name, sample) for name in names])
 

@@ -1,4 +1,4 @@
-"""From a run or a submission and tables to scores."""
+"""Scores a run or a submission on its tables."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ def score_predictions(
         UsageError: if the request contradicts its conditions file.
         StorageError: if the results cannot be written.
     """
-    tables, work = open_tables(request.data), Work(engine or InProcess(), progress)
+    tables = open_tables(request.data)
+    work = Work(engine or InProcess(), progress)
     run = _run_of(request.predictions)
     with nullcontext() if request.out is None else sole_writer(request.out):
         return _score_submission(tables, request, work) if run is None else score_run(run, tables, request, work)
@@ -92,7 +93,8 @@ def _score_submission(tables: list[SequenceTable], request: ScoreRequest, work: 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:
     """Return what is known of the motions, and what the numbers of numbered files mean."""
-    stated, numbering = stated_by_request(request), None
+    stated = stated_by_request(request)
+    numbering = None
     if request.conditions is not None:
         conditions = read_conditions_file(request.conditions)
         stated = stated_by_conditions(conditions, tables, request)

@@ -180,7 +180,8 @@ def _require_no_run(folder: Path) -> None:
 
 
 def _table_record(scored: Scored) -> TableRecord:
-    table, chosen = scored.selection.table, scored.chosen
+    table = scored.selection.table
+    chosen = scored.chosen
     return TableRecord(
         dataset=table.info.dataset,
         title=table.info.title,

@@ -52,9 +52,11 @@ def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable]
         UsageError: if the request says something else.
         PredictionsError: if the file was made from other tables, or its rows were changed.
     """
-    info, path = conditions.info, request.conditions
+    info = conditions.info
+    path = request.conditions
     for name in _STATED_TWICE:
-        asked, found = getattr(request, name), getattr(info, name)
+        asked = getattr(request, name)
+        found = getattr(info, name)
         if asked is not None and asked != found:
             flag = f"--{name.replace('_', '-')}"
             raise UsageError(f"{flag} {asked}: {path} was exported with {_shown(found)}. Leave {flag} out.")

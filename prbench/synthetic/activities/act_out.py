@@ -1,4 +1,4 @@
-"""From a script to joints: base, feet, trunk, head, arms, legs, by the channels of prime-and-reach motion."""
+"""Turns a script into joints: base, feet, trunk, head, arms, legs, by the channels of prime-and-reach motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from prbench.synthetic.people.posture import Bending, Sway, draw_sway, move_trun
 from prbench.synthetic.people.presets import Preset
 from prbench.synthetic.people.world import Room
 
-_ALONG_THIGH, _ABOVE_THIGH = 0.62, 0.055
+_ALONG_THIGH = 0.62
+_ABOVE_THIGH = 0.055
 _LOOP_EASE = 0.35  # s in which a loop begins and ends
 
 
@@ -87,7 +88,8 @@ def _loop(loop: Loop | None, trunk: Trunk, times: np.ndarray) -> np.ndarray:
 
 _SEAT_BACK = 0.22  # of the stature, behind the feet
 _SITTING_LEAN = np.deg2rad(35.0)
-_ARC_START, _ARC_STOP = 0.5, 0.65  # s
+_ARC_START = 0.5  # s
+_ARC_STOP = 0.65
 _NOWHERE = Room("", (0.0, 0.0), (), ())
 
 

@@ -63,7 +63,8 @@ class NarratedMotion:
         return (len(self.joints) - 1) / self.rate
 
 
-_SHORTEST, _LONGEST = 3.0, 5.0
+_SHORTEST = 3.0
+_LONGEST = 5.0
 _CUT_OFF = 1.0  # s of a second activity that a narration need not cover
 _SUMMARY = 22.0  # s
 _LEGS = {
@@ -170,7 +171,8 @@ _DOING = {
 _LENGTH_OF_EVENT = (3.0, 5.0)
 _FIRST_TEXT = 0.215  # s after the suit, as in real sequences of known clocks
 _AFTER = 0.4  # s after the event that a narration still covers
-_LOW, _HIGH = 0.6, 1.2  # metres; of surfaces
+_LOW = 0.6  # metres; of surfaces
+_HIGH = 1.2
 _WALKED = 0.8  # metres
 _SLOW_REACH = 1.05  # s
 _BESIDE = np.deg2rad(18.0)

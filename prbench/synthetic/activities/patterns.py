@@ -1,4 +1,4 @@
-"""How people say what somebody does: at least eight patterns an activity, twelve for picking and putting.
+"""Sentence patterns that describe an activity: at least eight patterns an activity, twelve for picking and putting.
 
 Clauses begin with the verb; the subject comes before them. Slots in braces are filled from what truly happened
 (:mod:`prbench.synthetic.activities.wording`); a slot may be empty.

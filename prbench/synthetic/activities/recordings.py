@@ -31,7 +31,8 @@ _EVERY = 4
 _BASE_PRESET = "hd-epic"
 _GOAL_PRESETS = ("adt", "mogaze", "gimo", "hd-epic")
 _FIRST_TEXT = (0.205, 0.225)  # s after the suit, as in real sequences of known clocks
-_WAITS, _SHORTEST_ALONE = 0.5, 3.1
+_WAITS = 0.5
+_SHORTEST_ALONE = 3.1
 """Share of short activities after which people wait, and until when after their beginning, so that a text fits."""
 _CLOSING = 0.8
 

@@ -33,7 +33,7 @@ class Arc:
 
     @property
     def goal(self) -> BasePose:
-        """Where it ends."""
+        """Place where the activity ends."""
         x, z, heading = self.at(np.array([1.0]))
         return BasePose(float(x[0]), float(z[0]), float(heading[0]))
 
@@ -132,8 +132,10 @@ class Script:
 
 
 SITTING_TIME = 1.6
-_EYE_HEIGHT, _SEATED_EYE_HEIGHT = 0.93, 0.71  # of the stature
-_ARC_START, _ARC_STOP = 0.5, 0.65  # s
+_EYE_HEIGHT = 0.93  # of the stature
+_SEATED_EYE_HEIGHT = 0.71
+_ARC_START = 0.5  # s
+_ARC_STOP = 0.65
 
 
 class ScriptWriter:
@@ -149,7 +151,7 @@ class ScriptWriter:
 
     @property
     def stature(self) -> float:
-        """Of the person, metres."""
+        """Height of the person, metres."""
         return self.person.body.stature
 
     def draw(self, low: float, high: float) -> float:

@@ -12,9 +12,11 @@ from jaxtyping import Float
 from prbench.skeleton import WRISTS, Joint
 from prbench.synthetic.activities.patterns import PATTERNS
 
-SLOW, BRISK = 0.7, 1.25
+SLOW = 0.7
+BRISK = 1.25
 """Metres a second: below it somebody walks slowly, above it briskly."""
-SLIGHT, AROUND = 60.0, 135.0
+SLIGHT = 60.0
+AROUND = 135.0
 """Degrees: below it somebody turns slightly, above it around."""
 _CURVED = 25.0
 """Degrees of heading that make a walk a walk to one side."""
@@ -27,7 +29,7 @@ _OTHER_SUBJECT = 0.2
 
 @dataclass(frozen=True)
 class Facts:
-    """What was measured about one activity."""
+    """Measurements of one activity."""
 
     name: str
     slots: Mapping[str, str]

@@ -1,4 +1,4 @@
-"""What real copies of Aria Digital Twin suffer from.
+"""Defects of real copies of Aria Digital Twin.
 
 Sources: docs/specification/adt.md#frame-units-clock, docs/specification/adt.md#files, docs/specification/adt.md#joints
 and docs/specification/adt.md#pitfalls-and-bad-input.
@@ -158,7 +158,9 @@ def _mps_gaze(root: Path, recording: str) -> None:
 
 
 _ANGLES = (mps.YAW, mps.PITCH)
-_TRAJECTORY, _GAZE, _OBJECTS = adt.TRAJECTORY_FILE, adt.GAZE_FILE, adt.OBJECTS_FILE
+_TRAJECTORY = adt.TRAJECTORY_FILE
+_GAZE = adt.GAZE_FILE
+_OBJECTS = adt.OBJECTS_FILE
 _TIME = mps.TIME_COLUMN
 _BACKWARDS = "The clock runs backwards or a row is repeated"
 

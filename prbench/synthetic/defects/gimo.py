@@ -1,4 +1,4 @@
-"""What copies of GIMO suffer from (docs/specification/gimo.md#bad-input)."""
+"""Defects of copies of GIMO (docs/specification/gimo.md#bad-input)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from prbench.readers.gimo import format as gimo
 from prbench.synthetic.defects import Defect
 from prbench.synthetic.layouts.file_forms import pickled_tensors
 
-_SHORT_GAP, _LONG_GAP = 3, 15  # frames
+_SHORT_GAP = 3  # frames
+_LONG_GAP = 15
 _FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."
 
 

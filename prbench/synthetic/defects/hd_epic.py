@@ -1,4 +1,4 @@
-"""What real copies of HD-EPIC suffer from (docs/specification/hd-epic.md#pitfalls-and-bad-input)."""
+"""Defects of real copies of HD-EPIC (docs/specification/hd-epic.md#pitfalls-and-bad-input)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What real copies of HOT3D suffer from (docs/specification/hot3d.md#pitfalls-and-bad-input)."""
+"""Defects of real copies of HOT3D (docs/specification/hot3d.md#pitfalls-and-bad-input)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What real copies of HumanML3D suffer from (docs/specification/humanml3d.md#text-files)."""
+"""Defects of real copies of HumanML3D (docs/specification/humanml3d.md#text-files)."""
 
 from __future__ import annotations
 

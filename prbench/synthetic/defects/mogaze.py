@@ -1,4 +1,4 @@
-"""What real copies of MoGaze suffer from (docs/specification/mogaze.md#bad-input)."""
+"""Defects of real copies of MoGaze (docs/specification/mogaze.md#bad-input)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from prbench.synthetic.defects import Damage, Defect, cut_in_half
 from prbench.synthetic.sensors.mogaze import GOGGLES_ID
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
-BODY_ROWS, GAZE_ROWS, SEGMENT_ROWS = mogaze.HUMAN_DATASET, mogaze.GAZE_DATASET, mogaze.SEGMENT_DATASET
+BODY_ROWS = mogaze.HUMAN_DATASET
+GAZE_ROWS = mogaze.GAZE_DATASET
+SEGMENT_ROWS = mogaze.SEGMENT_DATASET
 _GOGGLES = f"{mogaze.OBJECT_GROUP}/body {GOGGLES_ID}"
 _RISE = 0.5  # m
 

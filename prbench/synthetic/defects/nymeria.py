@@ -1,4 +1,4 @@
-"""What real copies of Nymeria suffer from (docs/specification/nymeria.md#bad-input)."""
+"""Defects of real copies of Nymeria (docs/specification/nymeria.md#bad-input)."""
 
 from __future__ import annotations
 

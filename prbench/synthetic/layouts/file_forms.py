@@ -93,8 +93,12 @@ def _fixed_key(match: re.Match[bytes]) -> bytes:
 _SCALE = 0.001
 _QUARTER_TURN = (0.0, -np.sqrt(0.5), 0.0, np.sqrt(0.5))  # x y z w, about the vertical
 _SHIFT = (0.0045, -0.0205, -0.0155)
-_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-_FLOAT, _SHORT, _TRIANGLES = 5126, 5123, 4
+_MAGIC = 0x46546C67
+_JSON = 0x4E4F534A
+_BINARY = 0x004E4942
+_FLOAT = 5126
+_SHORT = 5123
+_TRIANGLES = 4
 
 
 def glb_bytes(mesh: ObjectMesh, *, name: str, turned: bool) -> bytes:

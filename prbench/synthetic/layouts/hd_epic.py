@@ -36,7 +36,7 @@ _CREATED = (2000, 1, 1, 0, 0, 0)
 
 
 class _Share(msgspec.Struct):
-    """What one video adds to the annotations."""
+    """The entries that one video adds to the annotations."""
 
     video: str
     participant: str

@@ -20,7 +20,8 @@ _HANGING = 0.96
 _OUTSIDE_SHOULDER = 0.032  # of the stature
 _CARRY_AFTER = 0.75
 _BACK_WITHIN = 0.8
-_HUMP_UP, _HUMP_FORWARD = 0.06, 0.09
+_HUMP_UP = 0.06
+_HUMP_FORWARD = 0.09
 
 _SLIDE_TIME = 0.15
 """Seconds that a nudged object slides."""

@@ -227,7 +227,8 @@ def _draw_gap(preset: Preset, rng: np.random.Generator) -> float:
     return float(np.clip(median * np.exp(spread * rng.standard_normal()), *_GAP_LIMITS))
 
 
-_MARGIN, _MARGIN_PER_METRE = 0.05, 0.03
+_MARGIN = 0.05
+_MARGIN_PER_METRE = 0.03
 _SHIFT = (np.deg2rad(11.0), np.deg2rad(29.0))
 
 

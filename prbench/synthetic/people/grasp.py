@@ -1,4 +1,4 @@
-"""How a hand takes hold of a box, and how the trunk leans and crouches for it.
+"""Grasps: the hand on a box, and the trunk that leans and crouches for it.
 
 Source: docs/specification/synthetic-recordings.md#reaching-and-holding.
 """
@@ -24,7 +24,7 @@ _SHOULDER_FORWARD = np.deg2rad(9.0)
 
 @dataclass(frozen=True)
 class Grasp:
-    """Where the wrist is, and how the hand is turned, at the moment of the event."""
+    """Place of the wrist and turn of the hand at the moment of the event."""
 
     wrist: Float[np.ndarray, "3"]
     hand: Float[np.ndarray, "3 3"]
@@ -40,7 +40,7 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Posture:
-    """What the trunk does for a reach."""
+    """Lean and crouch of the trunk for a reach."""
 
     lean: float
     crouch: float

@@ -14,13 +14,16 @@ from prbench.synthetic.people.person import Habits
 from prbench.synthetic.people.presets import Preset
 
 _HEAD_YAW = np.deg2rad(100.0)
-_HEAD_UP, _HEAD_DOWN = np.deg2rad(-34.0), np.deg2rad(66.0)
+_HEAD_UP = np.deg2rad(-34.0)
+_HEAD_DOWN = np.deg2rad(66.0)
 _FASTEST_HEAD = np.deg2rad(270.0)
 _FASTEST_PURSUIT = np.deg2rad(120.0)
 _EYE_YAW = np.deg2rad(45.0)
-_EYE_UP, _EYE_DOWN = np.deg2rad(-32.0), np.deg2rad(40.0)
+_EYE_UP = np.deg2rad(-32.0)
+_EYE_DOWN = np.deg2rad(40.0)
 _LONGEST_SACCADE = 0.3
-_SHORT_FILL, _SHORT_GOAL_LOOK = 0.35, 0.5
+_SHORT_FILL = 0.35
+_SHORT_GOAL_LOOK = 0.5
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From a plan to joints: base, feet, trunk, head, arms, legs, in this order, refined until the wrists arrive.
+"""Turns a plan into joints: base, feet, trunk, head, arms, legs, in this order, refined until the wrists arrive.
 
 Sources: docs/specification/synthetic-recordings.md#base-motion,
 docs/specification/synthetic-recordings.md#reaching-and-holding and

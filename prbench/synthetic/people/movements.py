@@ -98,7 +98,7 @@ _LONGEST_GAP = 9.7
 
 @dataclass(frozen=True)
 class Pair:
-    """What a pick and its put have in common."""
+    """Properties that a pick and its put have in common."""
 
     tag: str
     tagged_event: str

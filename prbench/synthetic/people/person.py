@@ -53,7 +53,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Habits:
-    """How a person moves. Radians, seconds, metres."""
+    """Habits of movement of one person. Radians, seconds, metres."""
 
     walk_speed: float
     walk_ratio: float

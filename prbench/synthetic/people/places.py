@@ -1,4 +1,4 @@
-"""Where to stand for a goal, and whether it can be reached from there.
+"""Places to stand for a goal from which it can be reached.
 
 Sources: docs/specification/synthetic-recordings.md#world (standing place) and
 docs/specification/synthetic-recordings.md#base-motion (hot3d standing).
@@ -28,7 +28,8 @@ from prbench.synthetic.people.world import Room, Surface
 _WITHIN_REACH = 0.92
 _STEP_NEARER_ABOVE = 0.905
 _STEP = 0.06
-_DEEP_BEND, _LOW_GOAL = np.deg2rad(57.0), 0.60  # people step nearer rather than bend like this for a high goal
+_DEEP_BEND = np.deg2rad(57.0)  # people step nearer rather than bend like this for a high goal
+_LOW_GOAL = 0.60
 _NEAREST = 0.34  # metres; nearer, the wrist would pass through the shoulder
 _WALL_CLEARANCE = 0.15
 
@@ -60,7 +61,7 @@ class Stand:
 
 @dataclass(frozen=True)
 class Held:
-    """How something in the hand was picked."""
+    """The way in which something in the hand was picked."""
 
     centre: Float[np.ndarray, "3"]
     yaw: float

@@ -28,7 +28,7 @@ Action = Literal["pick", "put", "hover", "pass_by", "touch", "nudge", "hinge"]
 
 @dataclass(frozen=True)
 class ReachChange:
-    """What a provocation changes about one reach; the default changes nothing.
+    """Changes that a provocation makes to one reach; the default changes nothing.
 
     Source: docs/specification/synthetic-recordings.md#provocations.
     """
@@ -94,5 +94,5 @@ class Plan:
 
     @property
     def pelvis_height(self) -> float | None:
-        """Of a seated person; None when standing."""
+        """Height of a seated person's pelvis; None when standing."""
         return seated_pelvis_height(self.person.body) if self.is_seated else None

@@ -49,7 +49,7 @@ _PASSING = (0.031, 0.044)  # metres between finger base and box when a hand pass
 
 @dataclass
 class _State:
-    """Where the plan has got to."""
+    """Progress of the plan."""
 
     base: BasePose
     surface: int

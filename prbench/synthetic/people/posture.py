@@ -23,7 +23,8 @@ from prbench.synthetic.people.plan import Plan
 _CHEST_LIMIT = np.deg2rad(49.0)
 _PELVIS_LIMIT = np.deg2rad(17.0)
 _LEAN_PER_SPEED = 0.03  # radians per m/s
-_CHEST_SWING, _PELVIS_SWING = 0.06, 0.05  # radians
+_CHEST_SWING = 0.06  # radians
+_PELVIS_SWING = 0.05
 _FULL_SWING_SPEED = 1.1  # m/s
 
 
@@ -81,7 +82,7 @@ def _hand_wobble(plan: Plan, times: np.ndarray, rng: np.random.Generator) -> np.
 
 @dataclass(frozen=True)
 class Bending:
-    """What the reaches ask of the trunk at every frame."""
+    """Bending of the trunk that the reaches ask for, at every frame."""
 
     lean: Float[np.ndarray, " n"]
     crouch: Float[np.ndarray, " n"]

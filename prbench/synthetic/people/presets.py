@@ -1,4 +1,4 @@
-"""What distinguishes the five imitated datasets.
+"""Differences between the five imitated datasets.
 
 Sources: docs/specification/synthetic-recordings.md#world, docs/specification/synthetic-recordings.md#person,
 docs/specification/synthetic-recordings.md#base-motion and docs/specification/synthetic-recordings.md#statistics.

@@ -1,4 +1,4 @@
-"""What truly happened: event times, boxes, and when noise-free gaze first met the goal.
+"""The truth about a performance: event times, boxes, and when noise-free gaze first met the goal.
 
 Sources: docs/specification/synthetic-recordings.md#event-truth and
 docs/specification/synthetic-recordings.md#truth-record.

@@ -208,7 +208,8 @@ def _draw_bystander(
     return Item(kind, half_extents, position, yaw)
 
 
-TEST_SHARE, VALIDATION_SHARE = 0.30, 0.10
+TEST_SHARE = 0.30
+VALIDATION_SHARE = 0.10
 
 World = Literal["default", "large"]
 SplitRule = Literal["person_and_room", "recording"]

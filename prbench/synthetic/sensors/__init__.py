@@ -1,1 +1,1 @@
-"""What the sensors of each dataset make of a performance: noise-free truth → native readings."""
+"""Imitates the sensors of each dataset: noise-free truth → native readings."""

@@ -34,13 +34,20 @@ _BODY_RATE = 120.0
 GLASSES_SIZE = "DVT-L"
 
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
-_POSE_NOISE, _POSE_TURN = 0.5e-3, np.deg2rad(0.05)
+_POSE_NOISE = 0.5e-3
+_POSE_TURN = np.deg2rad(0.05)
 _POSE_LOSS = 0.01
-_BODY_NOISE, _BODY_WOBBLE, _BODY_WOBBLE_HZ = 0.8e-3, 3e-3, (0.05, 0.3)
-_BODY_LOSS, _MARKER_LOSS, _THROW = 1e-4, 0.01, 0.5  # share, share, m
-_OBJECT_NOISE, _OBJECT_TURN = 0.3e-3, np.deg2rad(0.1)
+_BODY_NOISE = 0.8e-3
+_BODY_WOBBLE = 3e-3
+_BODY_WOBBLE_HZ = (0.05, 0.3)
+_BODY_LOSS = 1e-4  # share, share, m
+_MARKER_LOSS = 0.01
+_THROW = 0.5
+_OBJECT_NOISE = 0.3e-3
+_OBJECT_TURN = np.deg2rad(0.1)
 _ROOM_HALF_EXTENTS = (6.0, 1.5, 6.0)
-_METRES, _QUATERNION = 6, 9  # decimals
+_METRES = 6  # decimals
+_QUATERNION = 9
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> adt.AdtReadings:

@@ -1,4 +1,4 @@
-"""What the Machine Perception Services would say of a performance (docs/specification/synthetic-recordings.md#sensors).
+"""Imitates the Machine Perception Services for a performance (docs/specification/synthetic-recordings.md#sensors).
 
 For HOT3D and HD-EPIC. Readings are rounded to the resolution of the written files, so that files and memory hold the
 same numbers. The native world is Z up: the performance's, with the axes renamed.
@@ -26,11 +26,13 @@ from prbench.timelines import interpolate, slerp
 
 GAZE_MARGIN = 0.02
 """Radians, half of the written uncertainty interval."""
-_GAZE_BIAS, _GAZE_JITTER = np.deg2rad(1.0) / np.sqrt(2), np.deg2rad(0.5)
+_GAZE_BIAS = np.deg2rad(1.0) / np.sqrt(2)
+_GAZE_JITTER = np.deg2rad(0.5)
 _GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
 _GAZE_LOSS = 0.03
 _GAZE_CLOCK_US = 16
-_BLINKS_A_MINUTE, _BLINK = 15.0, 0.15  # s
+_BLINKS_A_MINUTE = 15.0  # s
+_BLINK = 0.15
 
 
 def gaze_bias(
@@ -89,19 +91,29 @@ def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: flo
     return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
 
 
-POSE_RATE, GAZE_RATE, HAND_RATE = 1000, 10, 10
+POSE_RATE = 1000
+GAZE_RATE = 10
+HAND_RATE = 10
 """Hz."""
 GLASSES_SIZE: mps.GlassesSize = "DVT-S"
 GRAVITY = (0.0, 0.0, -9.81)
 """In the native world."""
 
-_DRIFT, _DRIFT_TURN, _DRIFT_HZ = 5e-3, np.deg2rad(0.3), (0.01, 0.05)
-_WHITE, _WHITE_TURN = 0.2e-3, np.deg2rad(0.02)
-_STARTING_ROWS, _STARTING_QUALITY = 101, 0.5  # as in a real recording, while the estimator starts
-_GAZE_START_US, _HAND_START_US = 20_000, 45_000  # after the first pose
+_DRIFT = 5e-3
+_DRIFT_TURN = np.deg2rad(0.3)
+_DRIFT_HZ = (0.01, 0.05)
+_WHITE = 0.2e-3
+_WHITE_TURN = np.deg2rad(0.02)
+_STARTING_ROWS = 101  # as in a real recording, while the estimator starts
+_STARTING_QUALITY = 0.5
+_GAZE_START_US = 20_000  # after the first pose
+_HAND_START_US = 45_000
 _DEPTH = (0.2, 4.0)  # m; what the files say of depth is wrong
-_HAND_NOISE, _FIELD_OF_VIEW = 8e-3, np.deg2rad(60.0)
-_METRES, _QUATERNION, _RADIANS = 6, 9, 6  # decimals
+_HAND_NOISE = 8e-3
+_FIELD_OF_VIEW = np.deg2rad(60.0)
+_METRES = 6  # decimals
+_QUATERNION = 9
+_RADIANS = 6
 
 
 def sense_mps(

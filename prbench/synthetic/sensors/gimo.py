@@ -30,9 +30,11 @@ _FIRST_FRAMES = 300  # of the video, before the segment
 _SKELETON_LEAD = (20, 90)  # frames of the suit before the segment: its clock is its own
 _GAZE_BIAS = _GAZE_JITTER = np.deg2rad(1.0) / 2  # per axis and each: 1 degree of all four together
 _GAZE_LOSS = 0.25
-_ROOT_NOISE, _ANGLE_NOISE = 1e-3, 0.1  # m, degrees
+_ROOT_NOISE = 1e-3  # m, degrees
+_ANGLE_NOISE = 0.1
 _SCALE = (0.98, 1.06)
-_CEILING, _BEHIND_FURNITURE = 2.6, 0.3  # m
+_CEILING = 2.6  # m
+_BEHIND_FURNITURE = 0.3
 _CENTIMETRES = 100.0
 _DECIMALS = 6
 _EULER = ("Yrotation", "Xrotation", "Zrotation")

@@ -32,7 +32,8 @@ _GAZE_KIND = "general"
 
 _CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
 _CLOCK_JITTER_NS = 400  # of an image's time stamp
-_REPEATED, _SKIPPED = 0.002, 0.001  # share of the frames
+_REPEATED = 0.002  # share of the frames
+_SKIPPED = 0.001
 _TIME_NOISE = 0.060  # s
 _SHORTEST_TRACK = 0.05  # s; noise never turns a movement around
 _ANNOTATED = ("sequence", "not_primed", "too_short", "minimum_movement", "no_location", "tracking_lost")
@@ -41,7 +42,7 @@ _SECONDS = 3  # decimals
 
 @dataclass(frozen=True)
 class SensedVideo:
-    """What the files of one video will hold."""
+    """Content of the files of one video."""
 
     readings: hd_epic.HdEpicReadings
     """With whole MPS readings and without body."""

@@ -24,7 +24,8 @@ _MISSING = 0.05  # share
 _MIDDLE_MASK = 0.01  # share of the movements that have a third mask
 _REVERSED = 0.3  # share of the movements whose masks are listed backwards
 _FIXTURE_REACH = 0.8  # m
-_METRES, _PIXELS = 6, 2  # decimals
+_METRES = 6  # decimals
+_PIXELS = 2
 
 
 @dataclass(frozen=True)

@@ -33,18 +33,25 @@ RATE = 30.0
 SLAM_DELAY = 91e-6
 """Seconds."""
 
-_TIME_CODE_START, _DEVICE_START = (3_600.0, 80_000.0), (100.0, 60_000.0)  # s
+_TIME_CODE_START = (3_600.0, 80_000.0)  # s
+_DEVICE_START = (100.0, 60_000.0)
 _LARGEST_DRIFT = 1e-6
-_OBJECT_NOISE, _OBJECT_TURN = 0.5e-3, np.deg2rad(0.1)
-_GAP_SHARE, _GAP_LENGTH = 0.03, (0.05, 0.5)  # of the rows; s
+_OBJECT_NOISE = 0.5e-3
+_OBJECT_TURN = np.deg2rad(0.1)
+_GAP_SHARE = 0.03  # of the rows; s
+_GAP_LENGTH = (0.05, 0.5)
 _HAND_NOISE = 2e-3
 _HAND_SIGHT = np.deg2rad(75.0)
-_WRONG_START, _WRONG_BY = 0.7, 0.25  # s, m
-_WRONG_EVERY, _WRONG_FIRST = 5, 1
+_WRONG_START = 0.7  # s, m
+_WRONG_BY = 0.25
+_WRONG_EVERY = 5
+_WRONG_FIRST = 1
 _CLOSING = 0.3  # s
 _ORIGIN = np.array([0.004, -0.006, 0.0])
 """Centre of the box in the object's frame, metres: origins of real models lie beside it, too."""
-_METRES, _QUATERNION, _ANGLE = 6, 9, 6  # decimals
+_METRES = 6  # decimals
+_QUATERNION = 9
+_ANGLE = 6
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> hot3d.Hot3dReadings:
@@ -130,10 +137,8 @@ def _sense_objects(
         track = performance.times[: len(motion.position)]
         rotation = Rotation.from_quat(slerp(track, motion.rotation, times), scalar_first=True)
         position = interpolate(track, motion.position, times) - rotation.apply(_ORIGIN)
-        rng, scale = (
-            sensor_generator(performance, f"object-noise-{motion.object_id}"),
-            strength(switches.object_noise, noise),
-        )
+        rng = sensor_generator(performance, f"object-noise-{motion.object_id}")
+        scale = strength(switches.object_noise, noise)
         position = position + rng.normal(0.0, _OBJECT_NOISE, position.shape) * scale
         rotation = rotation * Rotation.from_rotvec(rng.normal(0.0, _OBJECT_TURN, position.shape) * scale)
         seen = ~(_lost(performance, motion, times) | _gaps(performance, motion, times, noise, switches))

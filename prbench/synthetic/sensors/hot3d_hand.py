@@ -27,13 +27,16 @@ _THUMB_AXES = ((0.8, 0.6, 0.0), (0.0, 0.6, 0.8), (0.6, 0.8, 0.0), (0.6, 0.8, 0.0
 _FINGER_AXES = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0))
 """Spreading, then three times bending towards the palm."""
 _THICKNESS = 0.10
-_PALM_ALONG, _PALM_ACROSS = (0.08, 0.30, 0.52, 0.74, 0.94), (-0.35, 0.22)
+_PALM_ALONG = (0.08, 0.30, 0.52, 0.74, 0.94)
+_PALM_ACROSS = (-0.35, 0.22)
 _DECIMALS = 6  # of millimetres
-_OPEN, _CLOSED = 0.20, 0.55
+_OPEN = 0.20
+_CLOSED = 0.55
 """Bending of each finger joint of an empty and of a holding hand, radians."""
 _SPREAD = 0.03
 """Radians; never 0, at which the dataset's own toolkit divides by zero."""
-_ROOT, _WRIST = 0, 1
+_ROOT = 0
+_WRIST = 1
 
 
 def synthetic_hand(length: float) -> HandModel:

@@ -22,13 +22,18 @@ from prbench.timelines import interpolate, slerp
 
 GOGGLES_ID = 1
 
-_GAZE_BIAS, _GAZE_JITTER = np.deg2rad(0.8) / np.sqrt(2), np.deg2rad(0.5)
-_BLINKS_A_MINUTE, _BLINK = 15.0, 0.15  # s
+_GAZE_BIAS = np.deg2rad(0.8) / np.sqrt(2)
+_GAZE_JITTER = np.deg2rad(0.5)
+_BLINKS_A_MINUTE = 15.0  # s
+_BLINK = 0.15
 _DEPTH = (0.4, 2.0)  # m
 _MIRRORED = 0.01  # share of the gaze points that the tracker writes behind itself
-_CONFIDENT, _BLINKING = (0.8, 1.0), (0.0, 0.3)
-_BODY_TURN, _ROOT_NOISE = np.deg2rad(0.1), 1e-3
-_OBJECT_NOISE, _OBJECT_TURN = 0.5e-3, np.deg2rad(0.1)
+_CONFIDENT = (0.8, 1.0)
+_BLINKING = (0.0, 0.3)
+_BODY_TURN = np.deg2rad(0.1)
+_ROOT_NOISE = 1e-3
+_OBJECT_NOISE = 0.5e-3
+_OBJECT_TURN = np.deg2rad(0.1)
 
 _TO_NATIVE = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3].T)
 _FACE_FROM_TRACKER = Rotation.from_matrix(np.diag([-1.0, -1.0, 1.0]))

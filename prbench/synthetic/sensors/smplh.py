@@ -47,7 +47,8 @@ _GROUPS: tuple[dict[Joint, tuple[float, float, float]], ...] = (
     {Joint.LEFT_ELBOW: (0.149, 0.0, 0.0)},
     {Joint.LEFT_WRIST: (0.154, 0.0, 0.0)},
 )
-_NECK_LENGTH, _NECK_TILT = 0.0593, np.deg2rad(38.3)
+_NECK_LENGTH = 0.0593
+_NECK_TILT = np.deg2rad(38.3)
 _HEAD_BONE = _NECK_LENGTH * np.array([0.0, np.cos(_NECK_TILT), np.sin(_NECK_TILT)])
 _EXACT = 1e-7  # metres; people are made of these lengths
 

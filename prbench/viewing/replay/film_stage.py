@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_LEFT, _WIDTH = 0.04, 0.56
-_BOTTOM, _TOP = 0.09, 0.895
+_LEFT = 0.04
+_WIDTH = 0.56
+_BOTTOM = 0.09
+_TOP = 0.895
 _DPI = 100
 _LONGEST_RAY = 6.0  # metres
 _FOOTPRINT = 0.5  # metres around what must be seen
@@ -67,7 +69,8 @@ def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]
     assert figure is not None, "the axes stand in a figure"
     place = axes.get_position()
     ratio = (place.width * figure.get_figwidth()) / (place.height * figure.get_figheight())
-    width, height = across[1] - across[0], up[1] - up[0]
+    width = across[1] - across[0]
+    height = up[1] - up[0]
     more_across = max(height * ratio - width, 0.0)
     more_up = max(width / ratio - height, 0.0)
     axes.set_xlim(across[0] - more_across / 2, across[1] + more_across / 2)
@@ -109,14 +112,16 @@ class FilmStage:
         return np.ascontiguousarray(pixels[..., :3]).tobytes()
 
     def _write_texts(self) -> None:
-        scene, write = self._scene, self._figure.text
+        scene = self._scene
+        write = self._figure.text
         write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
         write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
         if scene.notice:
             write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=METHOD_COLOURS[1])
 
     def _build_side_views(self) -> None:
-        scene, axis = self._scene, self._scene.picture_axis
+        scene = self._scene
+        axis = self._scene.picture_axis
         low, high = extent(scene, lambda points: side_view(points, axis))
         for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
             _fit_limits(panel, (low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), (-0.05, self._height()))

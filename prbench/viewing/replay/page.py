@@ -110,7 +110,8 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
         set_up_scene(server, scenes)
         stages = [PageStage(server, number, scene) for number, scene in enumerate(scenes)]
         recording = server.get_scene_serializer()
-        done, total = 0, sum(scene.n_frames for scene in scenes)
+        done = 0
+        total = sum(scene.n_frames for scene in scenes)
         for stage, scene in zip(stages, scenes, strict=True):
             stage.show(True)
             for frame in range(scene.n_frames):

@@ -23,10 +23,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_LEFT, _STRIP_WIDTH, _STRIP_HEIGHT, _STRIP_STEP = 0.75, 9.55, 1.85, 2.12
-_RIGHT, _WAY_SIDE = 11.05, 3.6
+_LEFT = 0.75
+_STRIP_WIDTH = 9.55
+_STRIP_HEIGHT = 1.85
+_STRIP_STEP = 2.12
+_RIGHT = 11.05
+_WAY_SIDE = 3.6
 _TITLE = 0.6
-_CURVES_GAP, _CURVES_HEIGHT, _CURVES_WIDTH, _CURVES_STEP = 0.75, 1.75, 2.75, 3.4
+_CURVES_GAP = 0.75
+_CURVES_HEIGHT = 1.75
+_CURVES_WIDTH = 2.75
+_CURVES_STEP = 3.4
 _ROW = 0.24  # of the table of scores
 _KEY = 1.15
 _COLUMNS = (0.0, 0.47, 0.59, 0.71, 0.83, 0.925, 1.02)  # of the table's width: right edges, but for the first

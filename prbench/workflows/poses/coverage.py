@@ -14,7 +14,8 @@ from prbench.recording import PoseStream
 from prbench.timelines import nearest_index
 
 _STEP = 0.033  # seconds between the instants that are asked about
-_MISSING_ALLOWED, _MISSING_SHARE = 0.5, 0.1  # seconds, share of a short recording: first frame, last part of a window
+_MISSING_ALLOWED = 0.5  # seconds, share of a short recording: first frame, last part of a window
+_MISSING_SHARE = 0.1
 
 
 @dataclass(frozen=True)

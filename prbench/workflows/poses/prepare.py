@@ -28,7 +28,8 @@ from prbench.storage import atomic_path
 _FPS = 30.0
 _POINT_COLUMNS = ("uid", "graph_uid", "px_world", "py_world", "pz_world", "inv_dist_std", "dist_std")
 _GRAVITY = 9.81
-_FLOOR_POINTS, _FLOOR_EDGE = 40, 4.0  # a grid of so many by so many points over so many metres
+_FLOOR_POINTS = 40  # a grid of so many by so many points over so many metres
+_FLOOR_EDGE = 4.0
 _SURE = (1e-6, 1e-4)  # inv_dist_std, dist_std: below the strictest limits
 _UNUSED = tuple(f"{what}_{axis}_device" for what in ("device_linear_velocity", "angular_velocity") for axis in "xyz")
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from prbench.errors import StorageError, UsageError
 
 _GRACE = 5.0  # seconds between asking a program to end and ending it
-_TAIL_BYTES, _TAIL_LINES = 4096, 3
+_TAIL_BYTES = 4096
+_TAIL_LINES = 3
 _UNPRINTABLE = re.compile(r"[^\x20-\x7e]+")
 
 

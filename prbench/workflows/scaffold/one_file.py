@@ -204,7 +204,8 @@ def _body(module: _Module, statements: list[_Statement], chosen: Mapping[tuple[s
             if own != name:
                 renamed[name] = own
     lines = _renamed(module.text, renamed).splitlines()
-    body, before = "", 0
+    body = ""
+    before = 0
     for one in sorted(statements, key=lambda one: one.first):
         gap = 1 if one.first == before + 1 else 3
         body += "\n" * gap * bool(body) + "\n".join(lines[one.first - 1 : one.last])
@@ -217,7 +218,8 @@ def _renamed(text: str, names: Mapping[str, str]) -> str:
     if not names:
         return text
     lines = text.splitlines(keepends=True)
-    places, before = [], ""
+    places = []
+    before = ""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.NAME and token.string in names and before != ".":
             places.append(token.start)

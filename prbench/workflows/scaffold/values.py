@@ -141,7 +141,8 @@ def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> 
         values: What stands for each ``<<name>>``.
         flags: Those that are set.
     """
-    kept, keep = [], True
+    kept = []
+    keep = True
     for line in template.splitlines():
         word, _, condition = line.partition(" ")
         if word == "%if":

@@ -83,7 +83,8 @@ def table_seconds(costs: Collection[RowCost], limit: int, sizes: Sequence[Datase
     """Seconds that all rows take on ``limit`` sequences of each dataset, batches of one row beside those of others."""
     batch_size = pace.batch_size or even_batch_size(limit, sizes)
     batches = [frames * pace.samples for size in sizes for frames in _padded_frames(size.n_frames[:limit], batch_size)]
-    frames, longest = sum(batches), max(batches)
+    frames = sum(batches)
+    longest = max(batches)
     generating = sum(cost.seconds_per_frame for cost in costs) * frames / pace.workers
     alone = max((cost.seconds_per_frame for cost in costs), default=0.0) * longest
     return max(generating, alone) + len(sizes) * sum(cost.overhead for cost in costs)
@@ -105,7 +106,8 @@ def largest_limit(costs: Collection[RowCost], sizes: Sequence[DatasetSize], pace
         pace: How the work is spread.
         seconds: That are left.
     """
-    low, high = 1, max(size.sequences for size in sizes)
+    low = 1
+    high = max(size.sequences for size in sizes)
     while low < high:
         middle = math.ceil((low + high) / 2)
         fits = table_seconds(costs, middle, sizes, pace) <= (1 - RESERVE) * seconds

@@ -23,7 +23,8 @@ from prbench.published import load_table_one
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
 
-_PACKAGE, _FILE = "prbench_benchmarks.prime_and_reach", "table_2.toml"
+_PACKAGE = "prbench_benchmarks.prime_and_reach"
+_FILE = "table_2.toml"
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 """Controls that always stand beside the rows."""

@@ -29,7 +29,8 @@ from prbench.workflows.table_two.request import TableRequest
 from prbench.workflows.table_two.side_by_side import Counting, generate_side_by_side, why
 from prbench.workflows.table_two.state import TablePlan, dataset_size, open_plan, with_limit
 
-MARKDOWN, JSON = "table_2.md", "table_2.json"
+MARKDOWN = "table_2.md"
+JSON = "table_2.json"
 
 
 def _uncounted(done: int, total: int, name: str) -> None:
@@ -79,7 +80,8 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         TableError: if a table is missing, empty, changed or of an unknown version.
         UsageError: if the request does not fit together.
     """
-    engine, say = engine or InProcess(), say or Say()
+    engine = engine or InProcess()
+    say = say or Say()
     tables = request.tables()
     folder = request.folder()
     sizes = [dataset_size(table, request.split) for table in tables]

@@ -85,7 +85,8 @@ class EvaluatedClips:
                 f"{folder}: expected {fps:g} frames per second, as the evaluator was trained, found {rate:g}."
             )
         allowed = _captions_of(table, kinds) if kinds else None
-        clips, left_out = [], 0
+        clips = []
+        left_out = 0
         for rows in read_rows(table, split):
             for row in rows:
                 captions = row.texts if allowed is None else allowed.get(row.sequence_id, ())

@@ -33,9 +33,11 @@ from prbench.workflows.text_to_motion.evaluator_file import LoadedEvaluator, loa
 from prbench.workflows.text_to_motion.generated import Generator, MethodRequest, Prompt
 from prbench.workflows.text_to_motion.report import ResultRow, RowTally, TextEvaluation
 
-REPETITIONS, REPETITIONS_WITH_MULTIMODALITY = 20, 5
+REPETITIONS = 20
+REPETITIONS_WITH_MULTIMODALITY = 5
 _PROMPTS = 1000
-REAL, MISMATCHED = "real", "real, texts shuffled"
+REAL = "real"
+MISMATCHED = "real, texts shuffled"
 Progress = Callable[[int, int, str], None]
 """Called with finished repetitions, all repetitions, and a word."""
 
@@ -140,7 +142,8 @@ class _Evaluation:
         if self.generator is not None:
             unsupported = len(self.clips.clips) - len(self.supported)
             rows.append(self.generated.result(self.generator.request.name, self.generator, unsupported))
-        info, request = self.clips.table.info, self.request
+        info = self.clips.table.info
+        request = self.request
         return TextEvaluation(
             vectorisation=self.evaluator.vectorisation,
             evaluator_sha256=self.evaluator.digest,

@@ -66,7 +66,8 @@ def load_evaluator(
     weights.require_representation(configuration.representation)
     tokens, words_digest = token_vectors(configuration.text, tables, words=str(words or ""), path=text_path or "")
     _require_words(weights, words_digest)
-    movement, motion = MovementEncoder(configuration.movement_width), MotionEncoder(configuration)
+    movement = MovementEncoder(configuration.movement_width)
+    motion = MotionEncoder(configuration)
     text = TextEncoder(configuration, tokens.dimension)
     for name, network in (("movement", movement), ("motion", motion), ("text", text)):
         weights.load_into(network, name)

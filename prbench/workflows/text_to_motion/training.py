@@ -33,7 +33,8 @@ from prbench.training.weights import representation_entry
 
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
-EVALUATOR_KIND, MOVEMENT_KIND = "t2m-evaluator", "t2m-movement"
+EVALUATOR_KIND = "t2m-evaluator"
+MOVEMENT_KIND = "t2m-movement"
 """Kinds of weights files: a whole evaluator, or a trained movement autoencoder alone."""
 _SHORTER = 1 / 3
 """Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training)."""
@@ -82,7 +83,8 @@ def reconstruction_losses(
     """
     valid = torch.arange(recorded.shape[1], device=recorded.device) < n_frames[:, None]
     reconstruction = (recorded - reconstructed).abs().mean(dim=-1)[valid].mean()
-    sparsity, smoothness = snippets.abs().mean(), snippets.diff(dim=1).abs().mean() if snippets.shape[1] > 1 else 0.0
+    sparsity = snippets.abs().mean()
+    smoothness = snippets.diff(dim=1).abs().mean() if snippets.shape[1] > 1 else 0.0
     loss = reconstruction + objective.sparsity * sparsity + objective.smoothness * smoothness
     return {"loss": loss, "reconstruction": reconstruction}
 
@@ -109,7 +111,8 @@ def contrastive_losses(
         share of texts that are nearer to their own motion than to the wrong one.
     """
     assert 0 < shift < len(text)
-    near, far = pairwise_distance(text, motion), pairwise_distance(text, motion.roll(shift, dims=0))
+    near = pairwise_distance(text, motion)
+    far = pairwise_distance(text, motion.roll(shift, dims=0))
     positive = near.square().mean()
     wrong = (margin - far).clamp_min(0.0).square()
     if counted is not None:
@@ -212,7 +215,8 @@ class EvaluatorTraining(TrainingModule):
         room = (batch.n_frames - self.objective.window).clamp_min(0)
         starts = (chances.to(room.device) * (room[:, None] + 1)).long().flatten()
         rows = torch.arange(len(features), device=room.device).repeat_interleave(self.objective.windows)
-        clips, lengths = _clips(features, rows, starts, self.objective.window), lengths[rows]
+        clips = _clips(features, rows, starts, self.objective.window)
+        lengths = lengths[rows]
         snippets = self.movement(clips, lengths)
         return reconstruction_losses(self.objective, clips, self.decoder(snippets), snippets, lengths)
 
@@ -231,7 +235,8 @@ class EvaluatorTraining(TrainingModule):
         with torch.no_grad():
             snippets = self.movement(features, counts * SNIPPET)
         tokens, lengths = cut_tokens(self.tokens.encode(batch.text), self.configuration)
-        text, motion = self.text(tokens.to(features.device), lengths), self.motion(snippets, counts)
+        text = self.text(tokens.to(features.device), lengths)
+        motion = self.motion(snippets, counts)
         if len(batch) < 2:  # what was left over of the validation split has nothing wrong to meet
             return _positive_losses(text, motion)
         return contrastive_losses(
