@@ -33,7 +33,7 @@ SHARED_PARTS = ".shared-parts"
 
 @runtime_checkable
 class Sense(Protocol):
-    """Turns a performance into what a dataset's sensors make of it: the native content, before any text is made of it."""
+    """Imitates a dataset's sensors: gives the native content, before any text is made of it."""
 
     def __call__(self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Any:
         """Sense a performance.
