@@ -64,8 +64,9 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
 
 
 def _planned(request: TableRequest, row: Row, data: tuple[Path, ...], folder: Path) -> PlannedRow:
-    weights = request.user_weights(row)
-    if weights is None and row.bundled:
+    own = request.user_weights(row)
+    weights = own
+    if own is None and row.bundled:
         weights = Path(row.bundled)
     run = replace(
         _base(request, data),
