@@ -25,7 +25,7 @@ from prbench.shown import quoted
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-IfFull = Callable[[Item, PrbenchError], Result] | None
+_IfFull = Callable[[Item, PrbenchError], Result] | None
 """Gives the result of an item for which the memory does not suffice."""
 _KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
 
@@ -117,7 +117,7 @@ class Engine(Protocol):
     """Something that runs work."""
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: _IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """Yield ``function(item)`` for every item, in the order of the items.
 
@@ -138,7 +138,7 @@ class InProcess:
     """One item after the other, in this process."""
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: _IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """See :class:`Engine`.
 
@@ -161,7 +161,7 @@ class ProcessPool:
     threads_per_worker: int = 1
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: _IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """See :class:`Engine`.
 
@@ -248,7 +248,7 @@ class _Submitted(Generic[Item]):
         self.suspected = killed or (self.future.exception() is None and isinstance(self.future.result(), Full))
 
 
-def _settled(found: Result | Full, item: Item, if_full: IfFull[Item, Result]) -> Result:
+def _settled(found: Result | Full, item: Item, if_full: _IfFull[Item, Result]) -> Result:
     """The result of the second try, or what stands for it."""
     if not isinstance(found, Full):
         return found

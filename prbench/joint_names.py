@@ -43,7 +43,7 @@ def _table(convention: str, **paired: tuple[str, ...]) -> NameTable:
     return NameTable(convention, tuple(names))
 
 
-NAME_TABLES: tuple[NameTable, ...] = (
+_NAME_TABLES: tuple[NameTable, ...] = (
     _table(
         "UpLeg, Leg, Foot, ToeBase; Shoulder, Arm, ForeArm, Hand",
         hip=("upleg", "upperleg", "thigh"),
@@ -99,7 +99,7 @@ def match_names(joints: Sequence[str]) -> Matched:
         joints: Names of the source's joints in its order, with any prefix, case and separators.
     """
     known = {normalised(name): index for index, name in reversed(list(enumerate(joints)))}
-    best = max((_lookup(known, table) for table in NAME_TABLES), key=lambda found: sum(c >= 0 for c in found.columns))
+    best = max((_lookup(known, table) for table in _NAME_TABLES), key=lambda found: sum(c >= 0 for c in found.columns))
     others = tuple(name for index, name in enumerate(joints) if index not in best.columns)
     return best._replace(unmatched=others)
 

@@ -19,7 +19,7 @@ _COUNTS = (
     "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps",
 )  # fmt: skip
 GradientNorm = Literal["sequence", "batch"]
-Seeding = Literal["velocity", "repeat"]
+_Seeding = Literal["velocity", "repeat"]
 _OF_OPTIMISATION = (
     "iterations", "learning-rate", "noise-scale", "ddim-steps", "gradient-norm", "hand", "jerk", "floor",
     "checkpointing",
@@ -104,7 +104,7 @@ class DartSettings:
     gradient_norm: GradientNorm = "sequence"
     """Gradient that is brought to length 1 in each primitive: each sequence's, or that of the whole batch, with which
     the original lets the sequences of a batch slow each other down."""
-    seeding: Seeding = "velocity"
+    seeding: _Seeding = "velocity"
     """Take as history the frame before the first and the first, or twice the first: a body at rest."""
     hand: Hand = "right"
     """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
@@ -143,7 +143,7 @@ def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSe
         ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps),
         guidance=number(options, "guidance", default.guidance),
         gradient_norm=cast(GradientNorm, choice(options, "gradient-norm", ("sequence", "batch"))),
-        seeding=cast(Seeding, choice(options, "seeding", ("velocity", "repeat"))),
+        seeding=cast(_Seeding, choice(options, "seeding", ("velocity", "repeat"))),
         hand=cast(Hand, choice(options, "hand", ("right", "nearest", "left"))),
         jerk_weight=number(options, "jerk", default.jerk_weight),
         floor_weight=number(options, "floor", default.floor_weight),

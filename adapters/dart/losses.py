@@ -14,7 +14,7 @@ from prbench_adapters.dart.configuration import HISTORY_FRAMES
 from prbench_adapters.dart.frames import Frames
 from prbench_adapters.kinematics import forward_kinematics
 
-PerMotion = Float[Tensor, " batch"]
+_PerMotion = Float[Tensor, " batch"]
 Shares = tuple[float, float, float]
 PARTS = ("reconstruction", "divergence", "body", "consistency", "deltas", "latent")
 """Names of the parts of the loss; those that a phase does not have are 0 in its log."""
@@ -65,19 +65,19 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise ValueError(f"'text_drop' must be between 0 and 1, found {self.text_drop}")
 
 
-def huber(predicted: Float[Tensor, "batch *values"], wanted: Float[Tensor, "batch *values"]) -> PerMotion:
+def huber(predicted: Float[Tensor, "batch *values"], wanted: Float[Tensor, "batch *values"]) -> _PerMotion:
     """Huber's loss with δ = 1, mean over each motion's values."""
     return functional.huber_loss(predicted, wanted, reduction="none").flatten(1).mean(dim=1)
 
 
-def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor, "batch 1 latent"]) -> PerMotion:
+def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor, "batch 1 latent"]) -> _PerMotion:
     """Divergence from the standard normal distribution, mean over dimensions."""
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).flatten(1).mean(dim=1)
 
 
 def body_losses(
     predicted: Frames, recorded: Frames, offsets: Float[Tensor, "batch 22 3"]
-) -> tuple[PerMotion, PerMotion]:
+) -> tuple[_PerMotion, _PerMotion]:
     """Compare the joints that follow from predicted rotations with the recorded and with the predicted joints.
 
     Args:
@@ -89,7 +89,7 @@ def body_losses(
     return huber(moved, recorded.joints), huber(predicted.joints, moved)
 
 
-def delta_loss(predicted: Frames, history: Frames) -> PerMotion:
+def delta_loss(predicted: Frames, history: Frames) -> _PerMotion:
     """Compare deltas with the differences that they announce, from the last frame of the history on; sum of three.
 
     Args:
@@ -119,7 +119,7 @@ class Totals:
     def __init__(self, valid: Bool[Tensor, "batch primitives"]) -> None:
         self.valid, self.sums = valid, dict[str, Tensor]()
 
-    def add(self, number: int, losses: dict[str, PerMotion]) -> None:
+    def add(self, number: int, losses: dict[str, _PerMotion]) -> None:
         """The losses of one primitive of each motion."""
         for name, loss in losses.items():
             kept = torch.where(self.valid[:, number], loss, 0.0).sum()

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
+_ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
 
 _POSE = 66  # 22 joints with x, y, z
 _COUNTS = (
@@ -48,7 +48,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     """One memory token per word piece, or their mean; the encoder architecture always takes the mean."""
     goal: Literal["none", "pose", "location"] = "none"
     injection: Literal["addition", "cross-attention"] = "addition"
-    dropped: tuple[ConditionPart, ...] = ()
+    dropped: tuple[_ConditionPart, ...] = ()
     """Conditions that the model never sees, in training and later (*Prime and Reach*, table 3)."""
     condition_scaling: Literal["standardised", "none"] = "standardised"
     diffusion_steps: int = 50
@@ -78,7 +78,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
             raise ValueError(f"'fps' must be positive, found {self.fps}")
 
     @property
-    def condition_parts(self) -> dict[ConditionPart, slice]:
+    def condition_parts(self) -> dict[_ConditionPart, slice]:
         """Places of the initial pose, the initial velocity and the goal in the condition vector."""
         if self.goal == "none":
             return {}

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
 """Kind of goal of a model, by the condition of the protocol."""
-FARTHEST_GOAL = 10.0
-HIGHEST_GOAL = 3.0
+_FARTHEST_GOAL = 10.0
+_HIGHEST_GOAL = 3.0
 """Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher."""
 TEXT_GUIDANCE = 2.5
 """docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation."""
@@ -41,13 +41,13 @@ def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
     assert goal is not None
     distance = np.linalg.norm(goal - batch.initial_joints[:, Joint.PELVIS], axis=1)
     finite = np.isfinite(goal if batch.goal_joints is None else batch.goal_joints.reshape(len(batch), -1)).all(axis=1)
-    bad = np.flatnonzero(~finite | ~(distance <= FARTHEST_GOAL) | (np.abs(goal[:, 1]) > HIGHEST_GOAL))
+    bad = np.flatnonzero(~finite | ~(distance <= _FARTHEST_GOAL) | (np.abs(goal[:, 1]) > _HIGHEST_GOAL))
     if bad.size:
         row = int(bad[0])
         where = ", ".join(f"{value:.2f}" for value in goal[row])
         raise AdapterError(
             f"adapter '{adapter}', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal"
-            f" within {FARTHEST_GOAL:g} m of the first pose and {HIGHEST_GOAL:g} m of the floor, found ({where}),"
+            f" within {_FARTHEST_GOAL:g} m of the first pose and {_HIGHEST_GOAL:g} m of the floor, found ({where}),"
             f" {distance[row]:.2f} m away. Goals are"
             " metres in the canonical frame of the first pose; `prbench validate` checks a table."
         )

@@ -26,7 +26,7 @@ _OFFSET = 0.008
 _LARGEST_BETA = 0.999
 Denoise = Callable[[Tensor, int], Tensor]
 """Noisy features (batch, frames, features) and their index in the training schedule, to clean features."""
-DrawNoise = Callable[[int], Tensor]
+_DrawNoise = Callable[[int], Tensor]
 """Index in the training schedule, to the standard normal noise (batch, frames, features) added in that step."""
 _Move = tuple[int, float, float]
 """Index in the training schedule; factors of the clean estimate and of the state in the next state."""
@@ -117,7 +117,7 @@ def sample_ddpm(
     denoise: Denoise,
     schedule: CosineSchedule,
     start: Float[Tensor, "batch frames features"],
-    noise: DrawNoise,
+    noise: _DrawNoise,
     *,
     steps: int | None = None,
 ) -> Float[Tensor, "batch frames features"]:

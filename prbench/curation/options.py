@@ -21,7 +21,7 @@ from prbench.meshes import import_open3d
 from prbench.sequences.table_one import body_movement
 from prbench.skeleton import WRISTS
 
-PrimingSource = Literal["rule", "published"]
+_PrimingSource = Literal["rule", "published"]
 
 
 def wrist_to_goal(clip: Clip, _event: PickPutEvent, place: Place) -> float | None:
@@ -64,7 +64,7 @@ class CurationOptions:
     """``eye`` or ``camera``; None = the protocol's."""
     minimum_movement: str = "wrist_to_goal"
     """Distance that must reach the protocol's minimum; see :data:`prbench.curation.options.MEASURES`."""
-    priming: PrimingSource = "rule"
+    priming: _PrimingSource = "rule"
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
     """Treatment of looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
@@ -76,9 +76,9 @@ class CurationOptions:
             )
         if self.occlusion != "off" and self.priming == "published":
             raise UsageError("--occlusion asks about gaze, --priming published takes no gaze: choose one of them.")
-        if self.priming not in get_args(PrimingSource):
+        if self.priming not in get_args(_PrimingSource):
             raise UsageError(
-                f"unknown source of priming '{self.priming}'; known ones: {', '.join(get_args(PrimingSource))}."
+                f"unknown source of priming '{self.priming}'; known ones: {', '.join(get_args(_PrimingSource))}."
             )
         if self.minimum_movement not in MEASURES:
             raise UsageError(

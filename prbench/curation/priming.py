@@ -15,7 +15,7 @@ from prbench.rays import near_miss, slab_test
 from prbench.recording import PublishedPriming, Recording
 from prbench.timelines import interpolate
 
-PrimeKind = Literal["hit", "near_miss", "published"]
+_PrimeKind = Literal["hit", "near_miss", "published"]
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
 OCCLUSION_STAGE = "occlusion"
@@ -26,7 +26,7 @@ class Prime:
     """The first look at the place."""
 
     time: float
-    kind: PrimeKind
+    kind: _PrimeKind
     distance: float
     """Distance by which the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
     uncertainty: float

@@ -189,7 +189,7 @@ def mean_interval(
     if len(data.sequences) == 1:
         return data.estimate(None, None, "none")
     if len(data.sequences) < _FEWEST_FOR_BOOTSTRAP:
-        reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(jackknife_variance(data))
+        reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(_jackknife_variance(data))
         low = data.mean - reach
         high = data.mean + reach
         method = "t-jackknife"
@@ -199,7 +199,7 @@ def mean_interval(
     return data.estimate(max(float(low), 0.0) if nonnegative else float(low), float(high), method)
 
 
-def jackknife_variance(data: ClusteredValues) -> float:
+def _jackknife_variance(data: ClusteredValues) -> float:
     """Variance of the mean over sequences, from leaving out one recording (of two or more) at a time."""
     count = len(data.sequences)
     n = data.sequences.sum()
@@ -214,7 +214,7 @@ def effective_sample_size(data: ClusteredValues) -> float:
     at_least = n**2 / float((data.sequences.astype(np.float64) ** 2).sum())
     if count == 1:
         return at_least
-    design_effect = max(jackknife_variance(data) / (data.mean * (1 - data.mean) / (n - 1)), 1.0)
+    design_effect = max(_jackknife_variance(data) / (data.mean * (1 - data.mean) / (n - 1)), 1.0)
     upper = 0.5 + CONFIDENCE / 2
     few_recordings = (special.stdtrit(n - 1, upper) / special.stdtrit(count - 1, upper)) ** 2
     return max(float(n / design_effect * few_recordings), at_least)

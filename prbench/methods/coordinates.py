@@ -33,7 +33,7 @@ def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarr
     return motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_PER_MOTION)).astype(int)]
 
 
-def body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
+def _body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
     """Return the median over poses of the largest distance between two joints, in the unit of the poses."""
     apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
     return float(np.median(apart.max(axis=(1, 2))))
@@ -44,7 +44,7 @@ def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
 
     Axes and the order of joints do not matter.
     """
-    size = body_size(poses)
+    size = _body_size(poses)
     if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
         return None
     evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"

@@ -144,7 +144,7 @@ CORPUS = SyntheticCorpus()
 
 CORPUS_LAYOUTS = ("nymeria", "humanml3d")
 DEFAULT_RECORDINGS = 4
-TRUTH_FILE = "truth/clock_offsets.json"
+_TRUTH_FILE = "truth/clock_offsets.json"
 """Of each sequence: TIME_CODE minus device time. Readers never open it."""
 _WITHOUT_TRAJECTORY = 3
 """Every so many-th sequence comes without the glasses' trajectory."""
@@ -208,7 +208,7 @@ def synthesize_corpus_tree(
         if layout == "humanml3d":
             humanml3d.write_lists(root, splits)
         else:
-            write_json(root / TRUTH_FILE, {result.recording.recording_id: result.offset for result in done})
+            write_json(root / _TRUTH_FILE, {result.recording.recording_id: result.offset for result in done})
         for damage in damages:
             damage.apply(root, done[0].splits[0][0])
         write_mark(root, layout, seed, "default", splits)

@@ -23,7 +23,7 @@ from prbench.synthetic.sensors.errors import Switches
 
 _TRUTH_FOLDER = "truth"
 _TRUTH_SCHEMA = 1
-TruthTable = Literal["recordings", "events", "fixations", "joints", "objects"]
+_TruthTable = Literal["recordings", "events", "fixations", "joints", "objects"]
 
 _STREAMS = ("glasses", "gaze", "objects", "body")
 _METADATA = {"prbench.truth_schema": str(_TRUTH_SCHEMA)}
@@ -153,7 +153,7 @@ def objects_table(performance: Performance) -> pa.Table:
     return pa.concat_tables(tables)
 
 
-def write_truth(table: pa.Table, tree: Path, name: TruthTable, *, part: str | None = None) -> None:
+def write_truth(table: pa.Table, tree: Path, name: _TruthTable, *, part: str | None = None) -> None:
     """Write one table, or one recording's part of it, below ``truth/``; equal tables give equal bytes."""
     folder = tree / _TRUTH_FOLDER
     path = folder / f"{name}.parquet" if part is None else folder / name / f"{part}.parquet"
@@ -161,7 +161,7 @@ def write_truth(table: pa.Table, tree: Path, name: TruthTable, *, part: str | No
         pq.write_table(table, temporary, compression="zstd", compression_level=1)
 
 
-def read_truth(tree: Path, name: TruthTable) -> pa.Table:
+def read_truth(tree: Path, name: _TruthTable) -> pa.Table:
     """Read one table of a tree's truth.
 
     Raises:

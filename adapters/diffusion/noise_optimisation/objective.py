@@ -17,7 +17,7 @@ from prbench.skeleton import Joint
 from prbench_adapters.diffusion.noise_optimisation.settings import Hand, OptimisationSettings
 
 Joints = Float[torch.Tensor, "batch frames 22 3"]
-PerSequence = Float[torch.Tensor, " batch"]
+_PerSequence = Float[torch.Tensor, " batch"]
 
 _SOFTNESS = 0.01  # m² of the soft minimum over wrists: 10 cm apart counts as a decision
 
@@ -26,13 +26,13 @@ _SOFTNESS = 0.01  # m² of the soft minimum over wrists: 10 cm apart counts as a
 class Losses:
     """Losses of each sequence; only ``minimised`` carries gradients that matter."""
 
-    minimised: PerSequence
+    minimised: _PerSequence
     """Weighted sum that the optimiser lowers, without decorrelation."""
-    initial: PerSequence
+    initial: _PerSequence
     """Mean over joints of the squared distance to the recorded first frame, m²."""
-    goal: PerSequence
+    goal: _PerSequence
     """The same for the goal pose, or the squared distance of the chosen wrist to the goal location, m²."""
-    jerk: PerSequence
+    jerk: _PerSequence
     """Largest third difference over frames and joints, metres per frame³."""
 
 
@@ -138,7 +138,7 @@ def keyframes(settings: OptimisationSettings) -> Objective:
 
 def _goal_losses(
     joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets, hand: Hand
-) -> tuple[PerSequence, PerSequence]:
+) -> tuple[_PerSequence, _PerSequence]:
     """The goal loss as reported and as minimised, m²; they differ for ``hand="nearest"`` only.
 
     Reported is then the nearer wrist's squared distance, minimised a soft minimum that is never above it, whose
@@ -171,7 +171,7 @@ def chosen_wrist(
 
 def _squared_distance(
     predicted: Float[torch.Tensor, "batch 22 3"], wanted: Float[torch.Tensor, "batch 22 3"]
-) -> PerSequence:
+) -> _PerSequence:
     """Mean over joints of the squared distance, m²."""
     return (predicted - wanted).square().sum(-1).mean(-1)
 
@@ -193,7 +193,7 @@ def _jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Floa
     return torch.where(moving, torch.where(moving, squared, 1.0).sqrt(), 0.0)
 
 
-def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> PerSequence:
+def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> _PerSequence:
     """The largest of :func:`_jerk_lengths`, 0 for fewer than four frames.
 
     Source: docs/specification/pr-model.md#latent-noise-optimisation.
@@ -202,7 +202,7 @@ def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> PerSe
     return lengths.amax(dim=1) if lengths.shape[1] else joints.new_zeros(len(joints))
 
 
-def jerk_norm(joints: Joints, n_frames: Int[torch.Tensor, " batch"], power: float) -> PerSequence:
+def jerk_norm(joints: Joints, n_frames: Int[torch.Tensor, " batch"], power: float) -> _PerSequence:
     """(sum of jerk^power)^(1/power) over frames and joints: never below the largest jerk, near it for a high power.
 
     Its gradient reaches every place that is about as jerky as the worst one, where the maximum reaches one place only.

@@ -23,10 +23,10 @@ from prbench.evaluation.text_to_motion.metrics import (
 
 _R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
 FID = "fid"
-DISTANCE = "multimodal_distance"
-DIVERSITY = "diversity"
+_DISTANCE = "multimodal_distance"
+_DIVERSITY = "diversity"
 MULTIMODALITY = "multimodality"
-METRICS = (*_R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
+METRICS = (*_R_PRECISION, FID, _DISTANCE, _DIVERSITY, MULTIMODALITY)
 """Ids in the order in which they are shown; R-precision as shares from 0 to 1."""
 
 
@@ -66,7 +66,7 @@ def measure_pairs(pairs: EmbeddedPairs) -> Measured:
     """
     ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
     values = dict(zip(_R_PRECISION, ranking.top.tolist()))
-    return Measured(values | {DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking)
+    return Measured(values | {_DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking)
 
 
 def measure_motions(
@@ -85,7 +85,7 @@ def measure_motions(
         warnings.simplefilter("ignore", FewSamplesWarning)
         distance = fid(recorded, motion)
     pairs = draw_diversity_pairs(len(motion), generator, n_pairs=diversity_pairs)
-    return {FID: distance, DIVERSITY: diversity(motion, pairs)}
+    return {FID: distance, _DIVERSITY: diversity(motion, pairs)}
 
 
 @dataclass(frozen=True)

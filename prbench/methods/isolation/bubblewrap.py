@@ -53,10 +53,10 @@ def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount | Mask
     return sorted([*mounts, *masks], key=lambda step: (len(step.place.parts), isinstance(step, Mask)))
 
 
-PROCESS = "process"
+_PROCESS = "process"
 BUBBLEWRAP = "bubblewrap"
 HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
-WORK = "/tmp/work"
+_WORK = "/tmp/work"
 _NAMESPACES = ("--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL")
 _DEVICES = ("nvidia*", "dri", "kfd", "dxg")
 _PROBE_TIMEOUT = 10.0  # seconds; it takes 10 ms
@@ -89,15 +89,15 @@ def available_fence() -> Fence:
     """Return the best fence that works here; tried once a process."""
     program = shutil.which("bwrap")
     if program is None:
-        return Fence(PROCESS, None, "bubblewrap is not installed")
+        return Fence(_PROCESS, None, "bubblewrap is not installed")
     trial = [program, *_NAMESPACES, "--ro-bind", "/", "/", "--proc", "/proc", "--dev", "/dev", "true"]
     try:
         done = subprocess.run(trial, stdin=subprocess.DEVNULL, capture_output=True, timeout=_PROBE_TIMEOUT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Fence(PROCESS, None, f"bubblewrap does not work here: {error}")
+        return Fence(_PROCESS, None, f"bubblewrap does not work here: {error}")
     if done.returncode != 0:
         told = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
-        return Fence(PROCESS, None, f"bubblewrap does not work here: {told[0]}")
+        return Fence(_PROCESS, None, f"bubblewrap does not work here: {told[0]}")
     return Fence(BUBBLEWRAP, program, "")
 
 
@@ -121,10 +121,10 @@ def bubblewrap_words(
     words += ["--proc", "/proc", "--dev", "/dev", "--ro-bind", "/sys", "/sys", "--tmpfs", "/tmp"]
     for device in sorted(path for pattern in _DEVICES for path in Path("/dev").glob(pattern)):
         words += ["--dev-bind-try", str(device), str(device)]
-    words += ["--dir", HOME, "--dir", WORK]
+    words += ["--dir", HOME, "--dir", _WORK]
     for step in arrange(shown, hidden):
         words += _step_words(step)
-    return (*words, "--chdir", str(directory or WORK), "--")
+    return (*words, "--chdir", str(directory or _WORK), "--")
 
 
 def _mounts(shown: Sequence[Shown], secrets: Sequence[Path]) -> Iterator[Mount]:

@@ -128,7 +128,7 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
     output = parse_output(path, content)
     if isinstance(output, JointsOnly):
         return ego.BodyWindow(path.name, output.time_ns, output.joints), None
-    guidance = read_guidance(path)
+    guidance = _read_guidance(path)
     head = output.world_from_cpf[:, 4:].astype(np.float64)
     samples = len(output.world_from_root)
     kept = cache_folder() / "egoallo" / f"{bytes_digest(content)}.npz"
@@ -148,7 +148,7 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
     return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
 
 
-def read_guidance(path: Path) -> str:
+def _read_guidance(path: Path) -> str:
     """``guidance_mode`` of an output, from the options beside it; empty where they are missing or say nothing.
 
     The file is YAML that may name Python objects: it is looked at as text and never loaded.

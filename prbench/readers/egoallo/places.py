@@ -16,7 +16,7 @@ from prbench.readers.found import InputFile, RecordingFiles, input_file, is_pres
 
 OUTPUT_ROLE = "egoallo/"
 """Roles of output files are this and the file's name."""
-OPTIONS_ROLE = "egoallo options/"
+_OPTIONS_ROLE = "egoallo options/"
 """Roles of the options beside them, likewise."""
 MODEL_ROLE = "smplh_model"
 _MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
@@ -60,7 +60,7 @@ def find_outputs(
             model = find_model(root, smplh_model)
             files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
             options = [path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}") for path in outputs]
-            files += [input_file(f"{OPTIONS_ROLE}{path.name}", path) for path in options if is_present(path)]
+            files += [input_file(f"{_OPTIONS_ROLE}{path.name}", path) for path in options if is_present(path)]
             return (*files, *([input_file(MODEL_ROLE, model)] if model is not None and is_present(model) else []))
     return ()
 

@@ -21,7 +21,7 @@ from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import read_synthetic_tree
 from prbench.recording import Recording
 
-BoxChoice = Literal["point", "cube"]
+_BoxChoice = Literal["point", "cube"]
 
 
 class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -29,7 +29,7 @@ class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
 
     source: Literal["mps", "intermediate"] = "mps"
     """Source of camera and gaze: the MPS files of SLAM-and-Gaze, or the newer per-frame intermediate data."""
-    boxes: BoxChoice = "point"
+    boxes: _BoxChoice = "point"
     """``point``: zero-size boxes at the annotated points; ``cube``: cubes as large as the 2D boxes say."""
     annotations: Path | None = None
     """The annotation repository, where it does not lie beside the data."""

@@ -39,7 +39,7 @@ PARENT_LINKS: dict[str, str] = {
 }
 """The 21 joints in the order of the files, each with the joint that it hangs on; parents come first."""
 LINKS: tuple[str, ...] = tuple(PARENT_LINKS)
-N_LINKS = len(LINKS)
+_N_LINKS = len(LINKS)
 
 STATE_COLUMNS: tuple[str, ...] = (
     *(f"baseTrans{axis}" for axis in "XYZ"),
@@ -79,7 +79,7 @@ def link_offsets(fixed: Mapping[str, float]) -> Float[np.ndarray, "21 3"]:
     Raises:
         KeyError: naming a value that the model needs and ``fixed`` lacks.
     """
-    offsets = np.zeros((N_LINKS, 3))
+    offsets = np.zeros((_N_LINKS, 3))
     for index, link in enumerate(LINKS[1:], start=1):
         for axis, letter in enumerate("XYZ"):
             key = f"{link}Trans{letter}"
@@ -97,9 +97,9 @@ def forward_kinematics(
         state: Columns as in :data:`STATE_COLUMNS`; rows with NaN give NaN.
         offsets: See :func:`link_offsets`.
     """
-    local = intrinsic_xyz(state[:, 3:].reshape(-1, N_LINKS, 3))
-    positions = np.empty((len(state), N_LINKS, 3))
-    rotations = np.empty((len(state), N_LINKS, 3, 3))
+    local = intrinsic_xyz(state[:, 3:].reshape(-1, _N_LINKS, 3))
+    positions = np.empty((len(state), _N_LINKS, 3))
+    rotations = np.empty((len(state), _N_LINKS, 3, 3))
     positions[:, 0] = state[:, :3]
     rotations[:, 0] = local[:, 0]
     for index, link in enumerate(LINKS[1:], start=1):
@@ -139,7 +139,7 @@ def body_joints(positions: Float[np.ndarray, "n 21 3"], mapping: Sequence[str]) 
 
 def _weights(entry: str) -> Float[np.ndarray, "21"]:
     terms = [term.split() for term in entry.split("+")]
-    weights = np.zeros(N_LINKS)
+    weights = np.zeros(_N_LINKS)
     for term in terms:
         weights[LINKS.index(term[-1])] += float(term[0]) if len(term) == 2 else 1 / len(terms)
     return weights

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from prbench.errors import UsageError, did_you_mean
 from prbench.skeleton import N_JOINTS, Joint
 
-AXES = ("@up", "@forward", "@left", "@ahead", "@above")
+_AXES = ("@up", "@forward", "@left", "@ahead", "@above")
 """Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,
 ``@forward`` and ``@left`` across; ``@ahead`` is forward on the ground plane, ``@above`` the vertical."""
 
@@ -63,11 +63,11 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
         weight = None if number is None and sign > 0 else sign * float(number or 1)
         if name in names:
             joints.append((name, weight))
-        elif name in AXES:
+        elif name in _AXES:
             axes.append((name, 1.0 if weight is None else weight))
         else:
             raise UsageError(
-                f"{where}: unknown joint '{name}'.{did_you_mean(name, [*names, *AXES])} The source has: "
+                f"{where}: unknown joint '{name}'.{did_you_mean(name, [*names, *_AXES])} The source has: "
                 f"{', '.join(names)}."
             )
     return Expression(_weighted(joints, text, where), tuple(axes))
@@ -140,7 +140,7 @@ def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.n
     ahead = np.stack([-left[..., 2], np.zeros(left.shape[:-1]), left[..., 0]], axis=-1)
     above = np.broadcast_to(np.array([0.0, 1.0, 0.0]), up.shape)
     directions = (up, np.cross(left, up), left, _unit(ahead), above)
-    return {name: direction * length for name, direction in zip(AXES, directions)}
+    return {name: direction * length for name, direction in zip(_AXES, directions)}
 
 
 def complete(joints: Float[np.ndarray, "frames 22 3"], missing: tuple[Joint, ...]) -> Float[np.ndarray, "frames 22 3"]:

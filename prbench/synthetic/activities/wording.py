@@ -13,10 +13,10 @@ from prbench.skeleton import WRISTS, Joint
 from prbench.synthetic.activities.patterns import PATTERNS
 
 SLOW = 0.7
-BRISK = 1.25
+_BRISK = 1.25
 """Metres a second: below it somebody walks slowly, above it briskly."""
-SLIGHT = 60.0
-AROUND = 135.0
+_SLIGHT = 60.0
+_AROUND = 135.0
 """Degrees: below it somebody turns slightly, above it around."""
 _CURVED = 25.0
 """Degrees of heading that make a walk a walk to one side."""
@@ -107,14 +107,14 @@ def speed_word(speed: float) -> str:
     """Return ``slowly``, ``briskly`` or nothing."""
     if speed < SLOW:
         return "slowly"
-    return "briskly" if speed > BRISK else ""
+    return "briskly" if speed > _BRISK else ""
 
 
 def amount_word(degrees: float) -> str:
     """Return the word for how far somebody turns."""
-    if degrees < SLIGHT:
+    if degrees < _SLIGHT:
         return "slightly"
-    return "around" if degrees > AROUND else ""
+    return "around" if degrees > _AROUND else ""
 
 
 def _sides(left: bool) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """Defects: what real copies of a dataset suffer from, done to one recording of a freshly written synthetic tree.
 
-A new layout's defects are a new module with a ``DEFECTS`` and one line in :data:`DEFECT_MODULES`.
+A new layout's defects are a new module with a ``DEFECTS`` and one line in :data:`_DEFECT_MODULES`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Damage = Callable[[Path, str], None]
 Row = dict[str, str]
 """One line of a CSV file by column."""
 
-DEFECT_MODULES: dict[str, str] = {
+_DEFECT_MODULES: dict[str, str] = {
     "adt": "prbench.synthetic.defects.adt",
     "gimo": "prbench.synthetic.defects.gimo",
     "hd-epic": "prbench.synthetic.defects.hd_epic",
@@ -49,9 +49,9 @@ class Defect:
 
 def defects_of(preset: str) -> tuple[Defect, ...]:
     """Return all defects of a preset's layout."""
-    if preset not in DEFECT_MODULES:
+    if preset not in _DEFECT_MODULES:
         return ()
-    return importlib.import_module(DEFECT_MODULES[preset]).DEFECTS
+    return importlib.import_module(_DEFECT_MODULES[preset]).DEFECTS
 
 
 def defect(preset: str, name: str) -> Defect:

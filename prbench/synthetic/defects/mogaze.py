@@ -15,9 +15,9 @@ from prbench.synthetic.defects import Damage, Defect, cut_in_half
 from prbench.synthetic.sensors.mogaze import GOGGLES_ID
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
-BODY_ROWS = mogaze.HUMAN_DATASET
-GAZE_ROWS = mogaze.GAZE_DATASET
-SEGMENT_ROWS = mogaze.SEGMENT_DATASET
+_BODY_ROWS = mogaze.HUMAN_DATASET
+_GAZE_ROWS = mogaze.GAZE_DATASET
+_SEGMENT_ROWS = mogaze.SEGMENT_DATASET
 _GOGGLES = f"{mogaze.OBJECT_GROUP}/body {GOGGLES_ID}"
 _RISE = 0.5  # m
 
@@ -60,7 +60,7 @@ def _without_last(count: int) -> Callable[[np.ndarray], np.ndarray]:
 
 def _reorder_columns(root: Path, recording: str) -> None:
     order = np.random.default_rng(0).permutation(len(STATE_COLUMNS))
-    _with_rows(HUMAN, BODY_ROWS, lambda rows: rows[:, order])(root, recording)
+    _with_rows(HUMAN, _BODY_ROWS, lambda rows: rows[:, order])(root, recording)
     with h5py.File(_file(root, recording, HUMAN), "r+") as file:
         names = [STATE_COLUMNS[index] for index in order]
         attributes = _dataset(file, mogaze.HUMAN_DATASET).attrs
@@ -110,7 +110,7 @@ def _raise_floor(root: Path, recording: str) -> None:
         assert isinstance(bodies, h5py.Group), "we have just written it"
         names = [f"{mogaze.OBJECT_GROUP}/{key}" for key in bodies]
     height = STATE_COLUMNS.index("baseTransZ")
-    _with_rows(HUMAN, BODY_ROWS, lambda rows: rows + _RISE * np.eye(rows.shape[1])[height])(root, recording)
+    _with_rows(HUMAN, _BODY_ROWS, lambda rows: rows + _RISE * np.eye(rows.shape[1])[height])(root, recording)
     for name in names:
         _with_rows(OBJECTS, name, lambda rows: rows + _RISE * np.eye(rows.shape[1])[2])(root, recording)
 
@@ -126,14 +126,14 @@ DEFECTS: tuple[Defect, ...] = (
     Defect(
         "foreign-gaze",
         "a gaze file much too short",
-        _with_rows(GAZE, GAZE_ROWS, _without_last(200)),
+        _with_rows(GAZE, _GAZE_ROWS, _without_last(200)),
         "failed",
         "frame index",
     ),
     Defect(
         "short-gaze",
         "a gaze file twenty frames too short",
-        _with_rows(GAZE, GAZE_ROWS, _without_last(20)),
+        _with_rows(GAZE, _GAZE_ROWS, _without_last(20)),
         "read",
         "cut to",
     ),
@@ -142,7 +142,7 @@ DEFECTS: tuple[Defect, ...] = (
     Defect(
         "lost-body",
         "a third of a second without body",
-        _with_rows(HUMAN, BODY_ROWS, _lose_body_frames),
+        _with_rows(HUMAN, _BODY_ROWS, _lose_body_frames),
         "read",
         "implausible",
     ),
@@ -151,22 +151,22 @@ DEFECTS: tuple[Defect, ...] = (
     Defect(
         "blind-tracker",
         "the eye tracker knows nothing",
-        _with_rows(GAZE, GAZE_ROWS, _doubt_everything),
+        _with_rows(GAZE, _GAZE_ROWS, _doubt_everything),
         "read",
         "no valid gaze",
     ),
-    Defect("metres", "gaze points in metres", _with_rows(GAZE, GAZE_ROWS, _write_metres), "read", "metres"),
+    Defect("metres", "gaze points in metres", _with_rows(GAZE, _GAZE_ROWS, _write_metres), "read", "metres"),
     Defect(
         "bad-segments",
         "segments in disorder",
-        _with_rows(SEGMENTS, SEGMENT_ROWS, _disorder_segments),
+        _with_rows(SEGMENTS, _SEGMENT_ROWS, _disorder_segments),
         "read",
         "left out",
     ),
     Defect(
         "no-segments",
         "an empty list of segments",
-        _with_rows(SEGMENTS, SEGMENT_ROWS, lambda rows: rows[:0]),
+        _with_rows(SEGMENTS, _SEGMENT_ROWS, lambda rows: rows[:0]),
         "read",
         "no segments",
     ),

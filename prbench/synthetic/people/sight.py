@@ -28,7 +28,7 @@ _SETTLING = 0.100
 _THIN_RAY = 0.005
 """Metres from the near-miss border within which noise decides."""
 
-Vector = Sequence[float]
+_Vector = Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class _Samples:
         return not self.hits[row] and abs(self.distances[row] - border) < _THIN_RAY
 
 
-def slab_interval(origin: Vector, direction: Vector, low: Vector, high: Vector) -> tuple[float, float]:
+def slab_interval(origin: _Vector, direction: _Vector, low: _Vector, high: _Vector) -> tuple[float, float]:
     """Return where one ray enters and leaves one axis-aligned box (equation 4).
 
     Args:
@@ -92,13 +92,13 @@ def slab_interval(origin: Vector, direction: Vector, low: Vector, high: Vector) 
     return near, far
 
 
-def meets_box(origin: Vector, direction: Vector, low: Vector, high: Vector) -> bool:
+def meets_box(origin: _Vector, direction: _Vector, low: _Vector, high: _Vector) -> bool:
     """Return True where the ray meets the box (equation 4); arguments as for :func:`slab_interval`."""
     near, far = slab_interval(origin, direction, low, high)
     return near < far and far >= 0.0
 
 
-def passing_distance(origin: Vector, direction: Vector, low: Vector, high: Vector) -> float:
+def passing_distance(origin: _Vector, direction: _Vector, low: _Vector, high: _Vector) -> float:
     """Return how far a ray passes beside a box, metres (equations 5 to 7); arguments as for :func:`slab_interval`.
 
     Returns:
@@ -159,7 +159,7 @@ def first_sight(
 
 
 def _samples(
-    times: np.ndarray, eye: np.ndarray, gaze: np.ndarray, low: Vector, high: Vector, event_time: float
+    times: np.ndarray, eye: np.ndarray, gaze: np.ndarray, low: _Vector, high: _Vector, event_time: float
 ) -> _Samples:
     """Judge every gaze sample of the window, both ends included."""
     curation = load_protocol().curation

@@ -208,8 +208,8 @@ def _draw_bystander(
     return Item(kind, half_extents, position, yaw)
 
 
-TEST_SHARE = 0.30
-VALIDATION_SHARE = 0.10
+_TEST_SHARE = 0.30
+_VALIDATION_SHARE = 0.10
 
 World = Literal["default", "large"]
 SplitRule = Literal["person_and_room", "recording"]
@@ -259,18 +259,18 @@ def assign(source: Source, index: int, rule: SplitRule) -> Assignment:
     if rule == "recording":
         person = people[int(rng.integers(len(people)))]
         room = rooms[int(rng.integers(len(rooms)))]
-        if chance < TEST_SHARE:
+        if chance < _TEST_SHARE:
             return Assignment(room, person, "test")
-        split = "validation" if chance < TEST_SHARE + 0.07 else "train"
+        split = "validation" if chance < _TEST_SHARE + 0.07 else "train"
         return Assignment(room, person, split)
-    n_test_people = round(TEST_SHARE * len(people))
-    n_test_rooms = round(TEST_SHARE * len(rooms))
-    is_test = chance < TEST_SHARE
+    n_test_people = round(_TEST_SHARE * len(people))
+    n_test_rooms = round(_TEST_SHARE * len(rooms))
+    is_test = chance < _TEST_SHARE
     people_here = people[:n_test_people] if is_test else people[n_test_people:]
     rooms_here = rooms[:n_test_rooms] if is_test else rooms[n_test_rooms:]
     person = people_here[int(rng.integers(len(people_here)))]
     room = rooms_here[int(rng.integers(len(rooms_here)))]
-    for_validation = people[n_test_people : n_test_people + round(VALIDATION_SHARE * len(people))]
+    for_validation = people[n_test_people : n_test_people + round(_VALIDATION_SHARE * len(people))]
     if is_test:
         return Assignment(room, person, "test")
     split = "validation" if person in for_validation else "train"

@@ -93,7 +93,7 @@ def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: flo
 
 POSE_RATE = 1000
 GAZE_RATE = 10
-HAND_RATE = 10
+_HAND_RATE = 10
 """Hz."""
 GLASSES_SIZE: mps.GlassesSize = "DVT-S"
 GRAVITY = (0.0, 0.0, -9.81)
@@ -259,7 +259,7 @@ def _sense_gaze(
 
 
 def _sense_hands(performance: Performance, start_us: int, noise: float, switches: Switches) -> mps.WristPositions:
-    since_start = _steps(performance, _HAND_START_US, HAND_RATE)
+    since_start = _steps(performance, _HAND_START_US, _HAND_RATE)
     times = performance.times[0] + since_start / 1e6
     wrist = interpolate(performance.times, performance.joints[:, list(WRISTS)], times)
     palm = (wrist + interpolate(performance.times, performance.finger_bases, times)) / 2

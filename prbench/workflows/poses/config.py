@@ -16,7 +16,7 @@ from prbench.errors import InputFileError
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.egoallo.inputs import Need
 
-PLACEHOLDERS = {
+_PLACEHOLDERS = {
     "python": "the interpreter named in the config",
     "recording": "name of the recording",
     "mps": "folder with slam/, hand_tracking/ and a link to the VRS file: EgoAllo's --traj-root",
@@ -28,7 +28,7 @@ PLACEHOLDERS = {
 }
 """Placeholders that may stand in braces in a command, and their meanings."""
 
-DEFAULT_COMMAND = (
+_DEFAULT_COMMAND = (
     "{python}", "3_aria_inference.py", "--traj-root", "{mps}", "--traj-length", "{frames}",
     "--guidance-mode", "{guidance}", "--smplh-npz-path", "{model}",
 )  # fmt: skip
@@ -42,7 +42,7 @@ class PosesConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Interpreter of the environment in which EgoAllo is installed."""
     folder: Path
     """EgoAllo's repository: the command runs there."""
-    command: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] = DEFAULT_COMMAND
+    command: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] = _DEFAULT_COMMAND
     """Program and arguments, one text each; never a line for a shell."""
     model: Path | None = None
     """The SMPL-H model; found as the readers find it if None."""
@@ -94,12 +94,12 @@ def read_config(path: Path) -> PosesConfig:
             found=str(error),
             remedy="`prbench poses egoallo --root DIR` without --config prints one to start from.",
         ) from error
-    unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in PLACEHOLDERS]
+    unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in _PLACEHOLDERS]
     if unknown:
         raise InputFileError(
             path,
             "egoallo.command",
-            expected=f"the placeholders {', '.join(f'{{{name}}}' for name in PLACEHOLDERS)}",
+            expected=f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}",
             found=f"{{{unknown[0]}}}",
         )
     return _with_absolute_paths(config, path.expanduser().absolute().parent)

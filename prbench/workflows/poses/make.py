@@ -21,7 +21,7 @@ from prbench.workflows.poses.prepare import Prepared, guidance_mode, head_poses,
 from prbench.workflows.poses.program import run_program
 from prbench.workflows.poses.states import PoseState
 
-LOG_FILE = "egoallo.log"
+_LOG_FILE = "egoallo.log"
 _WORK = "input.partial"
 _REPLACED = ".replaced"
 
@@ -116,7 +116,7 @@ def _run(state: PoseState, inputs: EgoalloInputs, config: PosesConfig, model: Pa
     name = state.found.recording_id
     prepared = prepare(inputs, work)
     command = config.command_line(_values(name, prepared, model))
-    log = state.target.parent / LOG_FILE
+    log = state.target.parent / _LOG_FILE
     ended = run_program(
         command,
         folder=config.folder,

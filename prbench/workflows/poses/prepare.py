@@ -65,7 +65,7 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
     trajectory = source_trajectory(inputs)
     place = folder / mps.SLAM_FOLDER / mps.TRAJECTORY_FILE
     if inputs.turned is not None or trajectory.left_out:
-        write_trajectory(place, trajectory)
+        _write_trajectory(place, trajectory)
     else:
         _bring(inputs.trajectory, place)
     points = folder / mps.SLAM_FOLDER / POINT_FILES[0]
@@ -100,7 +100,7 @@ def head_poses(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> PoseStream:
     return part_poses(device, mps.device_from_cpf(size))
 
 
-def write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
+def _write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
     """Write ``closed_loop_trajectory.csv`` (docs/specification/aria-mps.md#closed-loop-trajectory).
 
     Raises:

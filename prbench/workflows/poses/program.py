@@ -33,7 +33,7 @@ class Ended:
         if self.code == 0:
             return ""
         how = "ran out of time" if self.code is None else f"ended with exit code {self.code}"
-        return f"{how}{last_words(self.log)}; its log is {self.log}"
+        return f"{how}{_last_words(self.log)}; its log is {self.log}"
 
 
 def run_program(
@@ -81,7 +81,7 @@ def run_program(
             _end(process)
 
 
-def last_words(log: Path) -> str:
+def _last_words(log: Path) -> str:
     """The last lines of a log that can be printed, whatever else it holds; empty if there are none."""
     with open(log, "rb") as file:
         file.seek(0, 2)

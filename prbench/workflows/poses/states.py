@@ -66,7 +66,7 @@ def pose_states(root: Path, selection: Selection = EVERYTHING) -> Iterator[PoseS
     """
     root = root.expanduser().resolve()
     for found in select(root, selection):
-        yield pose_state(root, found, selection.poses_root)
+        yield _pose_state(root, found, selection.poses_root)
 
 
 def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
@@ -87,7 +87,7 @@ def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
     return tuple(chosen[: selection.limit])
 
 
-def pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None) -> PoseState:
+def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None) -> PoseState:
     """Look at one recording's outputs and inputs."""
     outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
     target = outputs[0].parent if outputs else poses_folder(root, found.recording_id, poses_root)

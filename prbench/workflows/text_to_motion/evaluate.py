@@ -33,8 +33,8 @@ from prbench.workflows.text_to_motion.evaluator_file import LoadedEvaluator, loa
 from prbench.workflows.text_to_motion.generated import Generator, MethodRequest, Prompt
 from prbench.workflows.text_to_motion.report import ResultRow, RowTally, TextEvaluation
 
-REPETITIONS = 20
-REPETITIONS_WITH_MULTIMODALITY = 5
+_REPETITIONS = 20
+_REPETITIONS_WITH_MULTIMODALITY = 5
 _PROMPTS = 1000
 REAL = "real"
 MISMATCHED = "real, texts shuffled"
@@ -70,7 +70,7 @@ class TextEvaluationRequest:
     @property
     def chosen_repetitions(self) -> int:
         """Number of repetitions: as asked for, or the usual one."""
-        return self.repetitions or (REPETITIONS_WITH_MULTIMODALITY if self.multimodality else REPETITIONS)
+        return self.repetitions or (_REPETITIONS_WITH_MULTIMODALITY if self.multimodality else _REPETITIONS)
 
 
 def silent(done: int, total: int, last: str) -> None:
