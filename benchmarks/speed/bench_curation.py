@@ -74,7 +74,7 @@ def naive_slab_test(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, 
 
 
 def bench_in_hand(recording: Recording) -> None:
-    """In-hand segmentation over all objects."""
+    """Time in-hand segmentation over all objects."""
     rule = load_manifest("adt").in_hand
     tracks = [track for track in recording.objects if track.movable]
     frames = len(tracks[0].times)

@@ -137,7 +137,7 @@ def trimesh_ways(problem: Problem) -> dict[str, Callable[[], np.ndarray]]:
 
 
 def largest_difference(one: np.ndarray, other: np.ndarray) -> float:
-    """In metres; inf where one ray hits a triangle and the other does not."""
+    """Return the largest difference in metres; inf where one ray hits a triangle and the other does not."""
     both_miss = np.isinf(one) & np.isinf(other)
     return float(np.abs(one[~both_miss] - other[~both_miss]).max(initial=0.0))
 

@@ -75,12 +75,12 @@ class FixedText:
 
 
 def word_pieces() -> FixedText:
-    """As DistilBERT gives them: a vector a word piece."""
+    """Stand in for DistilBERT: one vector a word piece."""
     return FixedText(768, WORD_PIECES)
 
 
 def sentence() -> FixedText:
-    """As CLIP gives it: one vector a text."""
+    """Stand in for CLIP: one vector a text."""
     return FixedText(512, 1)
 
 
@@ -105,7 +105,7 @@ def our_model(
 
 
 def n_parameters(model: torch.nn.Module) -> int:
-    """Of a network."""
+    """Count the parameters of a network."""
     return sum(parameter.numel() for parameter in model.parameters())
 
 

@@ -81,6 +81,11 @@ class _Hierarchy:
     joints: list[BvhJoint] = field(default_factory=list)
 
     def parse(self) -> tuple[BvhJoint, ...]:
+        """Return the joints in file order, parents first; offsets in the file's unit.
+
+        Raises:
+            InputFileError: at a word that does not belong where it stands, with its place.
+        """
         stack: list[int] = []
         name = ""
         is_end = False

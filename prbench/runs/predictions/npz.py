@@ -129,6 +129,7 @@ class _Unpacked:
             archive.unpack(name, self._path)
 
     def array(self, archive: Archive, name: str) -> np.ndarray:
+        """Return the archive's joints as they are stored, mapped into memory where they lie unpacked."""
         if self._array is None:
             if archive.stored_as_is(name):
                 self._array = archive.mapped(name)
