@@ -27,7 +27,13 @@ class _CleanStream:
         self.raw = raw
 
     def write(self, text: str) -> int:
-        """Write a text, cleaned; return how many of its characters were taken, which is all of them."""
+        """Write a text, cleaned; return how many of its characters were taken, which is all of them.
+
+        Raises:
+            TypeError: for bytes, by which click finds out that this is a text stream.
+        """
+        if not isinstance(text, str):
+            raise TypeError(f"expected text, found {type(text).__name__}")
         self.raw.write(clean(text, keep="\n\t"))
         return len(text)
 
@@ -73,20 +79,74 @@ def print_table(
     numbers: Collection[int] = (),
     spaced: bool = False,
 ) -> None:
-    """Print rows under a header; columns listed in ``numbers`` are set to the right, ``spaced`` rows stand apart."""
-    from rich import box
-    from rich.table import Table
+    """Print rows under a header; on a terminal that is too narrow for whole words, one line a cell.
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
-    for index, name in enumerate(header):
-        table.add_column(name, justify="right" if index in numbers else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(clean(cell, keep="\n") for cell in row))
+    Args:
+        title: Printed above.
+        header: Names of the columns.
+        rows: Cells, as many as there are names; a cell may have several lines.
+        numbers: Columns that are set to the right.
+        spaced: Rows stand apart.
+    """
+    shown = [tuple(clean(cell, keep="\n") for cell in row) for row in rows]
     output = console()
     if not output.is_terminal:  # in a file or pipe nothing is folded to the width of a terminal that is not there
         output = console(width=max(200, output.width))
     output.print(clean(title), style="italic", soft_wrap=True)  # a table folds its own title to its width
+    widths = _column_widths([header, *shown], output.width)
+    if widths is None:
+        _print_stacked(output, header, shown)
+    else:
+        _print_grid(output, header, shown, widths, numbers=numbers, spaced=spaced)
+
+
+_BETWEEN_COLUMNS = 2
+
+
+def _column_widths(rows: Sequence[Sequence[str]], available: int) -> list[int] | None:
+    """Share the width among the columns so that no word is broken; return None where it does not suffice."""
+    columns = list(zip(*rows))
+    longest_words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    longest_lines = [max((len(line) for cell in column for line in cell.splitlines()), default=0) for column in columns]
+    available -= _BETWEEN_COLUMNS * len(columns)
+    if sum(longest_lines) <= available:
+        return longest_lines
+    to_share = available - sum(longest_words)
+    if to_share < 0:
+        return None
+    wanted = [line - word for line, word in zip(longest_lines, longest_words)]
+    return [word + to_share * want // sum(wanted) for word, want in zip(longest_words, wanted)]
+
+
+def _print_grid(
+    output: Console,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    widths: Sequence[int],
+    *,
+    numbers: Collection[int],
+    spaced: bool,
+) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
+    for index, (name, width) in enumerate(zip(header, widths)):
+        table.add_column(name, justify="right" if index in numbers else "left", overflow="fold", width=width)
+    for row in rows:
+        table.add_row(*row)
     output.print(table)
+
+
+def _print_stacked(output: Console, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print every row as a block: its first cell, and below it one line for each other cell that is not empty."""
+    for row in rows:
+        output.print(f"\n{row[0]}", style="bold", soft_wrap=True)
+        for name, cell in zip(header[1:], row[1:]):
+            if cell:
+                label = f"{name}: " if name else ""
+                output.print(f"  {label}{cell}".replace("\n", " "))
+    output.print()
 
 
 def print_columns(rows: Sequence[tuple[str, ...]]) -> None:
