@@ -56,6 +56,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
         raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")
     names = [table.dataset for table in runs[0].record.tables]
+    # In the order of the second run; every dataset of both is compared, and all p-values are corrected together.
     shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
@@ -100,10 +101,12 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
                 f" ({rows[0].num_rows} and {rows[1].num_rows}). Run both with the same --split and --limit."
             )
         values = [np.asarray(row["value_mean"]) for row in rows]
+        # Sequences of one recording are not independent, so signs are flipped for a whole recording at once.
         recordings = [recording_key(name) for name in rows[0]["sequence_id"].to_pylist()]
         pairs[f"{dataset}\n{metric}"] = PairedValues(values[0], values[1], recordings)
     return pairs
 
 
 def _sequence_means(scores: pa.Table) -> pa.Table:
+    # Several samples of a sequence are averaged first: they are no further sequences.
     return scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
