@@ -131,6 +131,7 @@ def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_Coun
     """Count the sequences of each split, beside the study's."""
     found = Counter(splits)
     expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
+    # A split without sequences is listed where the study has some: a missing split must be seen.
     names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
     return tuple(_CountRow(name, found[name], expected.get(name)) for name in names)
 
