@@ -145,6 +145,7 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         )
         axes.axvline(prime, color=_PRIME, label=figure_text(f"prime ({(event.prime_kind or '').replace('_', ' ')})"))
     axes.axvline(0, color=_EVENT, linewidth=1.5, label=figure_text(event.action))
+    # A prime at the very beginning of the window still has its lead in the picture.
     first = -story.priming_window - story.lead - 1
     last = 5.0
     shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
@@ -154,6 +155,7 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         colour = "tab:green" if other.outcome == "sequence" else "tab:gray"
         axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
         name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
+        # Labels near the right edge are written to the left of their mark, or they would leave the picture.
         side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
         label = figure_text(f"{other.action} {name}: {other.outcome}")
         axes.annotate(label, (time, height), fontsize=7, va="center", color=colour, textcoords="offset points", **side)
@@ -171,6 +173,7 @@ def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
         joints = motion.joints[frame]
         pelvis = joints[Joint.PELVIS]
         draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
+        # Farther goals would lie under the next figure; an arrow shows where they are.
         near = abs(float((motion.goal - pelvis) @ sideways)) < 0.75 * _SPACING
         if near:
             draw_box(axes, flattened(motion.box_corners, pelvis, sideways, at), color="tab:cyan", linewidth=0.8)
@@ -180,6 +183,7 @@ def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
             arrow = {"arrowstyle": "->", "color": "tab:cyan"}
             axes.annotate("", (at + 1.4 * side, y), (at + side, y), arrowprops=arrow)
         if motion.gaze_valid[frame]:
+            # As long as the goal is far, so that a ray that meets the goal ends there.
             length = min(float(np.linalg.norm(motion.goal - motion.gaze_origin[frame])), 0.9)
             ray = motion.gaze_origin[frame] + np.array([[0.0], [length]]) * motion.gaze_direction[frame]
             axes.plot(*flattened(ray, pelvis, sideways, at).T, color=_GAZE, linewidth=0.9, linestyle="--")

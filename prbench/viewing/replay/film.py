@@ -44,9 +44,11 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
             quality=_QUALITY,
             macro_block_size=2,
             ffmpeg_log_level="error",
+            # The index in front, so that a browser can begin to play; bitexact, so that equal scenes are equal bytes.
             output_params=["-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"],
         )
         try:
+            # Starts the generator, as imageio-ffmpeg asks for.
             writer.send(None)
             for picture in _pictures(scenes, progress):
                 writer.send(picture)
@@ -75,6 +77,7 @@ def _pictures(scenes: Sequence[Scene], progress: Progress) -> Iterator[bytes]:
 
 def shown_frames(scene: Scene) -> Int[np.ndarray, " pictures"]:
     """Return the frame that each picture shows: the nearest one in time, and the last one for a second more."""
+    # A little more than the exact product, so that rounding cannot lose the last picture.
     times = np.arange(int(scene.event_time * FPS + 1e-6) + 1) / FPS
     moving = np.minimum(np.round(times * scene.fps).astype(int), scene.n_frames - 1)
     return np.concatenate([moving, np.full(round(_HOLD * FPS), scene.n_frames - 1)])

@@ -48,35 +48,6 @@ _Flatten = Callable[[np.ndarray], np.ndarray]
 _Update = Callable[[int], None]
 
 
-def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
-    """Add one panel a motion, in one column for up to two motions, two for up to six, else three."""
-    columns = 1 + (n_motions > 2) + (n_motions > 6)
-    rows = -(-n_motions // columns)
-    width = _WIDTH / columns
-    height = (_TOP - _BOTTOM) / rows
-    panels = []
-    for number in range(n_motions):
-        row, column = divmod(number, columns)
-        left = _LEFT + column * width
-        bottom = _TOP - (row + 1) * height + 0.035
-        panels.append(figure.add_axes((left, bottom, width - 0.025, height - 0.065)))
-    return panels
-
-
-def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Show at least this range with equal scales; the rest of the panel goes to both sides, or to the top."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None, "the axes stand in a figure"
-    place = axes.get_position()
-    ratio = (place.width * figure.get_figwidth()) / (place.height * figure.get_figheight())
-    width = across[1] - across[0]
-    height = up[1] - up[0]
-    more_across = max(height * ratio - width, 0.0)
-    more_up = max(width / ratio - height, 0.0)
-    axes.set_xlim(across[0] - more_across / 2, across[1] + more_across / 2)
-    axes.set_ylim(up[0], up[1] + more_up)
-
-
 class FilmStage:
     """The picture of one sequence at any frame.
 
@@ -99,6 +70,7 @@ class FilmStage:
         if scene.goal is not None:
             self._build_curves(scene.goal)
         self._canvas.draw()
+        # Everything still is drawn once and kept as pixels; a picture restores these and draws what moves on top.
         self._background = self._canvas.copy_from_bbox(self._figure.bbox)
 
     def picture(self, frame: int) -> bytes:
@@ -190,6 +162,7 @@ class FilmStage:
         self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
         if motion.label == RECORDED and scene.gaze is not None:
             segments = flat(rays(scene.gaze.origin, scene.gaze.direction, goal, _LONGEST_RAY))
+            # A line to NaN is not drawn, which hides the ray where the gaze is not valid.
             segments = np.where(scene.gaze.valid[:, None, None], segments, np.nan)
             self._add_ray(panel, segments, {"color": GAZE_COLOUR, "linewidth": 1.6})
         lines, head = draw_bodies(panel, points[:1], motion.colour)
@@ -213,6 +186,7 @@ class FilmStage:
         self._add(panel, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
 
     def _add(self, panel: Axes, artist: Artist, update: _Update) -> None:
+        # matplotlib leaves animated artists out of an ordinary drawing, so they are not part of the background.
         artist.set_animated(True)
         self._moving.append((panel, artist))
         self._updates.append(update)
@@ -220,3 +194,33 @@ class FilmStage:
     def _height(self) -> float:
         highest = max(float(motion.joints[..., 1].max()) for motion in self._scene.motions)
         return max(2.0, highest + 0.1)
+
+
+def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
+    """Add one panel a motion, in one column for up to two motions, two for up to six, else three."""
+    columns = 1 + (n_motions > 2) + (n_motions > 6)
+    rows = -(-n_motions // columns)
+    width = _WIDTH / columns
+    height = (_TOP - _BOTTOM) / rows
+    panels = []
+    for number in range(n_motions):
+        row, column = divmod(number, columns)
+        left = _LEFT + column * width
+        bottom = _TOP - (row + 1) * height + 0.035
+        panels.append(figure.add_axes((left, bottom, width - 0.025, height - 0.065)))
+    return panels
+
+
+def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
+    """Show at least this range with equal scales; the rest of the panel goes to both sides, or to the top."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None, "the axes stand in a figure"
+    place = axes.get_position()
+    # Places are shares of the figure; metres need the same scale on both axes.
+    ratio = (place.width * figure.get_figwidth()) / (place.height * figure.get_figheight())
+    width = across[1] - across[0]
+    height = up[1] - up[0]
+    more_across = max(height * ratio - width, 0.0)
+    more_up = max(width / ratio - height, 0.0)
+    axes.set_xlim(across[0] - more_across / 2, across[1] + more_across / 2)
+    axes.set_ylim(up[0], up[1] + more_up)

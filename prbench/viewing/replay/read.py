@@ -44,6 +44,7 @@ class RunMotions:
             RunError: if the run has no predictions yet, is of other datasets, or drew fewer samples.
         """
         folder = run.dataset(dataset).predictions
+        # The folder is made before its first part is written.
         if not folder.is_dir() or not any(folder.glob("part-*.parquet")):
             raise RunError(
                 f"{folder}: expected the predictions of a run, found none. Run the same `prbench run` again: it resumes"
@@ -82,6 +83,7 @@ class RunMotions:
         Raises:
             RunError: if the scores cannot be read.
         """
+        # A run that was interrupted has motions without scores; those are shown as not scored.
         found: dict[str, dict[str, float]] = {name: {} for name in sequence_ids}
         if not self.files.scores.is_file():
             return found
@@ -130,6 +132,7 @@ def read_scenes(
     """
     _require_something_to_show(table.info, runs, permitted)
     scores = [run.scores(sequence_ids) for run in runs]
+    # One row a chunk, because the order asked for need not be that of the table.
     chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
     for name in sequence_ids:
         motions = [

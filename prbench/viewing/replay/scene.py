@@ -114,6 +114,7 @@ class Scene:
     @property
     def prime_frame(self) -> int:
         """The frame nearest to the prime time."""
+        # A prime between two frames may round to the frame after the last.
         return int(np.clip(round(self.prime_time * self.fps), 0, self.n_frames - 1))
 
     @property
