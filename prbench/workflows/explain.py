@@ -78,6 +78,7 @@ def _find_event(events: pa.Table, wanted: str) -> int:
     """
     ids = events["event_id"].to_pylist()
     sequences = events["sequence_id"].to_pylist()
+    # A whole id wins over parts: one id may be the beginning of another.
     exact = [row for row, names in enumerate(zip(ids, sequences, strict=True)) if wanted in names]
     if exact:
         return exact[0]
@@ -105,6 +106,7 @@ def _readable(events: pa.Table, row: int) -> str:
 
 def _record(events: pa.Table, row: int) -> EventRecord:
     values = events.slice(row, 1).to_pylist()[0]
+    # Arrow gives lists where the record holds arrays.
     vectors = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
     return EventRecord(**(values | vectors))
 
@@ -114,6 +116,7 @@ def _neighbours(events: pa.Table, row: int) -> tuple[EventRecord, ...]:
     times = events["event_time"].to_numpy()
     recordings, objects = (np.array(events[name].to_pylist()) for name in ("recording_id", "object_id"))
     here = np.flatnonzero(recordings == recordings[row])
+    # The rows of a recording need not stand in the order of time.
     here = here[np.argsort(times[here], kind="stable")]
     same = objects == objects[row]
     place = int(np.flatnonzero(here == row)[0])
@@ -141,6 +144,7 @@ def _stages(
     *,
     shown: bool,
 ) -> tuple[StoryStage, ...]:
+    # Occlusion and the dataset's own priming are asked for by options and count as the stage of priming.
     decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     texts = {
         "in_hand": _in_hand(event, options),
@@ -180,6 +184,7 @@ def _location(event: EventRecord, *, shown: bool) -> str:
     place = "rested" if event.action == "pick" else "will rest"
     sides = " × ".join(f"{side * 100:.0f}" for side in event.box_max - event.box_min)
     where = f"{place} at ({', '.join(f'{axis:.2f}' for axis in event.location)}) m, box {sides} cm (x, y, z)"
+    # Locations of goals are derived data that some licences keep private, also in words.
     if not shown:
         where = f"{place} (where is left out: the licence keeps goals)"
     if event.outcome == "tracking_lost":

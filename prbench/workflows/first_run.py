@@ -37,6 +37,7 @@ _COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.N
 
 def default_table_folder() -> Path:
     """Folder of the embedded dataset; another version of prbench, generator, protocol or schema gets another one."""
+    # Everything that the table's bytes depend on, so that no version reads the table of another.
     key = text_digest(
         prbench.__version__,
         str(GENERATOR_VERSION),
@@ -78,12 +79,14 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
 
     None for one of these.
     """
+    # A run of a companion, of shuffled goals or of chosen sequences is not a first look at a method.
     if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:
         return
     there = {SCRIPTED, GROUND_TRUTH, *(adapter.name for adapter in list_adapters() if adapter.built_in)}
     for method, condition in _COMPANIONS:
         if method not in there:
             continue
+        # The companions see the same sequences, but nothing that belongs to the user's own method.
         yield replace(
             request,
             method=method,

@@ -9,7 +9,6 @@ from prbench.errors import RunError, TableError, UsageError
 from prbench.runs import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.viewing.replay.read import RunMotions
 from prbench.workflows.first_run import default_table_folder
 
 _SHOWN = 12  # characters of a digest
@@ -74,6 +73,7 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable 
 def _embedded() -> Iterator[Path]:
     """Folders of the embedded default table, and of other ones that an earlier version left beside it."""
     default = default_table_folder()
+    # The table of the present version first: nearly every run was made on it.
     for folder in dict.fromkeys([default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]):
         if (folder / "dataset.json").is_file():
             yield folder
@@ -90,6 +90,7 @@ def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
 
 
 def _is_table_of(record: TableRecord, table: SequenceTable) -> bool:
+    # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
     return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)
 
 
@@ -103,31 +104,3 @@ def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
         f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
         " which is not among the embedded ones. Name its folder with --data DIR."
     )
-
-
-def require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequence[str]) -> None:
-    """Refuse sequences that a run has no motion of, and say why it has none.
-
-    Raises:
-        UsageError: naming the first one.
-    """
-    for name in sequence_ids:
-        if name not in run:
-            raise UsageError(f"{run.run.path}: holds no motion of {name}: {_why_left_out(run, table, name)}")
-
-
-def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
-    record = run.run.record
-    rows = table.scalars()
-    row = rows["sequence_id"].to_pylist().index(name)
-    split = rows["split"][row].as_py()
-    n_frames = rows["n_frames"][row].as_py()
-    if split != record.split:
-        return f"it is in split '{split}', the run is of '{record.split}'."
-    if record.method.max_frames is not None and n_frames > record.method.max_frames:
-        return f"it has {n_frames} frames, {record.method.name} generates at most {record.method.max_frames}."
-    if record.limit is not None:
-        return f"the run was limited to {record.limit} sequences (--limit). Run it alone: prbench run … --sequence ID"
-    if record.sequences:
-        return "the run was of other sequences (--sequence)."
-    return "the run was interrupted before it. Run the same `prbench run` again: it resumes."

@@ -1,7 +1,6 @@
 """EgoAllo as a step: which recordings lack a body, and how to make one (docs/specification/egoallo.md#time)."""
 
-from prbench.workflows.poses.config import PosesConfig, read_config
-from prbench.workflows.poses.instructions import instructions
+from prbench.workflows.poses.config import PosesConfig, instructions, read_config
 from prbench.workflows.poses.make import Outcome, make_poses
 from prbench.workflows.poses.states import PoseState, pose_states
 

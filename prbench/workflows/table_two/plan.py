@@ -85,6 +85,8 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
     weights = load_table_two().weights[row.weights]
     if row.method not in {adapter.name for adapter in list_adapters() if not adapter.problem}:
         return f"no method '{row.method}' is installed"
+    # The user's own weights are not opened here: what is wrong with them is a failure of the row, with its own
+    # message.
     if own or weights.state == "none":
         return None
     if not row.bundled:

@@ -112,6 +112,7 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
 
     def write(self, path: Path) -> None:
         """Write it as JSON."""
+        # One file, one writer: two evaluations into the same path would leave the rows of either.
         with sole_writer(path):
             write_json(path, msgspec.to_builtins(self))
 
