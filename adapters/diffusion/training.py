@@ -108,13 +108,14 @@ def _average(
 
 @dataclass(frozen=True)
 class Draw:
-    """Random numbers of one training step."""
+    """Random numbers of one training step of one network."""
 
     step: Int[torch.Tensor, " batch"]
     """Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise."""
     without_text: Bool[torch.Tensor, " batch"]
     """True where the text is hidden, so that guidance has an unconditional model; the condition vector never is."""
-    noise: Float[torch.Tensor, "batch frames 263"]
+    noise: Float[torch.Tensor, "batch frames columns"]
+    """Standard normal, as many columns as the network sees."""
 
 
 class DiffusionTraining(TrainingModule):

@@ -21,7 +21,6 @@ from prbench.representation.features import N_FEATURES
 from prbench.storage import file_digest
 from prbench.text.pretrained import CLIP
 from prbench.training.weights import representation_entry, weights_header, write_weights
-from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.features import N_ROOT
 from prbench_adapters.gmd.model import KIND
 from prbench_adapters.gmd.public_files import (
@@ -32,7 +31,7 @@ from prbench_adapters.gmd.public_files import (
     read_checkpoint,
     read_space,
 )
-from prbench_adapters.gmd.unet import TemporalUNet
+from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
 
 _RENAMED = (
     (r"^time_embedding", "embed_timestep.time_embed"),
@@ -66,11 +65,60 @@ _LICENCE = (
 )
 
 
-def original_name(name: str) -> str:
-    """The original's name of a parameter of :class:`prbench_adapters.gmd.unet.TemporalUNet`."""
-    for pattern, replacement in _RENAMED:
-        name = re.sub(pattern, replacement, name)
-    return name
+@dataclass(frozen=True)
+class PublicFiles:
+    """Files that a user has downloaded."""
+
+    motion: Path
+    trajectory: Path
+    mean: Path
+    std: Path
+    projection: Path
+
+    def by_role(self) -> dict[str, Path]:
+        """The files by the names of the fields."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Report of what was written."""
+
+    configuration: GMDConfiguration
+    copies: dict[str, str]
+    """Name of the copy that was taken, by network."""
+    parameters: int
+    not_released: tuple[Path, ...]
+    """Statistics and projection that are not those of the public repository."""
+
+
+def import_public(files: PublicFiles, out: Path) -> Imported:
+    """Write weights of ``prbench run --method gmd`` and their card.
+
+    Args:
+        files: Of the original.
+        out: ``<name>.safetensors``; the card is written beside it. The same files give the same bytes.
+
+    Raises:
+        InputFileError: if a file is not what it should be; then nothing is written.
+        StorageError: if the weights cannot be written.
+        UsageError: if ``out`` has another suffix, or PyTorch is too old to open the files safely.
+    """
+    if out.suffix != _SUFFIX:
+        raise UsageError(f"--out {out}: expected a name that ends with {_SUFFIX}.")
+    space = read_space(files.mean, files.std, files.projection)
+    motion = read_checkpoint(files.motion)
+    trajectory = read_checkpoint(files.trajectory)
+    configuration = _configuration_of(motion, trajectory, emphasis_of(space))
+    networks = _networks_of(motion, trajectory, configuration)
+    tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
+    tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
+    metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
+    copies = {"motion": motion.copy, "trajectory": trajectory.copy}
+    write_weights(out, tensors, metadata, _card(files, configuration, copies, networks))
+    others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
+    parameters = sum(tensor.numel() for tensor in networks.values())
+    return Imported(configuration, copies, parameters, others)
 
 
 def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
@@ -153,60 +201,11 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
     return found
 
 
-@dataclass(frozen=True)
-class PublicFiles:
-    """Files that a user has downloaded."""
-
-    motion: Path
-    trajectory: Path
-    mean: Path
-    std: Path
-    projection: Path
-
-    def by_role(self) -> dict[str, Path]:
-        """The files by the names of the fields."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-
-@dataclass(frozen=True)
-class Imported:
-    """Report of what was written."""
-
-    configuration: GMDConfiguration
-    copies: dict[str, str]
-    """Name of the copy that was taken, by network."""
-    parameters: int
-    not_released: tuple[Path, ...]
-    """Statistics and projection that are not those of the public repository."""
-
-
-def import_public(files: PublicFiles, out: Path) -> Imported:
-    """Write weights of ``prbench run --method gmd`` and their card.
-
-    Args:
-        files: Of the original.
-        out: ``<name>.safetensors``; the card is written beside it. The same files give the same bytes.
-
-    Raises:
-        InputFileError: if a file is not what it should be; then nothing is written.
-        StorageError: if the weights cannot be written.
-        UsageError: if ``out`` has another suffix, or PyTorch is too old to open the files safely.
-    """
-    if out.suffix != _SUFFIX:
-        raise UsageError(f"--out {out}: expected a name that ends with {_SUFFIX}.")
-    space = read_space(files.mean, files.std, files.projection)
-    motion = read_checkpoint(files.motion)
-    trajectory = read_checkpoint(files.trajectory)
-    configuration = _configuration_of(motion, trajectory, emphasis_of(space))
-    networks = _networks_of(motion, trajectory, configuration)
-    tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
-    tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
-    metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
-    copies = {"motion": motion.copy, "trajectory": trajectory.copy}
-    write_weights(out, tensors, metadata, _card(files, configuration, copies, networks))
-    others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
-    parameters = sum(tensor.numel() for tensor in networks.values())
-    return Imported(configuration, copies, parameters, others)
+def original_name(name: str) -> str:
+    """The original's name of a parameter of :class:`prbench_adapters.gmd.unet.TemporalUNet`."""
+    for pattern, replacement in _RENAMED:
+        name = re.sub(pattern, replacement, name)
+    return name
 
 
 def _card(
