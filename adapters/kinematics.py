@@ -97,6 +97,7 @@ def root_orientation(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
     hips = unit(joints[..., Joint.LEFT_HIP, :] - joints[..., Joint.RIGHT_HIP, :])
     shoulders = unit(joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :])
     sine = torch.linalg.cross(hips, up).square().sum(-1, keepdim=True)
+    # A cross product of parallel vectors has no direction, only rounding.
     left = torch.where(sine > _NO_HEADING**2, hips, shoulders)
     front = unit(torch.linalg.cross(left, up))
     return torch.stack((left, torch.linalg.cross(front, left), front), -1)
@@ -199,6 +200,7 @@ class _Tree:
         rest = torch.zeros(N_JOINTS, 3)
         for direction, joints in _REST.items():
             rest[list(joints)] = torch.tensor(direction)
+        # Any axis at a right angle to the bone will do, as long as it is always the same one.
         axis = torch.where(rest[:, 2:].abs() > 0, torch.tensor(_Y), torch.tensor(_Z))
         self.rest = rest.to(device, dtype)
         self.half_turns = torch.linalg.cross(axis, rest).to(device, dtype)

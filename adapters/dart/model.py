@@ -113,6 +113,7 @@ class DartModel:
 
 def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
     """The mean of each text's token vectors; zeros for an empty text, which is how the networks are told of none."""
+    # Text encoders give vectors for an empty text, too, and the networks know none by zeros.
     said = torch.tensor([bool(text.strip()) for text in texts])
     return pooled(*vectors(texts))[:, 0] * said[:, None]
 

@@ -55,6 +55,7 @@ class DartTask:
                 f"frames per second of the tables: the model expects {configuration.fps:g}, found {data.fps:g}."
                 " Change one of the two."
             )
+        # A wrong size of text vectors shows before any statistics are computed.
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         if objective.vae_share == 0 and start is None:

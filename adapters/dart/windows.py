@@ -53,6 +53,7 @@ def window(
         primitives: How many; those that reach over the end repeat the last frame and are marked.
         configuration: Frames of a primitive.
     """
+    # The frame before the first is recorded, too, and gives the first primitive its history.
     motions = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
     last = batch.n_frames[rows]  # its index in these
     length = HISTORY_FRAMES + primitives * configuration.future_frames + 1
@@ -78,6 +79,7 @@ def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> 
     Raises:
         UsageError: if no motion is long enough for a primitive.
     """
+    # Sums of squares of a whole corpus lose their last digits in float32.
     total = torch.zeros(N_FEATURES).double()
     squares = torch.zeros(N_FEATURES).double()
     count = 0

@@ -53,6 +53,7 @@ def whole_number(options: Mapping[str, str], key: str, *, most: int) -> int | No
     text = options.get(key)
     if text is None:
         return None
+    # int() alone would also take ` 5`, `1_000` and digits of other scripts.
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= most):
         raise ValueError(f"option '{key}': expected a whole number from 1 to {most}, found '{text}'.")
     return int(text)

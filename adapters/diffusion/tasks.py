@@ -105,10 +105,12 @@ def _continue_from(denoiser: Denoiser, start: Weights) -> None:
         InputFileError: if the weights are of another architecture, or were trained for another goal.
     """
     old = start.configuration(DenoiserConfiguration)
+    # Pre-training without a goal leaves the kind of goal open; afterwards the condition's layers are sized for it.
     fixed_by_goal = frozenset() if old.goal == "none" else {"goal", "injection"}
     start.require_same(denoiser.configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
     trained = Denoiser(old)
     start.load_into(trained, "denoiser")
+    # Layers of a new condition are missing in the file and keep their start at zero.
     denoiser.load_state_dict(trained.state_dict(), strict=False)
 
 

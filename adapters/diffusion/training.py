@@ -100,6 +100,7 @@ def _squared(
 def _average(
     objective: Objective, summed: Float[torch.Tensor, " batch"], valid: Bool[torch.Tensor, "batch frames"]
 ) -> Float[torch.Tensor, ""]:
+    # Divided by 263 for joints as well, which keeps the study's ratio of the two losses.
     frames = valid.sum(dim=1)
     if objective.loss_average == "sequences":
         return (summed / (N_FEATURES * frames)).mean()
@@ -185,6 +186,7 @@ class DiffusionTraining(TrainingModule):
         t = torch.randint(len(self.signal), (n,), generator=generator)
         without_text = torch.rand(n, generator=generator) < self.objective.text_drop
         noise = torch.randn(batch.features.shape, generator=generator)
+        # Drawn last, so that the numbers above are the same with and without it.
         if self.objective.noisiest_share:
             noisiest = len(self.signal) - 1 - torch.randint(-(-len(self.signal) // 6), (n,), generator=generator)
             t = torch.where(torch.rand(n, generator=generator) < self.objective.noisiest_share, noisiest, t)

@@ -115,6 +115,7 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
     copies = {"motion": motion.copy, "trajectory": trajectory.copy}
+    # After everything was checked: a wrong file leaves no weights behind.
     write_weights(out, tensors, metadata, _card(files, configuration, copies, networks))
     others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
     parameters = sum(tensor.numel() for tensor in networks.values())
@@ -157,6 +158,7 @@ def widths_of(checkpoint: Checkpoint) -> tuple[int, ...]:
         InputFileError: if the first level is missing, as it is in other networks.
     """
     widths: list[int] = []
+    # The first level is required, so that a file of something else fails with its name.
     while not widths or _of_level(len(widths)) in checkpoint.tensors:
         widths.append(len(checkpoint.require(_of_level(len(widths)), (None,))))
     return tuple(widths)
@@ -195,6 +197,7 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
     """
     wanted = {original_name(name): (name, tuple(tensor.shape)) for name, tensor in unet.state_dict().items()}
     found = {name: checkpoint.require(original, shape) for original, (name, shape) in wanted.items()}
+    # A tensor too many means another architecture, even where all of ours are there.
     unknown = sorted(set(checkpoint.tensors) - set(wanted))
     if unknown:
         raise checkpoint.misfit(unknown[0], "only parameters of the network", "one more")

@@ -76,10 +76,12 @@ class GMDTraining(TrainingModule):
         with torch.autocast(batch.features.device.type, enabled=False):
             space = self.space(batch.features.device)
             raw = with_absolute_root(batch.features)
+            # Before the projection, which mixes columns and would spread what stands in padding.
             standardised = space.standardised(raw).masked_fill(batch.padding[..., None], 0.0)
             projected = space.projected(standardised)
         text = caption_vectors(self.texts, batch.text).to(batch.features.device, non_blocking=True)
         generator = self.generator(step)
+        # Two draws: the networks learn from different steps and noise, as if they were trained apart.
         motion = self.draw(projected, generator)
         trajectory = self.draw(standardised[..., :N_ROOT], generator)
         clean = self._predicted(self.networks.motion, projected, motion, text, batch)

@@ -130,6 +130,7 @@ class TemporalUNet(nn.Module):
         frames = noisy.shape[1]
         valid = torch.arange(frames, device=noisy.device) < n_frames.to(noisy.device)[:, None]
         stream = noisy.masked_fill(~valid[..., None], 0.0).transpose(1, 2)
+        # To a fixed length: group normalisation takes its statistics over padding, too.
         stream = nn.functional.pad(stream, (0, window - frames))
         condition = self.condition(self.time_embedding(self.sinusoid[step]) + self.text_embedding(text))
         return self._through(stream, condition)[..., :frames].transpose(1, 2)
@@ -139,6 +140,7 @@ class TemporalUNet(nn.Module):
     ) -> Float[Tensor, "batch channels window"]:
         skips = []
         for level in self.down:
+            # The stream before the resolution changes is what the way up is given again.
             skip, stream = level(stream, condition)
             skips.append(skip)
         for block in self.middle:

@@ -45,6 +45,7 @@ class Ablation:
     @property
     def pretrained_model(self) -> dict[str, Any]:
         """Keys of ``[model]`` that pre-training shares, because fine-tuning cannot change them."""
+        # Rows that differ only in fine-tuning share one pre-training, which is most of the time.
         shared = {key: value for key, value in self.model.items() if key not in _ONLY_IN_FINE_TUNING}
         return shared | ({"uniform_skeleton": True} if self.pretraining == "humanml3d" else {})
 
@@ -127,6 +128,7 @@ def _toml(value: Any) -> str:
 
 
 def _line(words: Sequence[str]) -> str:
+    # The shell has to expand this one, so it stands without quotes.
     return " ".join(word if word == "tables/*" else shlex.quote(word) for word in words)
 
 

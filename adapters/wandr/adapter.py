@@ -95,6 +95,7 @@ class WANDR:
         start, noise = self._start(_mirrored_where(left, batch))
         joints = WORLD.to_y_up(roll_out(self.network, start, noise)).float().cpu().numpy()
         joints[left] = mirror(joints[left])
+        # Fitting rotations and mirroring round; the first frame is given, to the bit.
         joints[:, 0] = batch.initial_joints
         return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
 
@@ -141,6 +142,7 @@ class WANDR:
         for row, (seed, n) in enumerate(zip(batch.noise_seed, batch.n_frames, strict=True)):
             generator = sequence_generator(seed)
             first[row] = generator.standard_normal(first.shape[1])
+            # As many as the row needs: the noise of one sequence must not depend on the longest of its batch.
             latents[row, : n - 1] = generator.standard_normal((n - 1, size))
         return self._tensor(first), self.generation.deviation * self._tensor(latents)
 

@@ -104,7 +104,7 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
     joints = arrays.joints
     key = candidate.entry.key
     try:
-        # Of the first pose alone (the function reads no other); a frame before the sequence decides nothing.
+        # A frame before the sequence is no part of it: place and heading are those of the first pose after it.
         world_from_canonical = canonical_frame(joints[first_frame:])
     except ValueError:
         found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")

@@ -47,6 +47,7 @@ def optimise_noise(
         lengths = n_frames[torch.as_tensor(rows)]
         index = torch.as_tensor(rows, device=noise.device)
         wanted = targets.rows(index)
+        # A chain for each part, because the condition is prepared for its rows once and for all iterations.
         decoder: NoiseDecoder = UnrolledChain(model, condition.rows(index), lengths, settings)
         if settings.bones == "initial":
             decoder = OnOwnBones(decoder, bone_lengths(wanted.initial_joints))

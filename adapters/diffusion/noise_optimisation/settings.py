@@ -124,6 +124,7 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
     chain starts at the noisiest step: started later, it takes the noise for a motion and hardly asks the condition.
     """
     steps = min(_FAST_STEPS, diffusion_steps)
+    # One chain is kept for decoding the result.
     iterations = _FAST_PASSES // steps - 1
     return OptimisationSettings(
         ddim_steps=steps,
@@ -159,6 +160,7 @@ def optimisation_settings(
         ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps) or preset.ddim_steps,
         spacing=cast(Spacing, _one_of(options, "spacing", preset.spacing, get_args(Spacing))),
         iterations=iterations,
+        # The warm-up keeps its share of the whole, or a short run would be nothing else.
         warmup=round(preset.warmup * iterations / preset.iterations),
         learning_rate=number(options, "learning-rate", preset.learning_rate),
         jerk_weight=number(options, "alpha", preset.jerk_weight),
