@@ -36,7 +36,7 @@ class LeaderboardRow:
 
     @property
     def origin(self) -> str:
-        """Whose method it is, in words; a record that claims for prbench what prbench does not have is not believed."""
+        """Origin of the method, in words; a record that claims a method for prbench without right is not believed."""
         method = self.record.method
         # run.json is a user's file: a method may claim to be built in without being so.
         ours = {run_record.BUILT_IN: BUILT_IN_METHODS, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)

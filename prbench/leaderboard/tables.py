@@ -62,7 +62,7 @@ class MacroRow:
 
     method: str
     origin: str
-    """Whose method it is, in words."""
+    """Origin of the method, in words."""
     mark: str
     """See :attr:`LeaderboardRow.mark`; of the first dataset that has one."""
     is_control: bool

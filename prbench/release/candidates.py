@@ -28,7 +28,7 @@ class Candidate:
     goal: Goal
     subset: str
     primed: float
-    """As written: a frame from 0 or 1, or seconds."""
+    """The value as the release writes it: a frame counted from 0 or from 1, or seconds."""
 
 
 @dataclass

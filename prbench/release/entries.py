@@ -32,7 +32,7 @@ class Entry:
     """One sequence as the file describes it."""
 
     key: str
-    """As written."""
+    """The key as the file writes it."""
     index: int | None
     """Its number; None for a key without one."""
     fields: Mapping[str, Any]

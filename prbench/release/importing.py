@@ -14,7 +14,7 @@ from typing import Any
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.locks import sole_writer
-from prbench.manifests import load_manifest, load_protocol
+from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
@@ -108,19 +108,7 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
     interpreted = interpret(dataset, folder, options)
     progress(dataset, f"measuring {len(interpreted.found.candidates)} sequences")
     measured = _measure(interpreted, options)
-    conclusions = _conclude(interpreted, measured, options)
-    reading = Reading(
-        dataset=dataset,
-        head_tilt_deg=manifest.body.head_tilt_deg,
-        texts=load_protocol().text,
-        mapping=interpreted.mapping,
-        unmapped=interpreted.unmapped,
-        fps=interpreted.fps,
-        primed=interpreted.primed,
-        conclusions=conclusions,
-        first_frame_is_previous=options.first_frame_is_previous,
-    )
-    reading = _as_exported(reading, measured)
+    reading = _reading(manifest, dataset, interpreted, measured, options)
     inferences = (*interpreted.inferences, *reading.conclusions.inferences)
     progress(dataset, f"writing {len(measured)} sequences")
     rows = ImportedRows(reading, measured, interpreted.found)
@@ -179,6 +167,24 @@ def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]
         )
     require_some(found, interpreted.files)
     return measured
+
+
+def _reading(
+    manifest: Manifest, dataset: str, interpreted: Interpreted, measured: list[Measured], options: ImportOptions
+) -> Reading:
+    """Put together everything that rows depend on: from the JSON, the measurements and our own blocks."""
+    reading = Reading(
+        dataset=dataset,
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        texts=load_protocol().text,
+        mapping=interpreted.mapping,
+        unmapped=interpreted.unmapped,
+        fps=interpreted.fps,
+        primed=interpreted.primed,
+        conclusions=_conclude(interpreted, measured, options),
+        first_frame_is_previous=options.first_frame_is_previous,
+    )
+    return _as_exported(reading, measured)
 
 
 def _conclude(interpreted: Interpreted, measured: list[Measured], options: ImportOptions) -> Conclusions:

@@ -216,18 +216,7 @@ def describe(
         manifest_digest=digest_of(manifest),
         input_digest=_input_digest(interpreted, rows),
         options=_options(interpreted, inferences),
-        counts=FunnelCounts(
-            recordings_found=len(rows.records),
-            recordings_read=len(rows.records) - len(failed),
-            recordings_failed=len(failed),
-            recordings_skipped=0,
-            events=n,
-            located=n,
-            primed=n,
-            long_enough=n,
-            moved_enough=n,
-            sequences=n,
-        ),
+        counts=_counts(rows, len(failed)),
         outcomes={outcome: n if outcome == "sequence" else 0 for outcome in OUTCOMES},
         quarantine=tuple(
             QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
@@ -240,6 +229,23 @@ def describe(
         redistribution=terms.redistribution,
         homepage=terms.homepage,
         citation=terms.citation,
+    )
+
+
+def _counts(rows: ImportedRows, failed: int) -> FunnelCounts:
+    # A release holds sequences alone, so every event has passed all stages.
+    n = len(rows.measured)
+    return FunnelCounts(
+        recordings_found=len(rows.records),
+        recordings_read=len(rows.records) - failed,
+        recordings_failed=failed,
+        recordings_skipped=0,
+        events=n,
+        located=n,
+        primed=n,
+        long_enough=n,
+        moved_enough=n,
+        sequences=n,
     )
 
 
