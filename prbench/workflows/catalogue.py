@@ -62,13 +62,11 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
     for dataset in names:
         here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
         broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
+        places = [*here, *(corpus for corpus in corpora if corpus.corpus == dataset)]
         entries.append(
             CatalogueEntry(
                 manifest=load_manifest(dataset),
-                found="; ".join(
-                    f"{len(each.recordings)} recordings in {each.root}"
-                    for each in (*here, *(corpus for corpus in corpora if corpus.corpus == dataset))
-                ),
+                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
                 missing=(*(each.message for each in broken), *_missing(here, load_manifest(dataset))),
                 reader_options=_reader_options(dataset),
             )

@@ -1,9 +1,8 @@
-"""``prbench explain``: find one event in a built dataset and tell its story."""
+"""``prbench explain``: find one event in a built dataset and say what each stage of curation made of it."""
 
 from __future__ import annotations
 
 import difflib
-import itertools
 from collections.abc import Collection
 from pathlib import Path
 
@@ -17,8 +16,8 @@ from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.shown import clean
-from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.event_story import EventStory, StoryMotion, StoryStage, Verdict
+from prbench.viewing.replay.read import gaze_of, goal_of
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
 """The stages in the order in which curation asks."""
@@ -241,21 +240,14 @@ def _filters(event: EventRecord, options: dict[str, str]) -> str:
 
 
 def _motion(chunk: SequenceChunk) -> StoryMotion:
-    world_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
-    low = chunk.vectors("goal_box_world_min")[0]
-    high = chunk.vectors("goal_box_world_max")[0]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
     fps = float(chunk.numbers("fps")[0])
     start = float(chunk.numbers("start_time")[0])
     return StoryMotion(
         times=start + np.arange(int(chunk.n_frames[0])) / fps,
         joints=chunk.joints.astype(np.float64),
         head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
-        goal=chunk.vectors("goal_location")[0],
-        box_corners=transform_points(invert_rigid(world_from_canonical), corners),
-        gaze_origin=chunk.frames("gaze_origin").astype(np.float64),
-        gaze_direction=chunk.frames("gaze_direction").astype(np.float64),
-        gaze_valid=np.asarray(chunk.frames("gaze_valid"), dtype=bool),
+        goal=goal_of(chunk),
+        gaze=gaze_of(chunk),
     )
 
 

@@ -1,4 +1,4 @@
-"""The embedded default, used when no data is given: a small synthetic dataset, and the company a method gets there."""
+"""The embedded default, used when no data is given: a small synthetic dataset, and the methods compared with on it."""
 
 from __future__ import annotations
 
@@ -75,9 +75,7 @@ def _build_once(folder: Path, engine: Engine, progress: Progress, tell: Callable
 def companions(request: RunRequest) -> Iterator[RunRequest]:
     """Yield runs of the same sequences for controls and recorded motion, as far as their methods are installed.
 
-    The controls are text alone, constant timing and a mean pose.
-
-    None for one of these.
+    The controls are text alone, constant timing and a mean pose. A run of one of them has no companions.
     """
     # A run of a companion, of shuffled goals or of chosen sequences is not a first look at a method.
     if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:

@@ -208,7 +208,7 @@ def _guesses() -> list[Remark]:
 
 
 def shares_of(agreement: Agreement, validation: Validation) -> tuple[str, str]:
-    """Published shares of one action: tested, and primed of the tested; empty for both together and invented videos."""
+    """Published shares of one action: tested, and primed of the tested; empty for both together and synthetic ones."""
     known = {"pick": published_counts().pick, "put": published_counts().put}.get(agreement.action)
     return ("", "") if known is None or validation.synthetic else (f"{known.tested:.1%}", f"{known.primed:.1%}")
 

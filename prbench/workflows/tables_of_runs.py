@@ -26,18 +26,15 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
         RunError: if a named table is another one than a run's; names both digests.
         UsageError: if the runs have no dataset in common.
     """
-    common = [
-        record
-        for record in runs[0].record.tables
-        if all(record.dataset in {table.dataset for table in run.record.tables} for run in runs)
-    ]
+    shared = set.intersection(*(_datasets(run) for run in runs))
+    common = [record for record in runs[0].record.tables if record.dataset in shared]
     if not common:
         raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
     named = [SequenceTable.open(folder).with_sequences() for folder in data]
     if not named:
         tables = [_from_cache(runs[0], record) for record in common]
     else:
-        tables = [table for table in named if table.info.dataset in {record.dataset for record in common}]
+        tables = [table for table in named if table.info.dataset in shared]
         if not tables:
             raise RunError(
                 f"{runs[0].path}: the run is of {', '.join(record.dataset for record in common)}; --data names"
@@ -47,6 +44,10 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
         for table in tables:
             _require_table_of(run, table)
     return tables
+
+
+def _datasets(run: RunFolder) -> set[str]:
+    return {table.dataset for table in run.record.tables}
 
 
 def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable | None]:

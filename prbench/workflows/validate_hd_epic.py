@@ -110,7 +110,7 @@ class Validation:
 
     recordings: int
     synthetic: bool
-    """Invented videos: nothing published is shown beside their numbers."""
+    """True for synthetic videos: nothing published is shown beside their numbers."""
     failed: tuple[str, ...]
     """Messages of the recordings that could not be read."""
     agreements: tuple[Agreement, ...]

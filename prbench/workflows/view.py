@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,20 +158,25 @@ def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
     """Ids of each table: those asked for, else a few that every run holds."""
     known = [part.table.scalars()["sequence_id"].to_pylist() for part in shown]
     if not request.sequences:
-        held = [
-            [name for name in ids if all(name in run for run in part.runs)]
-            for ids, part in zip(known, shown, strict=True)
-        ]
+        held = [_held_by_all(part.runs, ids) for part, ids in zip(shown, known, strict=True)]
         if not any(held):
             raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
         return [smallest_by_hash(ids, request.limit or DEFAULT_LIMIT) for ids in held]
-    everything = [name for ids in known for name in ids]
+    # A part of an id has to fit one sequence of all tables together, so it is looked for among all of them.
+    everything = list(itertools.chain.from_iterable(known))
     among = ", ".join(part.table.info.dataset for part in shown)
     wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
+    chosen = []
     for part, ids in zip(shown, known, strict=True):
+        own = [name for name in wanted if name in ids]
         for run in part.runs:
-            _require_in_run(run, part.table, [name for name in wanted if name in ids])
-    return [[name for name in wanted if name in ids] for ids in known]
+            _require_in_run(run, part.table, own)
+        chosen.append(own)
+    return chosen
+
+
+def _held_by_all(runs: Sequence[RunMotions], ids: Sequence[str]) -> list[str]:
+    return [name for name in ids if all(name in run for run in runs)]
 
 
 def _require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequence[str]) -> None:

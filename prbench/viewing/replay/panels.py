@@ -202,7 +202,7 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
         "angle of head to goal (degrees)",
         f"nearer wrist to goal (m); reached below {scene.thresholds.reach_distance * 100:.0f} cm",
     )
-    # One wild method must not flatten the curves of the others.
+    # One method with large errors must not flatten the curves of the others.
     limits = (min(highest[ray] * 1.08, _HIGHEST), min(highest[angle] * 1.08, 180.0), highest[wrist] * 1.08)
     for panel, title, limit in zip(panels, titles, limits, strict=True):
         panel.set_ylim(0.0, max(limit, 0.3))

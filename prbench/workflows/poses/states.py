@@ -103,7 +103,7 @@ def pose_states(root: Path, selection: Selection = EVERYTHING) -> Iterator[PoseS
 
 def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
     """The recordings that are meant, with their outputs among their files (see :func:`pose_states`)."""
-    datasets = _datasets_of_aria_glasses()
+    datasets = tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
     dataset = selection.dataset or _dataset_at(root, datasets)
     if dataset not in datasets:
         raise UsageError(
@@ -117,11 +117,6 @@ def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
     if not chosen:
         raise UsageError(f"no recording matches '{selection.recordings}'; there are {len(found)} others.")
     return tuple(chosen[: selection.limit])
-
-
-def _datasets_of_aria_glasses() -> tuple[str, ...]:
-    """Datasets from which EgoAllo can estimate bodies."""
-    return tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
 
 
 def _dataset_at(root: Path, datasets: tuple[str, ...]) -> str:

@@ -143,7 +143,7 @@ def with_limit(
     started = time.monotonic()
     runnable = [row for row in planned if row.skipped is None]
     median = near_median(select(tables[0], split=request.split, limit=None))
-    # Timing must not eat the time that it is meant to divide.
+    # Timing has to leave most of the time to the rows.
     share = TIMING_SHARE * 60 * request.minutes
     measured = measure(runnable, plan.costs, median, engine, folder=folder, counting=counting, seconds=share)
     costs = [cost for row in runnable if (cost := _cost(row, measured)) is not None]

@@ -24,7 +24,7 @@ from prbench.workflows.text_to_motion.clips import Clip, Draw, longest
 
 @dataclass(frozen=True, kw_only=True)
 class MethodRequest:
-    """Whose motions are evaluated."""
+    """The method whose motions are evaluated, and its settings."""
 
     name: str
     weights: Path | None = None
