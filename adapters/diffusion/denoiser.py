@@ -26,7 +26,7 @@ class _Addition(nn.Module):
     def __init__(self, configuration: DenoiserConfiguration) -> None:
         super().__init__()
         self.projection = nn.Linear(configuration.condition_size, configuration.width)
-        # Zero at the start: before the first step of fine-tuning the pre-trained model speaks unchanged.
+        # Zero at the start: before the first step of fine-tuning the output is that of the pre-trained model.
         nn.init.zeros_(self.projection.weight)
         nn.init.zeros_(self.projection.bias)
 

@@ -189,8 +189,7 @@ class _ResidualBlock(nn.Module):
         super().__init__()
         self.first = _ConvBlock(channels, width)
         self.condition = nn.Linear(condition_width, 2 * width)
-        nn.init.zeros_(self.condition.weight)
-        nn.init.zeros_(self.condition.bias)
+        _set_to_zero(self.condition)
         self.second = _ConvBlock(width, width, starts_at_zero=True)
         self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
 
@@ -210,8 +209,7 @@ class _ConvBlock(nn.Module):
         self.convolution = nn.Conv1d(channels, width, _KERNEL, padding=_KERNEL // 2)
         self.norm = nn.GroupNorm(GROUPS, width)
         if starts_at_zero:
-            nn.init.zeros_(self.convolution.weight)
-            nn.init.zeros_(_bias(self.convolution))
+            _set_to_zero(self.convolution)
 
     def forward(
         self,
@@ -226,6 +224,6 @@ class _ConvBlock(nn.Module):
         return nn.functional.mish(stream)
 
 
-def _bias(convolution: nn.Conv1d) -> torch.Tensor:
-    assert convolution.bias is not None
-    return convolution.bias
+def _set_to_zero(layer: nn.Module) -> None:
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
