@@ -18,8 +18,8 @@ from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.write import file_kind, write_view
+from prbench.workflows.first_run import tables_of_runs
 from prbench.workflows.surroundings import Surroundings
-from prbench.workflows.tables_of_runs import tables_of_runs
 
 DEFAULT_LIMIT = 4
 
