@@ -137,7 +137,7 @@ class MotionModel:
             denoiser.to(where),
             mean=weights.require("statistics.mean", (N_FEATURES,)),
             std=weights.require("statistics.std", (N_FEATURES,)),
-            scaling=_scaling(weights, configuration),
+            scaling=stored_scaling(weights, configuration),
             texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
             digest=weights.digest,
         )
@@ -198,7 +198,12 @@ def torch_device(name: str) -> torch.device:
     return device
 
 
-def _scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:
+def stored_scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:
+    """The scaling of the condition vector in a weights file; None for a model without a goal.
+
+    Raises:
+        InputFileError: if it is missing or misshaped.
+    """
     if configuration.goal == "none":
         return None
     size = (configuration.condition_size,)

@@ -17,7 +17,7 @@ from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors
+from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, stored_scaling
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
@@ -140,10 +140,6 @@ def _scaling(
     if configuration.goal == "none":
         return None
     found = data.train.condition_statistics(configuration.goal)  # refuses data without goals, whatever we start from
-    mean = torch.as_tensor(found.mean)
-    std = torch.as_tensor(found.std)
     if start is not None and start.part("condition"):
-        size = (configuration.condition_size,)
-        mean = start.require("condition.mean", size)
-        std = start.require("condition.std", size)
-    return ConditionScaling.of(configuration, mean, std)
+        return stored_scaling(start, configuration)
+    return ConditionScaling.of(configuration, torch.as_tensor(found.mean), torch.as_tensor(found.std))

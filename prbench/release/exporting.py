@@ -5,7 +5,6 @@ Beyond the layout it writes the ``prbench`` block of each entry and the arrays o
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -140,8 +139,9 @@ class _Row:
             # In float64 and rounded once at the end: far from the origin float32 is coarse.
             joints = transform_points(self.world_from_canonical, joints.astype(np.float64))
             directions = transform_points(turn, directions.astype(np.float64))
-        _write_npy(folder / MOTIONS / f"{key}.npy", joints)
-        _write_npy(folder / GAZES / f"{key}.npy", directions)
+        for name, values in ((MOTIONS, joints), (GAZES, directions)):
+            single = np.ascontiguousarray(values, dtype=np.float32)
+            np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
         further = {
             "previous_joints": self.chunk.poses("previous_joints")[0],
             "next_joints": self.chunk.poses("next_joints")[0],
@@ -198,12 +198,6 @@ class _Row:
             goal_frame="known" if self.info.why_not_scored is None else "unknown",
             extra={pair["key"]: pair["value"] for pair in pairs},
         )
-
-
-def _write_npy(path: Path, values: np.ndarray) -> None:
-    content = io.BytesIO()
-    np.lib.format.write_array(content, np.ascontiguousarray(values, dtype=np.float32), allow_pickle=False)
-    path.write_bytes(content.getvalue())
 
 
 def _record(table: SequenceTable, permitted: Collection[str], frame: Frame) -> dict[str, Any]:
