@@ -177,13 +177,7 @@ def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) 
         "goal_location": [motion.goal_location for motion in motions],
         "features": [features for _, features in stored],
     }
-    arrays = [
-        pa.array(columns[name], type=STORE.field(name).type)
-        if name == "texts"
-        else column(columns[name], STORE.field(name).type)
-        for name in STORE.names
-    ]
-    return pa.RecordBatch.from_arrays(arrays, schema=STORE)
+    return pa.RecordBatch.from_arrays([column(columns[field.name], field.type) for field in STORE], schema=STORE)
 
 
 def _versions(row: Row, encoding: Encoding) -> list[Row]:
