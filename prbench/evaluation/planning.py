@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -69,6 +70,21 @@ class Selection:
                 pending = [joined.slice(WINDOW)]
         if rows:
             yield slice(start, start + rows), SequenceChunk(_joined(pending))
+
+
+def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:
+    """Open the tables that are asked for.
+
+    Raises:
+        TableError: if one is missing, empty or of an unknown version.
+        UsageError: if two are of one dataset.
+    """
+    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
+    names = [table.info.dataset for table in tables]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
+    return tables
 
 
 def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:

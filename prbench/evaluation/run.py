@@ -22,7 +22,7 @@ from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
-from prbench.evaluation.scoring import ScoringRules, score_selection
+from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
@@ -249,13 +249,4 @@ def _windows(
     )
     samples = range(prepared.request.samples)
     windows = score_selection(dataset.selection, files.predictions, samples=samples, rules=rules, engine=engine)
-    return _counted(windows, dataset, progress)
-
-
-def _counted(windows: Iterator[pa.Table], dataset: PreparedDataset, progress: ProgressCallback) -> Iterator[pa.Table]:
-    done = 0
-    total = len(dataset.selection)
-    for window in windows:
-        yield window
-        done += len(window["sequence_id"].unique())
-        progress(Progress(dataset.name, "score", done, total))
+    return reported(windows, dataset.selection, progress)

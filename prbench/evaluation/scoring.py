@@ -17,6 +17,7 @@ from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.lengths import length_problem
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
+from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
@@ -101,6 +102,15 @@ def score_selection(
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
     opened.make_ready()
     yield from engine.map(_score_window, _windows(selection, opened, tuple(samples), rules))
+
+
+def reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
+    """Pass the scores of windows on, and report after each how many sequences are done."""
+    done = 0
+    for window in windows:
+        yield window
+        done += len(window["sequence_id"].unique())
+        progress(Progress(selection.table.info.dataset, "score", done, len(selection)))
 
 
 def _windows(

@@ -49,22 +49,16 @@ class Encoding:
     mirrored: bool
 
 
-@dataclass(frozen=True)
-class _TableStore:
-    """The opened store of one table, and the rows that are not in it."""
-
-    table: Table
-    store: FeatureStore
-    left_out: tuple[LeftOut, ...]
-
-
-def table_store(table: Table, encoding: Encoding, cache: Path) -> _TableStore:
+def table_store(table: Table, encoding: Encoding, cache: Path) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
     Args:
         table: The table.
         encoding: How its rows become items.
         cache: Folder of the stores.
+
+    Returns:
+        The opened store, and the rows that are not in it.
 
     Raises:
         TableError: if the rows are not those that the table's own description promises, or none of them can be used.
@@ -77,7 +71,7 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> _TableStore:
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
-    return _TableStore(table, store, notes.left_out)
+    return store, notes.left_out
 
 
 def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, FeatureStore]:

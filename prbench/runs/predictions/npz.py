@@ -21,7 +21,7 @@ from jaxtyping import Int
 from prbench.errors import InputFileError, PredictionsError
 from prbench.limits import MOST_MOTIONS
 from prbench.numpy_files import Archive, ArrayHeader
-from prbench.runs.predictions.rows import IndexedRows, as_float32, leading_axes
+from prbench.runs.predictions.rows import IndexedRows, as_float32, is_floating, leading_axes
 from prbench.skeleton import N_JOINTS
 
 _ID_COLUMNS = ("sequence_id", "opaque_id")
@@ -197,7 +197,7 @@ def _whole_numbers(archive: Archive, name: str, n: int, *, smallest: int) -> np.
 def _is_padded(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> bool:
     """Return True if ``joints`` has a row a motion, False if it has the frames of all after one another."""
     leading = leading_axes(header.shape)
-    if leading is None or len(leading) not in (1, 2) or not _is_float(header.dtype):
+    if leading is None or len(leading) not in (1, 2) or not is_floating(header.dtype):
         raise PredictionsError(f"{path}, 'joints': expected {_FORMS}, found {header.shape} of {header.dtype}.")
     if len(leading) == 1:
         if leading[0] != n_frames.sum():
@@ -231,7 +231,7 @@ def _index_named(archive: Archive) -> IndexedRows:
     lengths: list[int] = []
     for name, header in archive.headers().items():
         leading = leading_axes(header.shape)
-        if leading is None or len(leading) not in (1, 2) or not _is_float(header.dtype):
+        if leading is None or len(leading) not in (1, 2) or not is_floating(header.dtype):
             raise PredictionsError(
                 f"{path}, '{name}': expected (frames, 22, 3), or (samples, frames, 22, 3), of float32 or float64, found"
                 f" {header.shape} of {header.dtype}. Instead of one array a motion, the arrays opaque_id, joints and"
@@ -250,10 +250,6 @@ def _index_named(archive: Archive) -> IndexedRows:
     id_column = "opaque_id" if all(map(_OPAQUE.fullmatch, keys)) else "sequence_id"
     store = NamedMotions(archive, tuple(keys), tuple(samples))
     return IndexedRows((path,), id_column, tuple(keys), tuple(samples), np.array(lengths, dtype=np.int64), store)
-
-
-def _is_float(dtype: np.dtype) -> bool:
-    return dtype.kind == "f" and dtype.itemsize in (4, 8)
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, RedistributionError, UsageError
 from prbench.evaluation.conditions import ConditionSource, derangement, run_salt
 from prbench.evaluation.controls import SHUFFLED_GOAL
-from prbench.evaluation.planning import Selection, select
+from prbench.evaluation.planning import Selection, open_tables, select
 from prbench.evaluation.preparation import supported
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
@@ -163,21 +163,6 @@ def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeCo
         tables=fingerprints(table.identity for table in tables),
     )
     return MadeConditions(_sorted_rows(info, batches), tuple(selections), tuple(left_out))
-
-
-def open_tables(folders: Collection[Path]) -> list[SequenceTable]:
-    """Open the tables that are asked for.
-
-    Raises:
-        TableError: if one is missing, empty or of an unknown version.
-        UsageError: if two are of one dataset.
-    """
-    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
-    names = [table.info.dataset for table in tables]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
-    return tables
 
 
 def _batches(selection: Selection, request: ExportRequest) -> list[ConditionBatch]:

@@ -16,7 +16,7 @@ from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, TableRow, hides
 from prbench.metrics import MetricInfo
-from prbench.runs.cost import RunCost, read_run_cost
+from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.order import METRIC, Step, order_of
@@ -228,7 +228,7 @@ def _cell(row: TableRow | None, info: MetricInfo) -> Cell | None:
 def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
     if folder is None or row is None or row.entry.record.method.kind == "control":
         return LineCost(None, None, None)
-    cost = read_run_cost(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
+    cost = RunCost.read(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
     return LineCost(_seconds(cost), _passes(cost), cost.peak_process_bytes / _MEBIBYTE)
 
 
