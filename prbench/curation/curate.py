@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -134,16 +135,6 @@ def _sequence(
     """One row of the table: the clip in its canonical frame."""
     grid = piece.grid
     preroll = prime.time - grid.start_time
-    world_from_canonical = canonical_frame(piece.joints)
-    canonical_from_world = invert_rigid(world_from_canonical)
-    turned = Rotation.from_matrix(canonical_from_world[:3, :3])
-    head_position = piece.head_position
-    head_rotation = piece.head_rotation
-    if head_position is not None and head_rotation is not None:
-        head_position = transform_points(canonical_from_world, head_position)
-        head_rotation = (turned * Rotation.from_quat(head_rotation, scalar_first=True)).as_quat(
-            canonical=True, scalar_first=True
-        )
     return Sequence(
         sequence_id=sequence_id(event.event_id, recording.pose_source),
         dataset=recording.dataset,
@@ -166,26 +157,43 @@ def _sequence(
         preroll=preroll,
         prime_kind=prime.kind,
         prime_time_uncertainty=prime.uncertainty,
-        goal_location=transform_points(canonical_from_world, place.location),
         goal_box_world_min=place.box_min,
         goal_box_world_max=place.box_max,
         body_movement=body_movement(piece.joints),
         hand_movement=hand_movement(piece.joints, _reaching_wrist(event, place, piece)),
         pose_source=recording.pose_source,
         head_tilt_deg=recording.head_tilt_deg,
-        joints=transform_points(canonical_from_world, piece.joints),
-        previous_joints=transform_points(canonical_from_world, piece.previous_joints),
         previous_source=piece.previous_source,
-        next_joints=transform_points(canonical_from_world, piece.next_joints),
         next_source=piece.next_source,
-        head_position=head_position,
-        head_rotation=head_rotation,
-        gaze_origin=transform_points(canonical_from_world, piece.gaze_origin),
-        gaze_direction=turned.apply(piece.gaze_direction),
         gaze_valid=piece.gaze_valid,
-        world_from_canonical=world_from_canonical,
         extra=_extra(event, prime),
+        **_in_canonical_frame(piece, place),
     )
+
+
+def _in_canonical_frame(piece: Clip, place: Place) -> dict[str, Any]:
+    """The columns that change with the frame, by name: the canonical one is that of the clip's first frame."""
+    world_from_canonical = canonical_frame(piece.joints)
+    canonical_from_world = invert_rigid(world_from_canonical)
+    turn = Rotation.from_matrix(canonical_from_world[:3, :3])
+    head_position = piece.head_position
+    head_rotation = piece.head_rotation
+    if head_position is not None and head_rotation is not None:
+        head_position = transform_points(canonical_from_world, head_position)
+        turned = turn * Rotation.from_quat(head_rotation, scalar_first=True)
+        # A quaternion and its negative are the same rotation; the canonical one keeps the bytes of tables equal.
+        head_rotation = turned.as_quat(canonical=True, scalar_first=True)
+    return {
+        "world_from_canonical": world_from_canonical,
+        "goal_location": transform_points(canonical_from_world, place.location),
+        "joints": transform_points(canonical_from_world, piece.joints),
+        "previous_joints": transform_points(canonical_from_world, piece.previous_joints),
+        "next_joints": transform_points(canonical_from_world, piece.next_joints),
+        "head_position": head_position,
+        "head_rotation": head_rotation,
+        "gaze_origin": transform_points(canonical_from_world, piece.gaze_origin),
+        "gaze_direction": turn.apply(piece.gaze_direction),  # a direction turns, but does not move
+    }
 
 
 def _extra(event: PickPutEvent, prime: Prime) -> dict[str, str]:
