@@ -105,6 +105,7 @@ def build_from_sources(
     """
     out = Path(out).expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="dataset")
+    # With the slash, because sequence ids go on with one: the table comes out sorted by id.
     sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
     _require_distinct(sources)
     dataset = sources[0].dataset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,14 +14,16 @@ from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
 from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
-from prbench.curation.split import split_of
 from prbench.errors import RecordingUnusable
-from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
+from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
+from prbench.randomness import hash_fraction
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+
+Split = Literal["train", "validation", "test"]
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,34 @@ def curate_recording(
             lacks=lacks,
         ),
     )
+
+
+def split_of(recording_id: str, split_group: str, manifest: Manifest, rule: SplitRule) -> Split:
+    """The manifest's lists where they name the recording or its group, else the hash of the group.
+
+    Its own name decides, so a partial copy of a dataset never moves a recording to another split
+    (docs/specification/curation.md#splits).
+
+    Args:
+        recording_id: The recording.
+        split_group: Shared by recordings that must not be separated (concurrent twins: the smaller id).
+        manifest: The dataset's manifest, for its lists and its name.
+        rule: Shares of the hash range.
+    """
+    listed: dict[Split, tuple[str, ...]] = {
+        "test": manifest.test_recordings,
+        "validation": manifest.validation_recordings,
+        "train": manifest.train_recordings,
+    }
+    # A recording may be listed itself or through its concurrent twin.
+    for name in (recording_id, split_group):
+        for split, recordings in listed.items():
+            if name in recordings:
+                return split
+    fraction = hash_fraction(manifest.name, split_group)
+    if fraction >= rule.test_from:
+        return "test"
+    return "validation" if fraction < rule.validation_below else "train"
 
 
 def _follow(

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.curation.curate import CuratedRecording, curate_recording
+from prbench.curation.curate import CuratedRecording, curate_recording, split_of
 from prbench.curation.options import CurationOptions
 from prbench.curation.sources import RecordingSource
-from prbench.curation.split import split_of
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
@@ -49,6 +48,7 @@ class CurationJob:
         try:
             digest = "" if source.skip_reason is not None else source.input_digest()
         except (OSError, InputFileError) as error:
+            # No digest exists of what cannot be read; the part is tried again by the next build.
             return self._write(source, self._failed(source, error), "unreadable")
         folder = self._folder(source, digest)
         entries = parts.read_receipt(folder)

@@ -79,6 +79,7 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
             halvings += halved
             peak = max(peak, psutil.Process().memory_info().rss)
     seconds = _synchronised_time() - started
+    # A program's memory is not in the resident size of this process.
     peak += method.program_bytes()
     method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]

@@ -62,6 +62,7 @@ class Selection:
         for chunk in self.table.chunks(split=self.split, columns=columns, ids=frozenset(self.sequence_ids)):
             pending.append(chunk.batch)
             rows += len(chunk)
+            # Windows count chosen rows, not rows of the file, so the layout of the table leaves no trace.
             while rows >= WINDOW:
                 joined = _joined(pending)
                 yield slice(start, start + WINDOW), SequenceChunk(joined.slice(0, WINDOW))
@@ -109,6 +110,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
             " Build more recordings, or choose another split with --split."
         )
     ids = rows["sequence_id"].to_pylist()
+    # Sorted ids make batches, and so the bytes of a run, independent of how the table was built.
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")
     n_frames = rows["n_frames"].to_numpy().astype(np.int64)
@@ -175,6 +177,7 @@ def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[n
         raise UsageError(f"--batch-size: expected 1 or more, found {batch_size}.")
     batches = []
     for start in range(0, len(n_frames), WINDOW):
+        # A stable sort leaves ties in the order of the table, so the plan is the same on every machine.
         order = start + np.argsort(n_frames[start : start + WINDOW], kind="stable")
         batches += [order[i : i + batch_size] for i in range(0, len(order), batch_size)]
     return batches

@@ -31,7 +31,7 @@ from prbench.methods.adapters import find_adapter, require_condition, require_we
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
 from prbench.methods.methods import fitted_to, method_spec
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import native_frames
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.runs.record import (
     BUILT_IN,

@@ -55,6 +55,7 @@ def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> No
     Raises:
         RunError: naming the first row that differs.
     """
+    # Keys first: values can only be compared where both tables hold the same rows.
     if not stored.select(_KEYS).equals(made.select(_KEYS)):
         pairs = zip(*(zip(*table.select(_KEYS).to_pydict().values()) for table in (stored, made)))
         common = min(stored.num_rows, made.num_rows)

@@ -175,6 +175,7 @@ def _tasks(
     if request.is_control:
         given = control_motions(request.method, dataset.selection, dataset.source, dataset.plan)
     for index, rows in enumerate(dataset.plan):
+        # Controls come in order: those of finished batches are made and passed over.
         motions = next(given) if given is not None else None
         if index not in wanted:
             continue
@@ -214,6 +215,7 @@ def _scored(
         if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
             total_cost(read_batch_costs(measured), batches=len(dataset.plan)).write(files.cost)
         summarise(read_scores(files.scores), _scored_set(prepared, dataset)).write(files.path)
+    # Only now, when all results stand, are the single measurements no longer needed.
     files.forget_batch_costs()
     return DatasetSummary.read(files.path)
 

@@ -21,7 +21,7 @@ from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
-from prbench.methods.native_rate import at_table_rate, native_frames
+from prbench.methods.motions import at_table_rate, native_frames
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions
@@ -209,6 +209,7 @@ def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample
     short = np.flatnonzero(predicted.n_frames < 2)
     if short.size:
         raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
+    # Checked before resampling: an interpolated NaN would name the wrong frame.
     impossible = np.flatnonzero(impossible_frames(predicted.values, window.rules.farthest))
     if impossible.size:
         row = int(predicted.sequence_of_row[impossible[0]])

@@ -1,4 +1,4 @@
-"""Ask a method for motions and check every one of them before it is kept."""
+"""Ask a method for motions, at its own frame rate if it has one, and check every one before it is kept."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
 from prbench.engine import is_out_of_memory
@@ -20,7 +21,6 @@ from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
 from prbench.methods.declared import Declared
-from prbench.methods.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
 
 
@@ -58,6 +58,45 @@ def generate_checked(
     return motions, halvings
 
 
+def native_frames(n_frames: Int[np.ndarray, " n"], *, fps: float, native_fps: float) -> Int[np.ndarray, " n"]:
+    """Count the frames at the native rate that cover ``n_frames`` at the table's: the last one at or after the end."""
+    return np.ceil((n_frames - 1) * (native_fps / fps) - 1e-9).astype(np.int64) + 1
+
+
+def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
+    """Return the batch as the method is to see it.
+
+    The frame before the first lies one native frame before it: its offset, a velocity, is scaled with the rate.
+    """
+    changed: dict[str, object] = {
+        "fps": native_fps,
+        "n_frames": native_frames(batch.n_frames, fps=batch.fps, native_fps=native_fps),
+    }
+    if batch.initial_joints is not None and batch.previous_joints is not None:
+        step = (batch.previous_joints - batch.initial_joints) * (batch.fps / native_fps)
+        changed["previous_joints"] = (batch.initial_joints + step).astype(batch.previous_joints.dtype)
+    return dataclasses.replace(batch, **changed)
+
+
+def at_table_rate(motions: Motions, batch: ConditionBatch, *, native_fps: float) -> Motions:
+    """Interpolate native motions linearly at the times of the table's frames.
+
+    Args:
+        motions: At ``native_fps``, of the lengths of :func:`native_frames`.
+        batch: At the table's rate.
+        native_fps: Frames per second of ``motions``.
+    """
+    # The last native frame lies at or after the end, so nothing is extrapolated.
+    place = np.arange(int(batch.n_frames.max())) * (native_fps / batch.fps)  # in native frames
+    last = motions.n_frames[:, None] - 1
+    left = np.minimum(np.floor(place + 1e-9).astype(np.int64), last)  # (batch, frames)
+    right = np.minimum(left + 1, last)
+    weight = np.clip(place - left, 0.0, 1.0)[..., None, None]
+    row = np.arange(len(batch))[:, None]
+    joints = motions.joints[row, left] * (1 - weight) + motions.joints[row, right] * weight
+    return Motions(joints.astype(np.float32), batch.n_frames, motions.cost)
+
+
 def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
 ) -> tuple[Motions, int]:
@@ -81,6 +120,7 @@ def _generate(
             ) from error
     else:
         return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
+    # Outside of the handler: its traceback would hold the tensors of the failed batch.
     release_memory()
     middle = len(batch) // 2
     first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle], farthest)

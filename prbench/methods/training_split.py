@@ -23,6 +23,7 @@ from prbench.sequences.write import write_table
 FIT_SEED = 0
 """Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
 _SPLIT = "train"
+_PREFIX = "prbench-train-"
 
 
 class TrainingSplit(SequenceTable):
@@ -76,9 +77,6 @@ class TrainingSplit(SequenceTable):
         return SequenceTable(self.folder, self.info)
 
 
-_PREFIX = "prbench-train-"
-
-
 class TrainingCopy(TrainingSplit):
     """The copy, which a method takes for the table: same rows, same chunks, same digests."""
 
@@ -128,6 +126,7 @@ def write_training_copy(table: SequenceTable, folder: Path) -> None:
         StorageError: if the folder cannot be written.
     """
     version = table.info.protocol_version
+    # Its digests stay those of the whole table, by which a method names its fit.
     table.info.write(folder)
     shown = TrainingSplit(table.folder, table.info)
     portions = ([chunk.batch] for chunk in shown.chunks())

@@ -144,6 +144,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         """
         wanted = _flat(msgspec.to_builtins(self))
         found = _flat(msgspec.to_builtins(other))
+        # In the order of the record, so that the first difference named is the most telling one.
         for key in wanted | found:
             if wanted.get(key) != found.get(key):
                 raise RunError(

@@ -115,6 +115,7 @@ def _vectors(values: list[np.ndarray | None], kind: pa.FixedSizeListType) -> pa.
 
 def _ragged(values: list[np.ndarray | None], kind: pa.ListType) -> pa.Array:
     lengths = [0 if value is None else len(value) for value in values]
+    # int32, because Arrow's list (unlike large_list) has such offsets.
     offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int32)
     inner = kind.value_type
     present = [value for value in values if value is not None]

@@ -19,7 +19,6 @@ from prbench.sequences.sequence import FrameSource
 
 CORPUS_SCHEMA_VERSION = 1
 _VERSION_KEY = "prbench_corpus_schema_version"
-
 ANNOTATION_OUTCOMES = (
     "clip",
     "no_text",
@@ -32,7 +31,6 @@ ANNOTATION_OUTCOMES = (
     "no_heading",
 )
 """Possible outcomes of one annotated span of text."""
-
 _CAPTION = pa.struct(
     [
         column_field("text", pa.string()),
@@ -42,6 +40,21 @@ _CAPTION = pa.struct(
 )
 """One text of a clip; ``tokens`` as the source gives them (``word/POS``), else empty."""
 _METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
+ANNOTATIONS = pa.schema(
+    [
+        column_field("annotation_id", pa.string()),
+        column_field("recording_id", pa.string()),
+        column_field("sequence_id", pa.string(), nullable=True),
+        column_field("kind", pa.string()),
+        column_field("text", pa.string()),
+        column_field("text_start", pa.float64()),
+        column_field("text_end", pa.float64()),
+        column_field("outcome", pa.string()),
+        column_field("value", pa.float64(), nullable=True),
+        column_field("threshold", pa.float64(), nullable=True),
+    ],
+    metadata=_METADATA,
+)
 
 
 def _shared(*names: str) -> list[pa.Field]:
@@ -71,23 +84,6 @@ CLIPS = pa.schema(
     ],
     metadata=_METADATA,
 )
-
-ANNOTATIONS = pa.schema(
-    [
-        column_field("annotation_id", pa.string()),
-        column_field("recording_id", pa.string()),
-        column_field("sequence_id", pa.string(), nullable=True),
-        column_field("kind", pa.string()),
-        column_field("text", pa.string()),
-        column_field("text_start", pa.float64()),
-        column_field("text_end", pa.float64()),
-        column_field("outcome", pa.string()),
-        column_field("value", pa.float64(), nullable=True),
-        column_field("threshold", pa.float64(), nullable=True),
-    ],
-    metadata=_METADATA,
-)
-
 CORPUS_RECORDINGS = pa.schema(
     [
         *_shared("recording_id", "participant_id", "split", "split_group"),
@@ -101,7 +97,6 @@ CORPUS_RECORDINGS = pa.schema(
     ],
     metadata=_METADATA,
 )
-
 CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}
 """The tables of a corpus folder by the names of their files."""
 

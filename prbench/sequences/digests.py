@@ -32,6 +32,7 @@ def identity_digest(
 ) -> str:
     """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length."""
     digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
+    # Sorted: two laboratories may have built the same rows in another order.
     for row in sorted(zip(sequence_ids, splits, actions, (str(n) for n in n_frames))):
         digest.update("\t".join(row).encode() + b"\n")
     return digest.hexdigest()
@@ -115,6 +116,7 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
     if not pa.types.is_floating(leaf.type):
         return numbers.astype(np.int64)
     integer = np.int32 if leaf.type == pa.float32() else np.int64
+    # A product, not a quotient, and in float64: other processors then round to the same integers.
     return np.rint(numbers * np.float64(1 / _ROUNDING)).astype(integer)
 
 

@@ -73,6 +73,7 @@ def naming(path: Path) -> Iterator[None]:
         except FileNotFoundError as error:
             raise TableError(f"{path}: expected a Parquet file, found none.") from error
         except (pa.ArrowException, OSError) as error:
+            # MemoryError of Arrow is an ArrowException too, and the file is not to blame for it.
             if isinstance(error, MemoryError):
                 raise
             first = str(error).splitlines()[0] if str(error) else "damaged"

@@ -18,7 +18,6 @@ the hand."""
 _READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
 """Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
-
 OUTCOMES = (
     "sequence",
     "no_location",
@@ -33,13 +32,29 @@ OUTCOMES = (
     "not_published",
 )
 """Possible outcomes of a candidate event."""
-
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float32(), 3)
 _PRECISE_POINT = pa.list_(pa.float64(), 3)
-
 KEY_VALUES = pa.list_(pa.struct([pa.field("key", pa.string()), pa.field("value", pa.string())]))
 """A map, written as a list of pairs: readers that know no maps (Hugging Face ``datasets``) open it too."""
+_SINCE_VERSION = {
+    "left_wrist": 2,
+    "right_wrist": 2,
+    "published_priming": 2,
+    "published_prime_time": 2,
+    "excluded_by_dataset": 2,
+    "not_published": 2,
+    "hand_source": 3,
+}
+"""Version of the tables in which a column was added; the others are there from the beginning."""
+UNITS = {
+    "length": "m",
+    "time": "s",
+    "angle": "deg where a name says so",
+    "quaternion": "w x y z",
+    "world": "Y up, right-handed",
+    "canonical": "pelvis of frame 0 over the origin facing +Z, lowest joint of the sequence at Y = 0",
+}
 
 
 def column_field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
@@ -91,7 +106,6 @@ SEQUENCES = pa.schema(
         column_field("extra", KEY_VALUES),
     ]
 )
-
 EVENTS = pa.schema(
     [
         column_field("event_id", pa.string()),
@@ -118,7 +132,6 @@ EVENTS = pa.schema(
         column_field("hand_source", pa.string(), nullable=True),
     ]
 )
-
 RECORDINGS = pa.schema(
     [
         column_field("recording_id", pa.string()),
@@ -131,29 +144,8 @@ RECORDINGS = pa.schema(
         column_field("message", pa.string()),
     ]
 )
-
 DATASET_TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
 """The tables of a dataset folder by the names of their files."""
-
-_SINCE_VERSION = {
-    "left_wrist": 2,
-    "right_wrist": 2,
-    "published_priming": 2,
-    "published_prime_time": 2,
-    "excluded_by_dataset": 2,
-    "not_published": 2,
-    "hand_source": 3,
-}
-"""Version of the tables in which a column was added; the others are there from the beginning."""
-
-UNITS = {
-    "length": "m",
-    "time": "s",
-    "angle": "deg where a name says so",
-    "quaternion": "w x y z",
-    "world": "Y up, right-handed",
-    "canonical": "pelvis of frame 0 over the origin facing +Z, lowest joint of the sequence at Y = 0",
-}
 
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
@@ -183,6 +175,7 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
             f"{source}: expected schema version {known}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."
         )
+    # An older table lacks columns that came later; they are filled in when it is read.
     later = {name for name, since in _SINCE_VERSION.items() if since > int(version)}
     known = [field for field in expected if field.name not in later or schema.get_field_index(field.name) >= 0]
     check_columns(schema, known, source=source, what="dataset")

@@ -121,6 +121,7 @@ class _PartWriter:
 
     def _flush(self, *, everything: bool) -> None:
         table = pa.Table.from_batches([batch.cast(self._schema) for batch in self._pending], self._schema)
+        # Whole row groups only, so that the file does not depend on how rows came in batches.
         rows = table.num_rows if everything else table.num_rows - table.num_rows % _ROW_GROUP_ROWS
         if rows:
             self._writer.write_table(table.slice(0, rows), row_group_size=_ROW_GROUP_ROWS)
@@ -203,6 +204,7 @@ def write_tables(
     """
     version = info.protocol_version
     main, *others = schemas
+    # Digests are taken while the rows pass to the file: a table is never read back for them.
     digests = RowDigests(schemas[main].names, identity_columns)
     write_table_in_parts(folder, main, digests.pass_on(tables[main]), schemas[main], protocol_version=version)
     for name in others:

@@ -106,6 +106,7 @@ class SequenceDataset(Dataset[MotionItem]):
         text, *others = store.texts(place)
         if features is not None and not others:
             return _item(motion, features, text, self.fps, name)
+        # A function of seed, epoch and row alone: workers and resumption change no draw.
         generator = named_generator("prbench-training-item", self.seed, epoch, row)
         text = (text, *others)[int(generator.integers(1 + len(others)))]
         if features is None:

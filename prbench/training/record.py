@@ -177,6 +177,7 @@ def thinned(rows: list[Row], points: int) -> list[Row]:
     """Select at most ``points`` rows, spread evenly, the last among them."""
     if len(rows) <= points:
         return rows
+    # Counted from the end of each stretch, so that the last row is always kept.
     places = sorted({round((place + 1) * len(rows) / points) - 1 for place in range(points)})
     return [rows[place] for place in places]
 

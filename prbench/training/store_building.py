@@ -109,6 +109,7 @@ def _files(table: Table) -> list[tuple[int, int]]:
 
 def _key(table: Table, encoding: Encoding) -> str:
     parts = (encoding.split, encoding.mode, encoding.max_frames, encoding.crop, encoding.mirrored)
+    # Whatever decides the features is part of the name, so that a stale store is never opened.
     digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, parts))
     return f"{table.info.dataset}-{encoding.split}-{digest[:24]}"
 

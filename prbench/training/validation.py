@@ -107,6 +107,7 @@ class Validation:
         for number, start in enumerate(range(0, len(self.places), self.batch_size)):
             places = self.places[start : start + self.batch_size]
             batch = collate([self.data[place] for place in places]).to(device)
+            # Negative steps draw the same noise at every validation and none that training has drawn.
             for name, loss in module(batch, -1 - number).items():
                 totals[name] += float(loss) * len(places)
         return {name: total / len(self.places) for name, total in totals.items()}

@@ -102,6 +102,7 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     motions = None
     halvings = 0
     error = ""
+    # A method may keep or change its batch; the answer holds the one that was meant.
     own = dataclasses.replace(batch)
     try:
         with computing_threads(threads), _generators_set_to(state_seed):

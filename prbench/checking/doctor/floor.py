@@ -88,6 +88,7 @@ def _examine_drift(motion_set: MotionSet) -> Finding:
 def _drift(motion: np.ndarray, fps: float) -> _Drift:
     reach = max(1, round(0.25 * fps))  # frames on each side: a swinging foot does not count
     lowest = np.pad(motion[..., 1].min(axis=1), reach, mode="edge")
+    # The lowest height within half a second: one foot or the other stands in it.
     support = np.lib.stride_tricks.sliding_window_view(lowest, 2 * reach + 1).min(axis=1)
     time = np.linspace(0.0, 1.0, len(motion))
     slope, _ = np.polyfit(time, support, 1)

@@ -180,6 +180,7 @@ def _tempo_beneath_tremor(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
     if spread > _EQUALLY_LONG:
         return ()
+    # Widths of convolved Gaussians add in squares, so the smoothing can be subtracted again.
     widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
     durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
     return _judged(durations, motion_set.fps, "steps", _SWING_RANGE)

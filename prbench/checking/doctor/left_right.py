@@ -137,6 +137,7 @@ def _apart(poses: np.ndarray, others: np.ndarray) -> float:
 
 def _by_bones(motion_set: MotionSet) -> tuple[bool | None, str]:
     """Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one."""
+    # Logarithms: ratios of left to right do not depend on the size of the body.
     lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
     people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
     one = [joint - 1 for joint, mirrored in enumerate(MIRRORED_JOINTS) if joint < mirrored]

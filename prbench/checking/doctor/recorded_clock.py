@@ -80,6 +80,7 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
     for row in range(len(motion)):
         total[row + 1, 0] = total[row, 0] + apart[row, 0]
         reachable = np.minimum(total[row, :-1], total[row, 1:])
+        # Steps along a row cost their distances: with the cumulative sum the best start is a running minimum.
         walked = np.cumsum(apart[row])
         total[row + 1, 1:] = walked + np.minimum.accumulate(reachable - walked + apart[row])
     places = _traced(total)

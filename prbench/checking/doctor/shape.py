@@ -15,11 +15,6 @@ from prbench.representation import N_FEATURES, decode
 from prbench.representation.converters import JOINT_MAPS
 from prbench.skeleton import N_JOINTS, Joint
 
-_KNOWN_JOINTS = frozenset(
-    {N_JOINTS}
-    | {len(order.joints) for order in OTHER_ORDERS}
-    | {len(each.source_joints) for each in JOINT_MAPS.values()}
-)
 _BODY_PARAMETERS = {
     72: "SMPL: 24 rotations as axis-angle",
     75: "SMPL: 24 rotations as axis-angle and a translation",
@@ -35,6 +30,11 @@ _BODY_PARAMETERS = {
     322: "SMPL-X: pose, face, translation and shape as Motion-X has them",
 }
 _CONVERT = "prbench.representation.converters"
+_KNOWN_JOINTS = frozenset(
+    {N_JOINTS}
+    | {len(order.joints) for order in OTHER_ORDERS}
+    | {len(each.source_joints) for each in JOINT_MAPS.values()}
+)
 
 
 @dataclass(frozen=True)
@@ -143,6 +143,7 @@ def _best_reading(motions: tuple[np.ndarray, ...]) -> _Reading | None:
     some = motions[:8]
     if not candidates:
         return None
+    # A few motions decide; all are converted once the reading is chosen.
     read = {reading: tuple(reading.convert(motion) for motion in some) for reading in candidates}
     restless = {reading: _restlessness(joints) for reading, joints in read.items()}
     best = min(candidates, key=lambda reading: (not _is_a_body(read[reading]), restless[reading]))

@@ -88,6 +88,7 @@ def _best(motion_set: MotionSet, axis: np.ndarray, *, mirrored: bool) -> _Exchan
     """Return the exchange that takes ``axis`` to +Y and leaves first poses facing +Z most nearly."""
     facing = front(motion_set.first_poses()).mean(axis=0)
     fitting = [each for each in _EXCHANGES if (each(axis) == _UP).all() and each.mirrors is mirrored]
+    # Rounded, so that equally good turns are told apart by being plain and not by noise.
     return max(fitting, key=lambda each: (round(float(each(facing)[2]), 1), each.plain, each.signs))
 
 

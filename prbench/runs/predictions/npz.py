@@ -118,6 +118,7 @@ class _Unpacked:
         self._array: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
+        # Neither a temporary folder nor a mapping can travel; the path of the unpacked file can.
         return {"_path": self._path, "_folder": None, "_array": None}
 
     def prepare(self, archive: Archive, name: str) -> None:
@@ -207,6 +208,7 @@ def _is_padded(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> bool:
         return False
     if leading[0] != len(n_frames):
         raise PredictionsError(f"{path}, 'joints': expected {len(n_frames)} motions, one an id, found {leading[0]}.")
+    # Only the header has been read so far: a tiny file may announce terabytes of zeros.
     widest = max(_PADDED_FRAMES, 4 * int(n_frames.max(initial=0)))
     if leading[1] > widest:
         raise PredictionsError(

@@ -24,13 +24,6 @@ _NAME = re.compile(r"\d+\.npy", re.ASCII)
 _FORM = "the shape (frames, 22, 3) or (frames, 66) of float32 or float64"
 
 
-def _numbered_folder(path: Path) -> Path | None:
-    """The folder of numbered motions that a path means: itself or its ``motions``; None if there is none."""
-    if (path / FOLDER).is_dir():
-        return path / FOLDER
-    return path if path.name == FOLDER or any(path.glob("*.npy")) else None
-
-
 def index_numbered(folder: Path, numbering: Numbering | None) -> IndexedRows:
     """Read names and headers of all files.
 
@@ -196,3 +189,10 @@ def _require_parquet(path: Path) -> None:
         f"{path}: expected Parquet, .npz, or a folder of motions/0000000000.npy …, found a file of another kind."
         " Pickles and torch files are never loaded: save the arrays with np.savez."
     )
+
+
+def _numbered_folder(path: Path) -> Path | None:
+    """The folder of numbered motions that a path means: itself or its ``motions``; None if there is none."""
+    if (path / FOLDER).is_dir():
+        return path / FOLDER
+    return path if path.name == FOLDER or any(path.glob("*.npy")) else None

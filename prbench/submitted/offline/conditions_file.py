@@ -19,6 +19,8 @@ from prbench.storage import text_digest
 FORMAT_VERSION = 1
 METADATA_KEY = "prbench_conditions"
 """Key of the Parquet metadata, and name of the array in an ``.npz``, that holds the information as JSON."""
+DEFAULT_BATCH_SIZE = 64
+_SUFFIXES = (".parquet", ".npz")
 
 
 class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -80,10 +82,6 @@ def fingerprints(identities: Iterable[str]) -> tuple[str, ...]:
         identities: Identity digests of the tables.
     """
     return tuple(sorted(text_digest("prbench conditions", identity) for identity in identities))
-
-
-DEFAULT_BATCH_SIZE = 64
-_SUFFIXES = (".parquet", ".npz")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from prbench.evaluation.planning import Selection, open_tables, select
 from prbench.evaluation.preparation import supported
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
-from prbench.methods.native_rate import at_native_rate
+from prbench.methods.motions import at_native_rate
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.storage import turn_into_paths, write_text
@@ -196,6 +196,7 @@ def _sorted_rows(info: ConditionsInfo, batches: list[ConditionBatch]) -> Conditi
         text=None if text is None else tuple(line for lines in text for line in lines),
         **{name: np.concatenate(arrays) for name, arrays in columns.items()},
     )
+    # lexsort takes the last key first: by opaque id, then by sample.
     return unsorted.rows(np.lexsort((samples, np.array(names))))
 
 

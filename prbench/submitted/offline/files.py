@@ -42,8 +42,6 @@ _FORMS: dict[str, tuple[str, tuple[int, ...]]] = {
 }
 """Kind of each array, and the shape of one row of it."""
 _ALWAYS = ("opaque_id", "sample", "noise_seed", "n_frames", "fps")
-
-
 _ROW_GROUP_ROWS = 1024
 
 
@@ -138,17 +136,6 @@ def _require_form(path: Path, name: str, values: np.ndarray, *, rows: int) -> No
         )
 
 
-def _schema_of(condition: Condition) -> pa.Schema:
-    """The columns of a condition."""
-    names = (*_ALWAYS, *given_columns(condition))
-    return pa.schema([pa.field(name, _arrow_type(*_FORMS[name]), nullable=False) for name in names])
-
-
-def _arrow_type(kind: str, shape: tuple[int, ...]) -> pa.DataType:
-    item = pa.string() if kind == "U" else pa.from_numpy_dtype(np.dtype(kind))
-    return pa.list_(item, math.prod(shape)) if shape else item
-
-
 def _write_parquet(conditions: ConditionsFile, path: Path) -> None:
     """Write a conditions file; the same rows give the same bytes.
 
@@ -168,6 +155,17 @@ def _write_parquet(conditions: ConditionsFile, path: Path) -> None:
             use_dictionary=["text"],  # type: ignore[arg-type] - the stub knows bool only
             write_page_checksum=True,
         )
+
+
+def _schema_of(condition: Condition) -> pa.Schema:
+    """The columns of a condition."""
+    names = (*_ALWAYS, *given_columns(condition))
+    return pa.schema([pa.field(name, _arrow_type(*_FORMS[name]), nullable=False) for name in names])
+
+
+def _arrow_type(kind: str, shape: tuple[int, ...]) -> pa.DataType:
+    item = pa.string() if kind == "U" else pa.from_numpy_dtype(np.dtype(kind))
+    return pa.list_(item, math.prod(shape)) if shape else item
 
 
 @foreign_input()

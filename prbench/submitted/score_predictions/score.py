@@ -22,9 +22,14 @@ from prbench.shown import clean
 from prbench.submitted.offline.files import read_conditions_file
 from prbench.submitted.score_predictions.again import score_run
 from prbench.submitted.score_predictions.complete import Wanted, require_complete, require_lengths
-from prbench.submitted.score_predictions.request import ScoreReport, ScoreRequest
+from prbench.submitted.score_predictions.request import (
+    ScoreReport,
+    ScoreRequest,
+    Stated,
+    stated_by_conditions,
+    stated_by_request,
+)
 from prbench.submitted.score_predictions.scored import UNSTATED, About, Scored, Work, offline_record, write_submission
-from prbench.submitted.score_predictions.stated import Stated, stated_by_conditions, stated_by_request
 
 
 def score_predictions(

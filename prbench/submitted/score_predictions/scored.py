@@ -25,7 +25,13 @@ from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord
 from prbench.runs.scores import RUN_SCHEMA_VERSION, write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.storage import file_digest, remove_half_written, text_digest
-from prbench.submitted.score_predictions.stated import Stated
+from prbench.submitted.score_predictions.request import Stated
+
+_ELSEWHERE = "offline"
+"""Device of a method whose motions came as a file."""
+_NO_BATCHES = BatchPlanRecord(batch_size=0, batches=0, digest="")
+UNSTATED = "unstated"
+"""Condition of motions of which nobody said what they were made from; never ranked."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +88,6 @@ class Scored:
             samples=len(samples),
         )
         return cls(chosen, selection, scores, summarise(scores, scored))
-
-
-_ELSEWHERE = "offline"
-"""Device of a method whose motions came as a file."""
-_NO_BATCHES = BatchPlanRecord(batch_size=0, batches=0, digest="")
-UNSTATED = "unstated"
-"""Condition of motions of which nobody said what they were made from; never ranked."""
 
 
 def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, ...]) -> RunRecord:

@@ -116,6 +116,7 @@ def growth_per_round(resident: np.ndarray) -> float:
     Args:
         resident: Bytes after each round, settled.
     """
+    # The median of slopes ignores single jumps, such as a cache that is filled once.
     first, second = np.triu_indices(len(resident), k=1)
     slope = float(np.median((resident[second] - resident[first]) / (second - first)))
     rising = np.mean(np.diff(resident) > 0)
