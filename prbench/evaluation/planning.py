@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +23,7 @@ WINDOW = 1024
 """Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
 enough for memory, large enough that little is padded."""
 
+Table = TypeVar("Table")
 _FEWEST_FRAMES = 2  # below which there is no motion
 
 
@@ -45,15 +48,7 @@ class Selection:
 
     def chosen(self, keep: np.ndarray) -> Selection:
         """The rows where ``keep`` is true."""
-        rows = np.flatnonzero(keep)
-        return Selection(
-            self.table,
-            self.split,
-            tuple(self.sequence_ids[i] for i in rows),
-            self.n_frames[rows],
-            tuple(self.recording_ids[i] for i in rows),
-            self.fps,
-        )
+        return rows_of(self, np.flatnonzero(keep))
 
     def windows(self, columns: list[str]) -> Iterator[tuple[slice, SequenceChunk]]:
         """Stream the chosen rows, :data:`WINDOW` at a time, with their places in the selection."""
@@ -71,6 +66,19 @@ class Selection:
                 pending = [joined.slice(WINDOW)]
         if rows:
             yield slice(start, start + rows), SequenceChunk(_joined(pending))
+
+
+def rows_of(table: Table, rows: SequenceOf[int] | np.ndarray) -> Table:
+    """Return some rows of a data class whose tuples and arrays hold one entry a row, in the order given."""
+    chosen = np.asarray(rows, dtype=np.int64)
+    changed: dict[str, Any] = {}
+    for field in dataclasses.fields(cast(Any, table)):
+        values = getattr(table, field.name)
+        if isinstance(values, tuple):
+            changed[field.name] = tuple(values[row] for row in chosen)
+        elif isinstance(values, np.ndarray):
+            changed[field.name] = values[chosen]
+    return dataclasses.replace(cast(Any, table), **changed)
 
 
 def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -96,6 +97,7 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         TableError: if a table is missing, empty, changed or of an unknown version.
         UsageError: if datasets repeat, or a path or split does not exist.
     """
+    # A method that an earlier run of this process has loaded may hold its state.
     forget_loaded_methods()
     tables = open_tables(request.data)
     spec = None if request.is_control else _spec(request)
@@ -238,7 +240,7 @@ def _record(request: RunRequest, method: MethodRecord, datasets: tuple[PreparedD
         samples=request.samples,
         device=request.device,
         threads=request.threads,
-        packages=_packages(),
+        packages=package_versions(_RECORDED_PACKAGES),
         tables=tuple(
             table_record(dataset.chosen, dataset.selection, _plan_record(dataset, request)) for dataset in datasets
         ),
@@ -276,9 +278,10 @@ def table_record(chosen: Selection, selection: Selection, plan: BatchPlanRecord)
     )
 
 
-def _packages() -> dict[str, str]:
+def package_versions(names: Iterable[str]) -> dict[str, str]:
+    """Map Python and those of some packages that are installed to their versions."""
     found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for name in _RECORDED_PACKAGES:
+    for name in names:
         try:
             found[name] = version(name)
         except PackageNotFoundError:

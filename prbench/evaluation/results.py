@@ -66,6 +66,7 @@ def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> No
         )
     expected = made["value"].to_numpy()
     found = stored["value"].to_numpy()
+    # Written as "not within", so that NaN counts as different.
     wrong = np.flatnonzero(~(np.abs(found - expected) <= _VALUES_WITHIN * np.maximum(np.abs(expected), 1.0)))
     if wrong.size:
         row = int(wrong[0])

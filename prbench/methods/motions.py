@@ -107,12 +107,12 @@ def _generate(
         raise AdapterError(_with_names(str(error), batch, ids)) from error
     except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
         told_of = _with_names(str(error), batch, ids)
-        raise AdapterError(f"method '{method}' failed: {told_of}{_asked_for(ids)}") from error
+        raise AdapterError(f"method '{method}' failed: {told_of}{asked_for(ids)}") from error
     except PrbenchError:
         raise
     except (Exception, SystemExit) as error:
         if not is_out_of_memory(error):
-            raise AdapterError(f"method '{method}' failed: {told(error)}.{_asked_for(ids)}") from error
+            raise AdapterError(f"method '{method}' failed: {told(error)}.{asked_for(ids)}") from error
         if len(batch) == 1:
             raise AdapterError(
                 f"method '{method}' ran out of memory on the single sequence {ids[0]}"
@@ -152,24 +152,24 @@ def well_formed(
     origin = f"method '{method}'"
     if not isinstance(motions, Motions):
         raise AdapterError(
-            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{_asked_for(ids)}"
+            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{asked_for(ids)}"
         )
     joints = motions.joints
     n_frames = _as_array(motions.n_frames)
     if not isinstance(joints, np.ndarray):
         remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
         found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
-        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{_asked_for(ids)}")
+        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{asked_for(ids)}")
     if motions.cost is not None and not isinstance(motions.cost, Cost):
         raise AdapterError(
-            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{_asked_for(ids)}"
+            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{asked_for(ids)}"
         )
     longest = int(batch.n_frames.max())
     fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
     if not fits or not np.issubdtype(joints.dtype, np.floating):
         raise AdapterError(
             f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
-            f" found {joints.shape} of {joints.dtype}.{_asked_for(ids)}"
+            f" found {joints.shape} of {joints.dtype}.{asked_for(ids)}"
         )
     if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
         row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
@@ -261,7 +261,7 @@ def release_memory() -> None:
         torch.cuda.empty_cache()
 
 
-def _asked_for(ids: Sequence[str]) -> str:
+def asked_for(ids: Sequence[str]) -> str:
     """Say what was asked for; names are long, so it comes behind the reason."""
     batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
     return f" It was asked for {batch}."

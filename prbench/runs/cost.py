@@ -97,6 +97,7 @@ def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
 
 def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
     """Sum up single batches."""
+    # The first batch of a process also pays for compilation and for weights that load on first use.
     timed = [cost for cost in costs if not cost.warm_up]
     warm_up = [cost for cost in costs if cost.warm_up]
     motions = sum(cost.motions for cost in timed)

@@ -67,6 +67,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def recorded_motions(self) -> int:
         """Number of motions that are the recorded ones, handed in as the method's own."""
+        # Any metric may carry the remark; each counts the same motions.
         return max((metric.flags.get(RECORDED_MOTION, 0) for metric in self.metrics), default=0)
 
     @property

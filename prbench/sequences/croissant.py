@@ -173,6 +173,7 @@ def _of_pair(parent: str, name: str, source: dict[str, Any]) -> dict[str, Any]:
 def _shape(kind: pa.DataType) -> tuple[list[int], str]:
     """Shape (-1 = any length) and Croissant type of one value of a column."""
     shape = []
+    # Lists nest: frames of poses are a list of fixed-size lists.
     while pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
         shape.append(kind.list_size if pa.types.is_fixed_size_list(kind) else -1)
         kind = kind.value_type

@@ -163,6 +163,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         table = cls(Path(folder), DatasetInfo.read(folder))
         for path in table.part_paths("sequences"):
             check_schema(open_parquet(path).schema_arrow, SEQUENCES, source=str(path))
+        # Before ids are read: a damaged file is reported as such, not as a wrong id.
         table.require_unchanged()
         paths = table.part_paths("sequences")
         ids = [name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()]

@@ -195,6 +195,7 @@ def _module(
 ) -> TrainingModule:
     """The task's module, initialised from the seed alone."""
     given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
+    # What a process drew before must not decide the initial weights.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.training.seed)
         return task.build(configuration.model, data=given, initial=request.initial, stage=stage)

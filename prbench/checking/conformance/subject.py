@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.checking.conformance.answer import STATE_SEED, Answer, ask
-from prbench.checking.conformance.cases import Cases, rows_of, write_training_table
+from prbench.checking.conformance.cases import Cases, write_training_table
 from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.evaluation.conditions import ConditionSource, run_salt
+from prbench.evaluation.planning import rows_of
 from prbench.manifests import load_protocol
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec

@@ -81,6 +81,7 @@ def _repeats(motion_set: MotionSet) -> Finding:
         return Finding((), motion_set)
     counts = [int(inside.sum()) for inside in found.values()]
     gaps = np.concatenate([np.diff(np.flatnonzero(inside)) for inside in found.values()])
+    # The most frequent distance: frames that were lost while recording come at no fixed one.
     period = int(np.bincount(gaps).argmax())
     regular = float((gaps == period).mean())
     rhythm = ", at no fixed distance"
@@ -247,6 +248,7 @@ def _leaps(steps: _Steps, fps: float) -> int:
     """Count single steps that are about twice as long as two on each side, which agree with each other."""
     if len(steps.sizes) < 6 or steps.usual == 0:
         return 0
+    # Two steps on each side have to agree, so that acceleration is not taken for a gap.
     windows = np.lib.stride_tricks.sliding_window_view(steps.sizes, 5)
     neighbours = windows[:, [0, 1, 3, 4]]
     low = neighbours.min(axis=1)

@@ -143,6 +143,7 @@ def examine_first_frame(motion_set: MotionSet) -> Finding:
     turns = np.array([wrapped(np.diff(headings(motion_set.motions[row][:3]))) for row in long])
     pelvis = [motion_set.motions[row][:3, Joint.PELVIS] for row in long]
     steps = np.array([np.linalg.norm(np.diff(path, axis=0), axis=1) for path in pelvis]) * motion_set.fps
+    # A fast turn goes on in the next frame; a torn first frame does not.
     turning = (np.abs(turns[:, 0]) > _TURN) & (np.abs(turns[:, 0]) > _TIMES * np.abs(turns[:, 1]))
     leaping = (steps[:, 0] > _STEP) & (steps[:, 0] > _TIMES * steps[:, 1])
     broken = turning | leaping

@@ -115,6 +115,7 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding:
         for motion, expected in zip(motion_set.motions, motion_set.expected, strict=True)
         if (start := _start(motion, expected, motion_set.fps)) is not None
     ]
+    # A body that changes direction at the start tells nothing of its clock.
     going_on = [start.ratio for start in starts if start.cosine > _CONTINUES and start.ratio > 0]
     if len(going_on) * 2 > len(starts) and len(going_on) >= 3:
         return Finding(_by_velocity(np.log(going_on), motion_set), motion_set)
@@ -226,6 +227,7 @@ def _durations(path: np.ndarray) -> np.ndarray:
             continue
         last = stop
         if np.linalg.norm(path[stop] - path[start + 1]) > _FAR:
+            # Between frames, by a straight line: whole frames would be too coarse for swings of six of them.
             begin = start + (edge - speed[start]) / (speed[start + 1] - speed[start])
             end = stop - (edge - speed[stop]) / (speed[stop - 1] - speed[stop])
             durations.append(end - begin)

@@ -36,6 +36,7 @@ class Tremor:
         for motion in motions:
             if len(motion) <= 4:
                 continue
+            # Relative to the pelvis, whose own path may be smoothed by another part of a model.
             limbs = motion - motion[:, :1]
             first, second = (np.linalg.norm(np.diff(limbs, n, axis=0), axis=-1).mean(axis=-1) for n in (1, 2))
             ratios.append(float(np.median(second) / max(float(np.median(first)), 1e-9)))

@@ -105,6 +105,7 @@ def _features(motion_set: MotionSet, evidence: str) -> Finding:
     pooled = np.concatenate(rows.motions)
     rotations = pooled[:, 67:193].reshape(-1, 6)
     lengths = np.linalg.norm(rotations[:, :3], axis=1)
+    # Columns of a rotation have length 1; after standardisation they have any other.
     off = float(np.median(np.abs(lengths - 1)))
     numbers = f"{evidence}; the 6-D rotations have columns of length {np.median(lengths):.2f} (1 in raw features)"
     if off < 0.1:

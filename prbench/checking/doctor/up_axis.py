@@ -67,6 +67,7 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
         return no_finding(motion_set)  # no common direction
     if name == "+y":
         return no_finding(motion_set) if angle < _TILTED else Finding((_leaning(evidence),), motion_set)
+    # Handedness shows in the front and the left side together, whichever axis points up.
     mirrored = float(sidedness(poses, left_of_hips(poses)).mean()) < -0.5
     exchange = _best(motion_set, axis, mirrored=mirrored)
     if mirrored and not exchange.plain:  # two faults: the second is found later

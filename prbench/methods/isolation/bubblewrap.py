@@ -118,6 +118,7 @@ def bubblewrap_words(
         elif folder.is_dir():
             words += ["--ro-bind", str(folder), str(folder)]
     words += ["--proc", "/proc", "--dev", "/dev", "--ro-bind", "/sys", "/sys", "--tmpfs", "/tmp"]
+    # /dev is empty inside, and a GPU is reached through these files.
     for device in sorted(path for pattern in _DEVICES for path in Path("/dev").glob(pattern)):
         words += ["--dev-bind-try", str(device), str(device)]
     words += ["--dir", HOME, "--dir", _WORK]

@@ -155,6 +155,7 @@ def _in_virtual_environment(start: Surroundings, named: str, file: Path) -> Surr
         )
     path = os.pathsep.join([str(programs), start.environment.get("PATH", os.defpath)])
     environment = {**start.environment, "PATH": path, "VIRTUAL_ENV": str(folder)}
+    # It would send the environment's own interpreter to another library.
     environment.pop("PYTHONHOME", None)
     found = replace(start, environment=environment, readable=(*start.readable, folder)).found()
     return replace(found, place=f"virtual environment {folder.name}")

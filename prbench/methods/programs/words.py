@@ -92,6 +92,7 @@ def _split_on_windows(text: str) -> list[str]:
         if not token["quote"]:
             word += token[0]
             continue
+        # An odd number of backslashes escapes the quote; pairs of them stand for one each.
         escaped = len(token["slashes"]) % 2 == 1
         word += "\\" * (len(token["slashes"]) // 2)
         quotes = len(token["quote"])

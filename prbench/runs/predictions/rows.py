@@ -93,6 +93,7 @@ def is_floating(dtype: np.dtype) -> bool:
 
 def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
     """The numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
+    # Infinity is refused later, in words that name the sequence.
     with np.errstate(over="ignore"):
         return np.asarray(joints, dtype=np.float32)
 

@@ -137,6 +137,7 @@ class MadeConditions:
 
 def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeConditions:
     """The rows of a conditions file, in its order; nothing is written."""
+    # Several datasets become one file, in which nothing tells which rows are of which.
     selections = []
     left_out = []
     batches = []

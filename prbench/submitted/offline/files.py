@@ -152,6 +152,7 @@ def _write_parquet(conditions: ConditionsFile, path: Path) -> None:
             row_group_size=_ROW_GROUP_ROWS,
             compression="zstd",
             compression_level=1,
+            # Ids and numbers hardly repeat, so that dictionaries would only make the file larger.
             use_dictionary=["text"],  # type: ignore[arg-type] - the stub knows bool only
             write_page_checksum=True,
         )

@@ -53,6 +53,7 @@ def require_complete(predictions: Predictions, wanted: Wanted) -> list[int]:
         for one in splits.values()
         for name in _names(predictions, select(one.table, split=one.split, limit=None), wanted.seed)
     }
+    # Every sequence needs the same samples, or means over them would weigh sequences differently.
     samples = sorted(set(predictions.samples)) if wanted.samples is None else list(range(wanted.samples))
     counts = Counter(zip(predictions.ids, predictions.samples))
     sequence_of = dict(

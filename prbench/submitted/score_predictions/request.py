@@ -135,6 +135,7 @@ def stated_by_conditions(conditions: ConditionsFile, tables: list[SequenceTable]
     stated = Stated(
         info.condition, None, info.seed, info.split, info.limit, info.max_frames, info.native_fps, info.samples
     )
+    # Fingerprints instead of names: the file must not tell a method which data it is asked about.
     if info.tables != fingerprints(table.identity for table in tables):
         raise PredictionsError(
             f"{path}: expected conditions of {_listed(tables)}, found those of {len(info.tables)} table"

@@ -93,6 +93,7 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
             f" body {turned:.0f}° from +Z; the lowest joint is at {floor * 100:+.0f} cm (medians)."
         )
         numbers = {"away_m": away, "turned_deg": turned, "floor_m": floor}
+        # A baseline of one average pose is a method, too, and allowed to stand where it was averaged.
         still = subject.declared.motionless  # an average pose stands where the average person stood
         if not still and (away > _AWAY_FAILURE or turned > _TURNED_FAILURE or abs(floor) > _FLOOR_FAILURE):
             yield failed(text, _CANONICAL, **numbers)

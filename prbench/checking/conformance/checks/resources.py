@@ -47,6 +47,7 @@ def memory(subject: Subject) -> Iterator[Observation]:
             resident.append(_resident_bytes())
     finally:
         gc.unfreeze()
+    # The first rounds fill caches of allocators and kernels, which is no leak.
     growth = growth_per_round(np.array(resident[_SETTLING:], dtype=np.float64)) / len(usual.batch)
     total = max(resident) / 2**20
     text = f"{growth / 1024:.0f} KiB a motion stayed behind over {rounds} batches; {total:.0f} MiB in all."
