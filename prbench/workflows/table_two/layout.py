@@ -19,7 +19,7 @@ from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.comparison import paired_scores
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, TableRow, hides
 from prbench.metrics import MetricInfo
-from prbench.runs.cost import RunCost, read_run_cost
+from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.plan import PlannedRow
@@ -243,7 +243,7 @@ def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
     # A control reads motions or copies poses: its seconds would look like a method's.
     if folder is None or row is None or row.entry.record.method.kind == "control":
         return LineCost(None, None, None)
-    cost = read_run_cost(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
+    cost = RunCost.read(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
     return LineCost(_seconds(cost), _passes(cost), cost.peak_process_bytes / _MEBIBYTE)
 
 

@@ -14,17 +14,15 @@ import prbench
 from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion import draw_multimodality_pairs, multimodality
 from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.measure import (
-    MULTIMODALITY,
-    EmbeddedPairs,
-    measure_motions,
-    measure_pairs,
-)
 from prbench.evaluation.text_to_motion.metrics import (
     DIVERSITY_PAIRS,
     FEWEST,
+    MULTIMODALITY,
     MULTIMODALITY_PROMPTS,
     MULTIMODALITY_SAMPLES,
+    EmbeddedPairs,
+    measure_motions,
+    measure_pairs,
 )
 from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
 from prbench.training.motions import open_table

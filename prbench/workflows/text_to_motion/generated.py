@@ -14,8 +14,7 @@ from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
 from prbench.methods.adapters import load_adapter, require_condition, weights_digest
 from prbench.methods.declared import Declared
-from prbench.methods.motions import generate_checked
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import generate_checked, native_frames
 from prbench.randomness import noise_seed
 from prbench.representation import encode
 from prbench.storage import text_digest
