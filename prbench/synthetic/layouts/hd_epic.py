@@ -26,6 +26,7 @@ from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.layouts.file_forms import write_csv
 from prbench.synthetic.sensors import hd_epic as sensors
+from prbench.synthetic.sensors.errors import device_start_us
 from prbench.synthetic.sensors.smplh import synthetic_smplh
 
 _SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
@@ -208,7 +209,7 @@ LAYOUT = Layout(
     write=_write_below,
     finish=_finish,
     events=sensors.known_events,
-    clock_start=lambda performance: sensors.clock_start_us(performance) / 1e6,
+    clock_start=lambda performance: device_start_us(performance) / 1e6,
     object_id=sensors.association_id,
     gaze_bias=sensors.gaze_bias,
 )

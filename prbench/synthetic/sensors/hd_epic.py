@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import uuid
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +19,8 @@ from prbench.synthetic.egoallo import sense_egoallo
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.aria_mps import gaze_bias as aria_gaze_bias
-from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.aria_mps import sense_mps, uid_of
+from prbench.synthetic.sensors.errors import Sensing, Switches, device_start_us
 from prbench.synthetic.sensors.hd_epic_annotations import Sighting, masks_of, synthetic_priming
 
 _GAZE_PERIOD = 0.1
@@ -30,7 +29,6 @@ _STEP_JITTER_US = 2
 _GAZE_KIND = "general"
 """HD-EPIC has no personalized gaze."""
 
-_CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
 _CLOCK_JITTER_NS = 400  # of an image's time stamp
 _REPEATED = 0.002  # share of the frames
 _SKIPPED = 0.001
@@ -57,8 +55,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
         switches: Which errors are on; all if None.
     """
-    switches = switches or Switches()
-    start_us = clock_start_us(performance)
+    sensing = Sensing(performance, noise, switches or Switches())
+    start_us = device_start_us(performance)
     glasses = sense_mps(
         performance,
         start_us=start_us,
@@ -68,8 +66,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         step_jitter_us=_STEP_JITTER_US,
     )
     glasses = _in_world_of(performance.person.participant_id, glasses)
-    clock = sense_video_clock(performance, noise, switches)
-    tracks = _annotated_tracks(performance, clock, noise, switches)
+    clock = sense_video_clock(sensing)
+    tracks = _annotated_tracks(sensing, clock)
     readings = hd_epic.HdEpicReadings(
         video=performance.recording_id,
         participant_id=performance.person.participant_id,
@@ -85,13 +83,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 
 def _in_world_of(participant_id: str, glasses: MpsReadings) -> MpsReadings:
     """Move a video into the world that all videos of one participant share."""
-    uid = str(uuid.UUID(bytes=hashlib.sha256(f"kitchen of {participant_id}".encode()).digest()[:16]))
+    uid = uid_of(f"kitchen of {participant_id}")
     return dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=(uid,)))
-
-
-def clock_start_us(performance: Performance) -> int:
-    """Return the device time of the performance's first instant, microseconds."""
-    return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
 
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
@@ -129,30 +122,29 @@ def association_id(object_id: str) -> str:
     return hashlib.sha256(f"association {object_id}".encode()).hexdigest()[:16]
 
 
-def sense_video_clock(performance: Performance, noise: float, switches: Switches) -> hd_epic.VideoClock:
+def sense_video_clock(sensing: Sensing) -> hd_epic.VideoClock:
     """Return the device time of every frame: the image nearest to a regular time line, some twice, some skipped."""
-    n = int((performance.duration + 1e-9) * hd_epic.FPS) + 1
-    scale = strength(switches.video_clock, noise)
-    rng = sensor_generator(performance, "video-clock")
+    n = len(sensing.times(hd_epic.FPS))
+    scale = sensing.strength("video_clock")
+    rng = sensing.generator("video-clock")
     jitter = rng.uniform(-_CLOCK_JITTER_NS, _CLOCK_JITTER_NS, n) * scale
     image = np.arange(n)
     repeated = rng.random(n) < _REPEATED * scale
     skipped = rng.random(n) < _SKIPPED * scale
     shown = np.maximum.accumulate(np.clip(image - repeated + skipped, 0, n - 1))
     since_start = np.rint(np.arange(n) * 1e9 / hd_epic.FPS + jitter).astype(np.int64)
-    return hd_epic.VideoClock(clock_start_us(performance) * 1000 + since_start[shown])
+    return hd_epic.VideoClock(device_start_us(sensing.performance) * 1000 + since_start[shown])
 
 
-def _annotated_tracks(
-    performance: Performance, clock: hd_epic.VideoClock, noise: float, switches: Switches
-) -> tuple[hd_epic.ObjectTrack, ...]:
+def _annotated_tracks(sensing: Sensing, clock: hd_epic.VideoClock) -> tuple[hd_epic.ObjectTrack, ...]:
     """Return one track a movement: the pick, and the put that ends it."""
-    rng = sensor_generator(performance, "annotated-times")
-    device_start = clock_start_us(performance) / 1e6 - performance.times[0]
+    performance = sensing.performance
+    rng = sensing.generator("annotated-times")
+    device_start = device_start_us(performance) / 1e6 - performance.times[0]
     last = (len(clock.device_ns) - 1) / hd_epic.FPS - _SHORTEST_TRACK
     tracks = []
     for number, (pick, put) in enumerate(movements(performance)):
-        shift = rng.normal(0.0, _TIME_NOISE, 2) * strength(switches.annotated_times, noise)
+        shift = rng.normal(0.0, _TIME_NOISE, 2) * sensing.strength("annotated_times")
         device = device_start + np.array([pick.event_time, put.event_time]) + shift
         seconds = np.clip(clock.frames(device) / hd_epic.FPS, 0.0, last)
         start, end = (float(value) for value in np.round(seconds, _SECONDS))
@@ -165,7 +157,7 @@ def _annotated_tracks(
             masks=(),
         )
         sightings = (Sighting("start", track.start, pick), Sighting("end", track.end, put))
-        tracks.append(masks_of(performance, track, sightings, noise=noise, switches=switches))
+        tracks.append(masks_of(sensing, track, sightings))
     return tuple(sorted(tracks, key=lambda track: (track.start, track.end, track.object_id, track.track_id)))
 
 

@@ -16,7 +16,7 @@ from prbench.readers.hd_epic import format as hd_epic
 from prbench.skeleton import transform_points
 from prbench.synthetic.egoallo import NATIVE_FROM_WORLD
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.errors import Sensing, sensor_generator
 from prbench.timelines import interpolate
 
 _POINT_NOISE = 0.020  # m an axis
@@ -38,18 +38,12 @@ class Sighting:
     event: TrueEvent
 
 
-def masks_of(
-    performance: Performance,
-    track: hd_epic.ObjectTrack,
-    sightings: Sequence[Sighting],
-    *,
-    noise: float,
-    switches: Switches,
-) -> hd_epic.ObjectTrack:
+def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, sightings: Sequence[Sighting]) -> hd_epic.ObjectTrack:
     """Return the track with its masks: one at either end, rarely none or a third, listed in either order."""
-    rng = sensor_generator(performance, f"masks-{track.track_id}")
-    points = rng.normal(0.0, _POINT_NOISE, (2, 3)) * strength(switches.annotated_points, noise)
-    lost = rng.random(2) < _MISSING * strength(switches.mask_losses, noise)
+    performance = sensing.performance
+    rng = sensing.generator(f"masks-{track.track_id}")
+    points = rng.normal(0.0, _POINT_NOISE, (2, 3)) * sensing.strength("annotated_points")
+    lost = rng.random(2) < _MISSING * sensing.strength("mask_losses")
     has_middle, is_reversed = rng.random(2) < (_MIDDLE_MASK, _REVERSED)
     masks = [
         _mask(performance, track, sighting, sighting.event.goal + offset)
