@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
 from prbench.synthetic.defects import Defect
-from prbench.synthetic.layouts.file_forms import pickled_tensors
+from prbench.synthetic.layouts.gimo import pickled_tensors
 
 _SHORT_GAP = 3  # frames
 _LONG_GAP = 15

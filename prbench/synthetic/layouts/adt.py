@@ -16,7 +16,7 @@ from prbench.readers.egoallo import format as ego
 from prbench.storage import atomic_folder, write_bytes, write_json
 from prbench.synthetic.egoallo import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
-from prbench.synthetic.layouts.file_forms import split_columns, write_csv
+from prbench.synthetic.layouts.aria_mps import split_columns, write_csv
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import adt as sensors
 from prbench.synthetic.sensors.aria_mps import gaze_bias

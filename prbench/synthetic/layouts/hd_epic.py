@@ -23,8 +23,7 @@ from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.file_forms import write_csv
+from prbench.synthetic.layouts.aria_mps import write_csv, write_mps
 from prbench.synthetic.sensors import hd_epic as sensors
 from prbench.synthetic.sensors.errors import device_start_us
 from prbench.synthetic.sensors.smplh import synthetic_smplh

@@ -21,7 +21,7 @@ from prbench.skeleton import PARENTS, Joint, bone_lengths
 from prbench.storage import atomic_path, write_bytes, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.layouts.file_forms import split_columns, write_csv
+from prbench.synthetic.layouts.aria_mps import split_columns, write_csv
 from prbench.synthetic.people.channels import wobble
 from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation_quaternion
 

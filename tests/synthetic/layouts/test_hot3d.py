@@ -18,8 +18,7 @@ from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.objects import read_glb
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.layouts.file_forms import glb_bytes
-from prbench.synthetic.layouts.hot3d import LAYOUT
+from prbench.synthetic.layouts.hot3d import LAYOUT, glb_bytes
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Sensing, Switches
