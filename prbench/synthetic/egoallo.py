@@ -22,8 +22,7 @@ from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_
 from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS, Joint
 from prbench.storage import atomic_path, write_text
-from prbench.synthetic.people.channels import wobble
-from prbench.synthetic.people.geometry import soft_limit, two_bone
+from prbench.synthetic.people.kinematics import soft_limit, two_bone, wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Sensing, Switches
 from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.people.channels import blend, eased_trapezoid, wrap
+from prbench.synthetic.people.kinematics import blend, eased_trapezoid, wrap
 from prbench.synthetic.people.person import Habits
 
 _WALK_FROM = 0.7

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePath
-from prbench.synthetic.people.channels import wrap
-from prbench.synthetic.people.geometry import direction
+from prbench.synthetic.people.kinematics import direction, wrap
 from prbench.synthetic.people.plan import Plan
 
 _LONGEST_FILL = 1.6

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePath
-from prbench.synthetic.people.channels import wrap
 from prbench.synthetic.people.fills import Avoidance, FillDrawer
-from prbench.synthetic.people.geometry import direction, yaw_and_pitch
+from prbench.synthetic.people.kinematics import direction, wrap, yaw_and_pitch
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.presets import Preset
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.people.channels import minimum_jerk, smooth, wobble, wrap
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
-from prbench.synthetic.people.geometry import direction, yaw_and_pitch
+from prbench.synthetic.people.kinematics import direction, minimum_jerk, smooth, wobble, wrap, yaw_and_pitch
 from prbench.synthetic.people.person import Habits
 from prbench.synthetic.people.presets import Preset
 

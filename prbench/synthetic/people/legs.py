@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.synthetic.people.base import BasePath, BasePose, Segment
-from prbench.synthetic.people.channels import eased_trapezoid, minimum_jerk, smooth
-from prbench.synthetic.people.geometry import direction, turn, two_bone
+from prbench.synthetic.people.kinematics import direction, eased_trapezoid, minimum_jerk, smooth, turn, two_bone
 from prbench.synthetic.people.person import BALL_HEIGHT, Body, Person
 
 _ROLL_BEFORE_LIFT = 0.05  # the ball begins to rise before it moves, as a rolling foot does

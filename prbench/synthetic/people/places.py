@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePose, Segment, plan_segment
-from prbench.synthetic.people.geometry import turn
 from prbench.synthetic.people.grasp import (
     Grasp,
     Posture,
@@ -21,6 +20,7 @@ from prbench.synthetic.people.grasp import (
     solve_posture,
     take_hold,
 )
+from prbench.synthetic.people.kinematics import turn
 from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
 from prbench.synthetic.people.world import Room, Surface

@@ -1,6 +1,7 @@
 """The sensors of Aria Digital Twin (docs/specification/synthetic-recordings.md#sensors, rows "adt").
 
-Readings are rounded to the resolution of the written files (micrometres, microradians, 1e-9 for quaternions), so that
+The optical suit has 51 joints and 57 markers (docs/specification/adt.md#joints); they follow from the 22 joints and the
+finger bases of a performance. Readings are rounded to the resolution of the written files (micrometres, microradians, 1e-9 for quaternions), so that
 files and memory hold the same numbers.
 """
 
@@ -14,28 +15,50 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.adt import format as adt
-from prbench.synthetic.people.channels import wobble
+from prbench.skeleton import Joint
+from prbench.synthetic.people.kinematics import UP, unit, wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import device_poses, gaze_rows
 from prbench.synthetic.sensors.errors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
-from prbench.synthetic.sensors.suit import suit_joints, suit_markers, suit_segments
 from prbench.timelines import interpolate, slerp
 
+_DIRECT = {
+    "Skeleton": Joint.PELVIS, "Ab": Joint.SPINE1, "Chest": Joint.SPINE3, "Neck": Joint.NECK, "Head": Joint.HEAD,
+    "LShoulder": Joint.LEFT_COLLAR, "LUArm": Joint.LEFT_SHOULDER, "LFArm": Joint.LEFT_ELBOW, "LHand": Joint.LEFT_WRIST,
+    "RShoulder": Joint.RIGHT_COLLAR, "RUArm": Joint.RIGHT_SHOULDER, "RFArm": Joint.RIGHT_ELBOW,
+    "RHand": Joint.RIGHT_WRIST,
+    "LThigh": Joint.LEFT_HIP, "LShin": Joint.LEFT_KNEE, "LFoot": Joint.LEFT_ANKLE, "LToe": Joint.LEFT_FOOT,
+    "RThigh": Joint.RIGHT_HIP, "RShin": Joint.RIGHT_KNEE, "RFoot": Joint.RIGHT_ANKLE, "RToe": Joint.RIGHT_FOOT,
+}  # fmt: skip
+# Straight fingers: base beside the middle-finger base (towards the thumb), and the two further joints along the hand.
+_FINGERS = {
+    "Thumb": (0.035, (-0.055, -0.030, -0.005)),
+    "Index": (0.022, (0.0, 0.042, 0.066)),
+    "Middle": (0.0, (0.0, 0.045, 0.072)),
+    "Ring": (-0.020, (0.0, 0.042, 0.067)),
+    "Pinky": (-0.038, (-0.006, 0.028, 0.047)),
+}
+_MARKED_BONES = (
+    ("Skeleton", "Ab"), ("Ab", "Chest"), ("Chest", "Neck"), ("Neck", "Head"),
+    ("LShoulder", "LUArm"), ("LUArm", "LFArm"), ("LFArm", "LHand"), ("LHand", "LMiddle1"),
+    ("RShoulder", "RUArm"), ("RUArm", "RFArm"), ("RFArm", "RHand"), ("RHand", "RMiddle1"),
+    ("Skeleton", "LThigh"), ("LThigh", "LShin"), ("LShin", "LFoot"), ("LFoot", "LToe"),
+    ("Skeleton", "RThigh"), ("RThigh", "RShin"), ("RShin", "RFoot"),
+)  # fmt: skip
+_MARKERS_ALONG_BONE = (0.2, 0.5, 0.8)
 RATE = 30.0
 """Glasses, gaze and objects, Hz."""
 _BODY_RATE = 120.0
 GLASSES_SIZE = "DVT-L"
-GLASSES_SIZE = "DVT-L"
-
-_POSE_NOISE = 0.5e-3
+_POSE_NOISE = 0.5e-3  # m
 _POSE_TURN = np.deg2rad(0.05)
 _POSE_LOSS = 0.01
 _BODY_NOISE = 0.8e-3
 _BODY_WOBBLE = 3e-3
 _BODY_WOBBLE_HZ = (0.05, 0.3)
-_BODY_LOSS = 1e-4  # share, share, m
-_MARKER_LOSS = 0.01
-_THROW = 0.5
+_BODY_LOSS = 1e-4  # share of the frames at the origin or with a joint thrown off
+_MARKER_LOSS = 0.01  # share of the markers that are occluded
+_THROW = 0.5  # m
 _OBJECT_NOISE = 0.3e-3
 _OBJECT_TURN = np.deg2rad(0.1)
 _ROOM_HALF_EXTENTS = (6.0, 1.5, 6.0)
@@ -71,13 +94,6 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
 def _glasses_serial(performance: Performance, other: int = 0) -> str:
     """Return a synthetic serial of the wearer's glasses, or of those of another person in the scene."""
     return f"SYNTH{performance.index:05d}M{other:02d}"
-
-
-def native_object_id(object_id: str) -> int:
-    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
-    if re.fullmatch(r"[1-9]\d{14,15}", object_id):
-        return int(object_id)
-    return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
 
 
 def _sense_glasses(
@@ -129,6 +145,13 @@ def _sense_objects(
             )
         )
     return tuple(sorted(objects, key=lambda entry: entry.object_id))
+
+
+def native_object_id(object_id: str) -> int:
+    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
+    if re.fullmatch(r"[1-9]\d{14,15}", object_id):
+        return int(object_id)
+    return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
 
 
 def _object_poses(
@@ -184,7 +207,7 @@ def _sense_suit(
     bad = np.flatnonzero(rng.random(len(times)) < _BODY_LOSS * scale)
     thrown = rng.integers(adt.N_NATIVE_JOINTS, size=len(times))[bad]
     native[bad, thrown] += (0.0, _THROW, 0.0)
-    native[bad[::2]] = 0.0
+    native[bad[::2]] = 0.0  # every other bad frame is lost as a whole: the suit writes zeros
     markers[rng.random(markers.shape[:2]) < _MARKER_LOSS * scale] = 0.0
     since_start = np.rint((times - performance.times[0]) * 1e9).astype(np.int64)
     return adt.AdtSkeleton(
@@ -197,6 +220,34 @@ def _sense_suit(
     )
 
 
+def suit_joints(
+    joints: Float[np.ndarray, "n 22 3"], finger_bases: Float[np.ndarray, "n 2 3"]
+) -> Float[np.ndarray, "n 51 3"]:
+    """Return the 51 native joints: 21 of the body as they are, and straight fingers.
+
+    Args:
+        joints: The 22 joints, metres; spine2 has no native joint, the reader takes it between spine1 and spine3.
+        finger_bases: Middle-finger bases, left and right.
+    """
+    native = np.zeros((len(joints), adt.N_NATIVE_JOINTS, 3))
+    for name, joint in _DIRECT.items():
+        native[:, adt.JOINT_NAMES.index(name)] = joints[:, joint]
+    for side, letter in enumerate("LR"):
+        elbow, wrist = (joints[:, joint + side] for joint in (Joint.LEFT_ELBOW, Joint.LEFT_WRIST))
+        shoulder = joints[:, Joint.LEFT_SHOULDER + side]
+        base = finger_bases[:, side]
+        along = unit(base - wrist)
+        # The normal of the arm's plane is the palm's side axis; a straight arm has none, any steady one will do.
+        plane = np.cross(wrist - elbow, elbow - shoulder)
+        is_bent = np.linalg.norm(plane, axis=-1, keepdims=True) > 1e-4
+        aside = unit(np.cross(np.where(is_bent, plane, UP), along))
+        for finger, (beside, places) in _FINGERS.items():
+            for number, place in enumerate(places, start=1):
+                index = adt.JOINT_NAMES.index(f"{letter}{finger}{number}")
+                native[:, index] = base + beside * aside + place * along
+    return native
+
+
 def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -> Float[np.ndarray, "n 51 3"]:
     rng = sensing.generator(f"body-noise-{number}")
     shift = rng.normal(0.0, _BODY_NOISE, (len(times), adt.N_NATIVE_JOINTS, 3)) * sensing.strength("body_noise")
@@ -207,3 +258,19 @@ def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -
     segments = suit_segments()
     slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * (segments.max() + 1))]
     return shift + np.stack(slow, axis=1).reshape(len(times), -1, 3)[:, segments] * scale
+
+
+def suit_segments() -> Int[np.ndarray, "51"]:
+    """Return which joints the suit shifts together: a hand with its fingers, every other joint alone."""
+    hands = {"L": adt.JOINT_NAMES.index("LHand"), "R": adt.JOINT_NAMES.index("RHand")}
+    is_finger = [name[1:-1] in _FINGERS for name in adt.JOINT_NAMES]
+    owner = [hands[n[0]] if finger else i for i, (n, finger) in enumerate(zip(adt.JOINT_NAMES, is_finger, strict=True))]
+    return np.unique(owner, return_inverse=True)[1]
+
+
+def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:
+    """Return synthetic markers: three along each of 19 bones."""
+    first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
+    share = np.array(_MARKERS_ALONG_BONE)[:, None]
+    points = joints[:, first, None] * (1 - share) + joints[:, second, None] * share
+    return points.reshape(len(joints), adt.N_MARKERS, 3)
