@@ -246,3 +246,9 @@ def matrix_of(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def forward_of(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3"]:
+    """Return the forward axes (z) of the frames that unit quaternions (w x y z) turn."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)

@@ -1,8 +1,8 @@
 """The sensors of Aria Digital Twin (docs/specification/synthetic-recordings.md#sensors, rows "adt").
 
 The optical suit has 51 joints and 57 markers (docs/specification/adt.md#joints); they follow from the 22 joints and the
-finger bases of a performance. Readings are rounded to the resolution of the written files (micrometres, microradians, 1e-9 for quaternions), so that
-files and memory hold the same numbers.
+finger bases of a performance. Readings are rounded to the resolution of the written files (micrometres, microradians,
+1e-9 for quaternions), so that files and memory hold the same numbers.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from prbench.readers.egoallo.format import EgoAlloOutput
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.skeleton import transform_points
 from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
+from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.aria_mps import gaze_bias as aria_gaze_bias
@@ -280,10 +281,8 @@ def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) 
 
 def _in_view(performance: Performance, goal: np.ndarray, frame: int) -> bool:
     row = _row(performance, frame)
-    w, x, y, z = performance.head_rotation[row]
-    forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     towards = goal - performance.eye[row]
-    return bool(towards @ forward >= _IN_VIEW * np.linalg.norm(towards))
+    return bool(towards @ forward_of(performance.head_rotation[row]) >= _IN_VIEW * np.linalg.norm(towards))
 
 
 def _row(performance: Performance, frame: int) -> int:
