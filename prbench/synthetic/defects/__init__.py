@@ -60,13 +60,23 @@ def defect(preset: str, name: str) -> Defect:
 
 def missing(name: str) -> Damage:
     """Return a damage that removes one file of the recording's folder."""
-    return lambda root, recording: (root / recording / name).unlink()
+    return removed(lambda root, recording: root / recording / name)
 
 
-def cut_in_half(path: Path) -> None:
-    """Drop the second half of a file, as a copy that stopped."""
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+def removed(find: Callable[[Path, str], Path]) -> Damage:
+    """Return a damage that removes the file that ``find`` names for a tree and a recording."""
+    return lambda root, recording: find(root, recording).unlink()
+
+
+def cut_in_half(find: Callable[[Path, str], Path]) -> Damage:
+    """Return a damage that drops the second half of a file, as a copy that stopped."""
+
+    def apply(root: Path, recording: str) -> None:
+        path = find(root, recording)
+        content = path.read_bytes()
+        path.write_bytes(content[: len(content) // 2])
+
+    return apply
 
 
 def change_json(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
