@@ -131,7 +131,7 @@ class SyntheticCorpus:
         chosen = parse_options(SyntheticOptions, dict(options.source), dataset="the synthetic corpus")
         if chosen.recordings < 1:
             raise UsageError(f"a synthetic corpus needs at least one recording, not {chosen.recordings}.")
-        _ = NymeriaOptions(kinds=chosen.kinds).chosen_kinds
+        _ = NymeriaOptions(kinds=chosen.kinds).chosen_kinds  # refuses an unknown kind before anything is generated
         return chosen
 
     def _limits(self, options: CorpusOptions) -> ClipLimits:

@@ -131,6 +131,7 @@ def objects_table(performance: Performance) -> pa.Table:
     tables = []
     layout = layout_for(performance.preset)
     for motion in performance.objects:
+        # Rows at rest repeat the one before; without them the file of a long recording stays small.
         kept = _moving_rows(motion.position, motion.rotation)
         times = performance.times[: len(motion.position)][kept]
         tables.append(

@@ -139,6 +139,7 @@ def synthesize_tree(
                 on_written(result.recording)
         layout.finish(root)
         shutil.rmtree(root / SHARED_PARTS, ignore_errors=True)
+        # Damages come after the shared files are written, because some of them change those.
         for damage in damages:
             damage.apply(root, done[0].recording.recording_id)
         for name in ("recordings", "events", "fixations"):

@@ -51,6 +51,7 @@ def _change_member(archive: Path, name: str, change: Callable[[list[Row]], list[
     member = next(entry for entry in contents if entry.endswith(f"/{name}"))
     text = changed_rows(contents[member].decode(), change)
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as written:
+        # The entries carry the time of writing, so these bytes differ from run to run; what they hold does not.
         for entry, content in contents.items():
             written.writestr(entry, text.encode() if entry == member else content)
 

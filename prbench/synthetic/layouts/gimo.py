@@ -96,6 +96,7 @@ class _Pickler(pickle.Pickler):
         return _load_from_bytes, (_storage_head(len(raw) // 4) + raw,)
 
 
+# torch writes the memory address of a storage as its key, so that equal tensors would give other bytes each time.
 @cache
 def _storage_head(size: int) -> bytes:
     """Return what ``torch.save`` writes before float32 numbers, with a fixed key for the memory address."""

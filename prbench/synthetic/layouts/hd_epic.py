@@ -32,7 +32,7 @@ _SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
 _GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
 _UNORDERED = 8  # one in so many objects lists its tracks backwards
 _COMPRESSION = 1
-_CREATED = (2000, 1, 1, 0, 0, 0)
+_CREATED = (2000, 1, 1, 0, 0, 0)  # of every entry of an archive: the time of writing would change its bytes
 
 
 class _Share(msgspec.Struct):

@@ -98,7 +98,7 @@ def glb_bytes(mesh: hot3d.ObjectMesh, *, name: str, turned: bool) -> bytes:
         node |= {"rotation": list(_QUARTER_TURN), "translation": list(_SHIFT)}
         x, y, z = (raw - _SHIFT).T
         raw = np.column_stack([z, y, -x])  # the node turns it back: (x, y, z) becomes (-z, y, x)
-    vertices = (raw / _SCALE).astype("<f4")
+    vertices = (raw / _SCALE).astype("<f4")  # glTF knows single precision only
     faces = mesh.faces.astype("<u2")
     content = vertices.tobytes() + faces.tobytes()
     description = {

@@ -85,6 +85,7 @@ def wobble(
     frequencies = rng.uniform(low, high, 5)
     phases = rng.uniform(0.0, 2.0 * np.pi, 5)
     waves = np.sin(2.0 * np.pi * frequencies[:, None] * times + phases[:, None])
+    # A sine of amplitude 1 has the mean square 1/2, and five independent ones 5/2.
     return rms * np.sqrt(2.0 / 5.0) * waves.sum(axis=0)
 
 
@@ -190,6 +191,7 @@ def two_bone(
     wanted = np.sqrt(np.einsum("...i,...i->...", offset, offset))
     along = offset / wanted[..., None]
     distance = soft_limit(wanted / (upper + lower), *limit) * (upper + lower)
+    # Law of cosines: the angle at the root between the upper bone and the line to the target.
     cosine = np.clip((upper**2 + distance**2 - lower**2) / (2.0 * upper * distance), -1.0, 1.0)
     across = orthogonal_unit(pole, along)
     middle = root + upper * (cosine[..., None] * along + np.sqrt(1.0 - cosine**2)[..., None] * across)
@@ -232,6 +234,7 @@ def quaternion(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*b
         ],
         axis=-2,
     )
+    # Any row is the quaternion times a number; the one with the largest component loses no digits (Shepperd, 1978).
     best = squares.argmax(axis=-1)
     chosen = unit(np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :])
     return np.where(chosen[..., :1] < 0.0, -chosen, chosen)

@@ -24,8 +24,8 @@ from prbench.synthetic.people.person import Trunk
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.posture import bend, draw_sway, move_trunk
 
-_WRIST_TOLERANCE = 0.008
-_CORRECTIONS = 2
+_WRIST_TOLERANCE = 0.008  # metres
+_CORRECTIONS = 2  # rounds; what is left decides whether the recording is planned anew
 
 
 @dataclass(frozen=True)

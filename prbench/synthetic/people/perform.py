@@ -30,9 +30,9 @@ _EVENTS = 2
 _PLANS_OF_BYSTANDER = 8
 _POLITE_DISTANCE = 0.9  # metres between two people
 _CLOSING = 2.0  # seconds after the last movement
-_WORST_WRIST = 0.020
+_WORST_WRIST = 0.020  # metres between wrist and target, beyond which a recording is planned anew
 _ATTEMPTS = 6
-_REPAIRS = 3
+_REPAIRS = 3  # rounds of moving fills that would prime a goal too early
 _OTHERS_OBJECTS = 4  # ids kept for what a bystander moves
 
 
