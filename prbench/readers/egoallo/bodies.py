@@ -17,7 +17,7 @@ from prbench.readers.egoallo.to_recording import NO_OUTPUTS, joined_windows
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint
-from prbench.timelines import covered, interpolate
+from prbench.timelines import covered
 
 _MARGIN = 1.0  # seconds
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
@@ -71,8 +71,7 @@ def _require_belongs(
             found=f"{times[0]:.3f} … {times[-1]:.3f} s: the output belongs to another recording",
             remedy=_REMEDY,
         )
-    usable = cpf.valid if cpf.valid.any() else np.ones_like(cpf.valid)
-    expected = interpolate(cpf.times[usable], cpf.position[usable], times[posed])
+    expected, _ = cpf.pose_at(times[posed])
     limit = ego.LARGEST_CPF_ERROR if exact else ego.LARGEST_HEAD_ERROR
     distance = float(np.median(np.linalg.norm(points[posed] - expected, axis=1)))
     if not distance <= limit:

@@ -18,6 +18,7 @@ from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
 from prbench.readers.gimo.suit_skeleton import place_skeleton
 from prbench.recording.body_quality import hold_neighbours
 from prbench.recording.streams import (
+    SIDES,
     AnnotatedEvent,
     BodyStream,
     GazeStream,
@@ -33,7 +34,6 @@ from prbench.timelines import interpolate
 Target = Literal["point", "cube"]
 GazeOrigin = Literal["head", "hololens"]
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _UNKNOWN = "unknown"
 _SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
 
@@ -81,7 +81,7 @@ def recording_from_gimo(
         body=body,
         hands=tuple(
             HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
-            for side, wrist in zip(_SIDES, WRISTS, strict=True)
+            for side, wrist in zip(SIDES, WRISTS, strict=True)
         ),
         objects=(),
         annotated_events=events,
@@ -207,7 +207,7 @@ def _events(
     for event in readings.events:
         row = event.frame - readings.segment.start_frame
         hand = event.hand or _moving_hand(body, row, manifest.thresholds["hand_window"])
-        place = body.joints[row, WRISTS[_SIDES.index(hand)]] if body.valid[row] else None
+        place = body.joints[row, WRISTS[SIDES.index(hand)]] if body.valid[row] else None
         if place is None:
             remarks.append(f"no pose on frame {event.frame}, so its event has no place")
         if event.hand is None:
@@ -236,7 +236,7 @@ def _moving_hand(body: BodyStream, row: int, window: float) -> Side:
     first = max(row - round(window * gimo.FRAME_RATE), 0)
     wrists = body.joints[first : row + 1][:, WRISTS]
     paths = np.linalg.norm(np.diff(wrists, axis=0), axis=2).sum(axis=0)
-    return _SIDES[int(paths.argmax())]
+    return SIDES[int(paths.argmax())]
 
 
 def _no_rotation(n: int) -> Float[np.ndarray, "n 4"]:

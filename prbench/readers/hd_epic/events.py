@@ -22,7 +22,6 @@ from prbench.readers.hd_epic.priming import MaskedEvent, published_priming
 from prbench.recording.reaching_hand import reaching_hand, wrists_at
 from prbench.recording.streams import AnnotatedEvent, BodyStream, PublishedPriming
 from prbench.skeleton import transform_points
-from prbench.timelines import interpolate
 
 BoxKind = Literal["point", "cube"]
 
@@ -173,7 +172,7 @@ def _cube_edge(
     if side.mask is None or side.mask.box_px is None or not camera.valid.any():
         return None
     time = readings.clock.device_seconds(np.array([side.mask.frame], dtype=np.float64))
-    eye = interpolate(camera.times[camera.valid], camera.position[camera.valid], time)[0]
+    eye = camera.pose_at(time)[0][0]
     low_x, low_y, high_x, high_y = side.mask.box_px
     mean_side = (abs(high_x - low_x) + abs(high_y - low_y)) / 2
     focal = hd_epic.FOCAL_LENGTH

@@ -18,6 +18,7 @@ from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.events import annotated_events
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import (
+    SIDES,
     BodyStream,
     GazeStream,
     HandStream,
@@ -25,14 +26,12 @@ from prbench.recording.streams import (
     Occluder,
     PoseStream,
     Recording,
-    Side,
 )
 from prbench.skeleton import WRISTS, transform_points
 
 JointMapping = Literal["anatomical", "named"]
 """``anatomical``: the manifest's default; or one of its other mappings."""
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _MILLIMETRES = 1000.0
@@ -85,7 +84,7 @@ def recording_from_mogaze(
         body=body,
         hands=tuple(
             HandStream(side, "wrist", times, body.joints[:, [wrist]], plausible)
-            for side, wrist in zip(_SIDES, WRISTS, strict=True)
+            for side, wrist in zip(SIDES, WRISTS, strict=True)
         ),
         objects=tracks,
         annotated_events=events,
