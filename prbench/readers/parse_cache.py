@@ -15,7 +15,6 @@ import contextlib
 import hashlib
 import json
 import os
-import shutil
 import time
 import zipfile
 from pathlib import Path
@@ -89,11 +88,6 @@ def keep_parsed(source: Source, wish: bytes, table: pa.Table) -> None:
         with sole_file(path) as temporary, pyarrow.ipc.new_file(str(temporary), marked.schema) as writer:
             writer.write_table(marked)
         _shrink(path.parent, limit)
-
-
-def clear_parse_cache() -> None:
-    """Delete all that is kept."""
-    shutil.rmtree(_folder(), ignore_errors=True)
 
 
 def _folder() -> Path:

@@ -24,8 +24,8 @@ from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import RecordingFiles, described_options, require_one_origin
+from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
-from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest

@@ -12,10 +12,9 @@ from prbench.boundary import foreign_input
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
-from prbench.readers.aria_mps import find_gaze_file
+from prbench.readers.aria_mps.find import find_gaze_file
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
-from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.places import body_extent
+from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in

@@ -13,16 +13,11 @@ from prbench.readers.adt.for_egoallo import glasses_z_up
 from prbench.readers.adt.layouts import AdtOptions
 from prbench.readers.adt.objects import read_objects
 from prbench.readers.adt.skeletons import read_skeletons
-from prbench.readers.aria_mps import (
-    AriaTrajectory,
-    OnlineCalibration,
-    read_first_calibration,
-    read_gaze_angles,
-    read_trajectory,
-)
 from prbench.readers.aria_mps.find import read_warnings
-from prbench.readers.aria_mps.format import GazeAngles
-from prbench.readers.egoallo import read_bodies
+from prbench.readers.aria_mps.format import AriaTrajectory, GazeAngles
+from prbench.readers.aria_mps.readings import OnlineCalibration, read_first_calibration, read_gaze_angles
+from prbench.readers.aria_mps.trajectory import read_trajectory
+from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
 
@@ -34,7 +29,7 @@ def read_gaze(path: Path) -> GazeAngles:
     """Read a gaze file and refuse angles that are no radians.
 
     Raises:
-        InputFileError: as :func:`prbench.readers.aria_mps.read_gaze_angles`; or if many angles would look backwards.
+        InputFileError: as :func:`read_gaze_angles`; or if many angles would look backwards.
     """
     gaze = read_gaze_angles(path)
     largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))

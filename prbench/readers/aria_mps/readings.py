@@ -16,8 +16,8 @@ from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
 from prbench.ranges import require_column
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.find import UNREADABLE, is_personalized, read_warnings
+from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
-from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.files import column_vectors, read_columns, read_header, require_increasing, require_poses
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.zipped import Source, archive_members, opened, shown, source_of

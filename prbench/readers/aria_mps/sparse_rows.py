@@ -12,10 +12,11 @@ from typing import cast
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+from jaxtyping import Int
 
 from prbench.bounded import open_regular
+from prbench.readers.aria_mps.format import POSE_RATE, grid_times_us, rows_around, wanted_times_us
 from prbench.readers.aria_mps.line_search import NEWLINE, QUOTE, Block, Lines, NotSearchable, TimedLines
-from prbench.readers.aria_mps.wanted import Wanted
 from prbench.readers.files import (
     Column,
     arrow_types,
@@ -25,6 +26,41 @@ from prbench.readers.files import (
     require_integers,
 )
 from prbench.readers.zipped import RememberingTail, Source, opened, require_whole_last_line, shown
+
+
+@dataclass(frozen=True)
+class NearGaze:
+    """Rows around gaze times and a regular grid, first and last row included (``wanted_times_us``)."""
+
+    gaze_us: Int[np.ndarray, " n"]
+    """Increasing."""
+    rate: float = POSE_RATE
+
+    def between(self, first_us: int, after_us: int | None, until_us: int) -> Int[np.ndarray, " n"]:
+        """Sorted wanted times after one time (None: from the beginning) until another one.
+
+        Args:
+            first_us: Time of the first row.
+            after_us: Later than this.
+            until_us: Not later than this.
+        """
+        after = first_us - 1 if after_us is None else after_us
+        gaze = self.gaze_us[slice(*np.searchsorted(self.gaze_us, (after, until_us), side="right"))]
+        times = np.union1d(gaze, grid_times_us(first_us, max(after, first_us), until_us, self.rate))
+        return times[(times > after) & (times <= until_us)]
+
+    def beyond(self, last_us: int) -> bool:  # noqa: ARG002
+        """True where a time after that of the last row is wanted: the last row then counts."""
+        return True
+
+    def rows(self, time_us: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+        """The same choice among rows whose times are all known."""
+        return rows_around(time_us, wanted_times_us(self.gaze_us, int(time_us[0]), int(time_us[-1]), self.rate))
+
+    def key(self) -> bytes:
+        """Equal for equal wishes."""
+        return f"gaze {self.rate} ".encode() + self.gaze_us.tobytes()
+
 
 _BLOCK = 8 * 2**20
 """Bytes of text in memory at once."""
@@ -135,7 +171,7 @@ def _end_of_content(text: bytearray | mmap.mmap, end: int) -> int:
 
 
 def search_rows(
-    source: Source, columns: Mapping[str, Column], time_column: str, wanted: Wanted, *, block: int = _BLOCK
+    source: Source, columns: Mapping[str, Column], time_column: str, wanted: NearGaze, *, block: int = _BLOCK
 ) -> pa.Table:
     """The rows around wanted times, equal to those of a whole read to the last bit.
 
@@ -172,7 +208,7 @@ def search_rows(
     return table
 
 
-def _found_text(source: Source, start: _TextStart, column: int, wanted: Wanted, block: int) -> bytes:
+def _found_text(source: Source, start: _TextStart, column: int, wanted: NearGaze, block: int) -> bytes:
     """The lines around the wanted times, one after the other, with their line breaks."""
     first_us = after_us = None
     pieces = []

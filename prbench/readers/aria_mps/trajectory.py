@@ -14,14 +14,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.line_search import NotSearchable
-from prbench.readers.aria_mps.sparse_rows import search_rows
-from prbench.readers.aria_mps.wanted import NearTimes, Wanted
+from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows
 from prbench.readers.files import (
     Column,
     arrow_types,
@@ -77,29 +76,27 @@ COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dic
 """Columns that are read; the velocities are unreliable and stay unread."""
 
 
-def read_trajectory(source: Source, *, near_us: Int[np.ndarray, " m"] | None = None) -> mps.AriaTrajectory:
+def read_trajectory(source: Source) -> mps.AriaTrajectory:
     """Read ``closed_loop_trajectory.csv`` or ADT's ``aria_trajectory.csv``.
 
     Rows without pose (``UNDEFINED_ROW``) and rows of another world frame than the most frequent one are left out.
 
     Args:
         source: The file, plain or in an archive.
-        near_us: Keep the rows on both sides of these times only
-            (:func:`prbench.readers.aria_mps.format.rows_around`); all rows if None.
 
     Raises:
         InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.
     """
-    return _read_whole(source) if near_us is None else read_near(source, NearTimes(near_us))
+    return _read_whole(source)
 
 
-def read_near(source: Source, wanted: Wanted) -> mps.AriaTrajectory:
-    """Read only the rows around wanted times, as ``rows_around`` would choose them from all rows.
+def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
+    """Read only the rows around wanted times, as ``format.rows_around`` would choose them from all rows.
 
     The rows are searched for, not read through: what stands between them is not noticed, be it a repeated row, a
     number that is none, or a world of its own shorter than the wanted steps. Rows without a world or of another one
     are left out after the choice, so that at the edge of such a stretch poses may be missing for one step of the grid;
-    they are counted among the rows that were looked at. :func:`prbench.readers.aria_mps.check_trajectory` looks at
+    they are counted among the rows that were looked at. :func:`check_trajectory` looks at
     every row. What was read is kept for the next time (:mod:`prbench.readers.parse_cache`).
 
     Raises:
@@ -118,7 +115,7 @@ def read_near(source: Source, wanted: Wanted) -> mps.AriaTrajectory:
     return trajectory
 
 
-def _read_whole(source: Source, wanted: Wanted | None = None) -> mps.AriaTrajectory:
+def _read_whole(source: Source, wanted: NearGaze | None = None) -> mps.AriaTrajectory:
     table = read_columns(source, COLUMNS)
     time_us = table[mps.TIME_COLUMN].to_numpy()
     require_increasing(source, time_us, unit="us")

@@ -13,7 +13,7 @@ from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.joints import read_window
 from prbench.readers.egoallo.outputs import JointsOnly, read_output
 from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
-from prbench.readers.egoallo.to_recording import NO_OUTPUTS, joined_windows
+from prbench.readers.egoallo.to_recording import joined_windows
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint
@@ -89,9 +89,6 @@ def _around(cpf: PoseStream, times: Float[np.ndarray, " t"]) -> PoseStream:
     first, last = np.searchsorted(cpf.times, [times[0] - _MARGIN, times[-1] + _MARGIN])
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     return PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
-
-
-__all__ = ["NO_OUTPUTS", "read_bodies"]
 
 
 def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:

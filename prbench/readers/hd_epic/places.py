@@ -9,10 +9,9 @@ from typing import Literal
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.places import body_extent
+from prbench.readers.aria_mps.find import UNREADABLE, find_mps_files
+from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic

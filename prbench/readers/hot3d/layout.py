@@ -14,10 +14,9 @@ import msgspec
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.aria_mps.find import find_mps_files
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
-from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.places import body_extent
+from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError, RecordingUnusable
-from prbench.readers.aria_mps import read_mps
+from prbench.readers.aria_mps.readings import read_mps
 from prbench.readers.aria_mps.to_recording import mps_streams
-from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
+from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.readers.egoallo import check_output
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.bodies import check_output
 from prbench.recording import PoseStream
 from prbench.timelines import nearest_index
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from prbench.errors import InputFileError, StorageError
 from prbench.locks import sole_writer
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.egoallo import poses_folder
+from prbench.readers.egoallo.places import poses_folder
 from prbench.workflows.poses.prepare import guidance_mode, prepare
 from prbench.workflows.poses.states import PoseState
 

@@ -12,8 +12,8 @@ from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.discover import discover, usable_readers
-from prbench.readers.egoallo import OUTPUT_ROLE, poses_folder
 from prbench.readers.egoallo.inputs import EgoalloInputs
+from prbench.readers.egoallo.places import OUTPUT_ROLE, poses_folder
 from prbench.workflows.poses.coverage import coverage
 from prbench.workflows.poses.prepare import head_poses, source_trajectory
 
