@@ -6,22 +6,15 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from jaxtyping import Int
 
 from prbench.bounded import require_size
 from prbench.errors import InputFileError
-from prbench.readers.files import (
-    column_vectors,
-    decode_json,
-    missing_file,
-    read_columns,
-    require_increasing,
-    require_poses,
-)
+from prbench.readers.files import decode_json, missing_file
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import layout
 from prbench.readers.hot3d.format import ObjectMesh
+from prbench.readers.pose_table import read_poses_by_body
 
 _METRES = 7
 """Decimals: float32 millimetres carry no more."""
@@ -143,9 +136,10 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
         InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
             stands still (a repeated row) or runs backwards.
     """
-    numbers = dict.fromkeys((*hot3d.POSITION, *hot3d.ROTATION), float)
-    table = read_columns(path, {hot3d.OBJECT_ID: str, hot3d.TIME: int, **numbers})
-    if len(table) == 0:
+    poses = read_poses_by_body(
+        path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
+    )
+    if not poses:
         raise InputFileError(
             path,
             "",
@@ -153,19 +147,7 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
             found="none",
             remedy="metadata.json says that this ground truth is there; download the recording again.",
         )
-    position = column_vectors(table, hot3d.POSITION)
-    rotation = column_vectors(table, hot3d.ROTATION)
-    require_poses(path, position, rotation)
-    encoded = table[hot3d.OBJECT_ID].combine_chunks().dictionary_encode()
-    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
-    times = table[hot3d.TIME].to_numpy()
-    order = np.argsort(codes, kind="stable")
-    _require_clock(path, codes[order], times[order], order)
-    bounds = np.searchsorted(codes[order], np.arange(len(encoded.dictionary) + 1))
-    return {
-        uid: hot3d.PoseRows(times[rows], position[rows], rotation[rows])
-        for uid, rows in zip(encoded.dictionary.to_pylist(), np.split(order, bounds[1:-1]), strict=True)
-    }
+    return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
 
 
 def read_headset(path: Path) -> hot3d.PoseRows:
@@ -180,14 +162,3 @@ def read_headset(path: Path) -> hot3d.PoseRows:
             path, hot3d.OBJECT_ID, expected="one headset", found=f"{len(rows)}: {', '.join(sorted(rows)[:3])}"
         )
     return next(iter(rows.values()))
-
-
-def _require_clock(
-    path: Path, codes: Int[np.ndarray, " n"], times: Int[np.ndarray, " n"], order: Int[np.ndarray, " n"]
-) -> None:
-    """Refuse a body whose rows are not in the order of time; rows are grouped by body here."""
-    backwards = np.flatnonzero((np.diff(codes) == 0) & (np.diff(times) <= 0))
-    if backwards.size:
-        earlier = backwards[0]
-        later = backwards[0] + 1
-        require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)
