@@ -120,11 +120,7 @@ def _clip(
     start = first / layout.RATE
     return Clip(
         sequence_id=sequence_id,
-        dataset=identity.dataset,
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        split_group=identity.split_group,
+        **vars(identity),
         kind=kind,
         captions=captions,
         fps=limits.fps,
@@ -141,10 +137,5 @@ def _clip(
         approximate=False,
         pose_source=manifest.body.pose_source,
         head_tilt_deg=manifest.body.head_tilt_deg,
-        joints=motion.joints,
-        previous_joints=motion.previous_joints,
-        previous_source=motion.previous_source,
-        next_joints=motion.next_joints,
-        next_source=motion.next_source,
-        world_from_canonical=motion.world_from_canonical,
+        **vars(motion),
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -19,7 +18,14 @@ from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, of
 from prbench.corpora.nymeria.files import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench.corpora.nymeria.format import Narration, NymeriaRecording
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
-from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
+from prbench.corpora.sources import (
+    ClipLimits,
+    CorpusOptions,
+    Cost,
+    ReadRecording,
+    RecordingIdentity,
+    without_folders,
+)
 from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
@@ -95,10 +101,7 @@ class NymeriaSource:
 
     def without_places(self, message: str) -> str:
         """A message without the folders of this machine."""
-        root = self.root.expanduser().resolve()
-        for folder in (root, root.parent):
-            message = message.replace(f"{folder}{os.sep}", "")
-        return message
+        return without_folders(message, self.root)
 
     @foreign_input()
     def read(self) -> ReadRecording:
@@ -115,15 +118,7 @@ class NymeriaSource:
             self.identity, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
         )
         message = "; ".join(part for part in (*self._without_texts(narrations), *messages, read.message) if part)
-        return ReadRecording(
-            read.clips,
-            read.annotations,
-            read.duration,
-            read.clock_method,
-            read.clock_quality,
-            self.without_places(message),
-            read.measured,
-        )
+        return replace(read, message=self.without_places(message))
 
     @cached_property
     def _manifest(self) -> Manifest:
