@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -14,7 +15,7 @@ import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
 from prbench.boundary import foreign_input
-from prbench.bounded import require_size, too_long_line
+from prbench.bounded import open_regular, require_size, too_long_line, whole_lines
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
 from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
@@ -193,6 +194,31 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
+
+
+@contextlib.contextmanager
+def must_exist(path: Source) -> Iterator[None]:
+    """Turn Python's error for a missing file into ours.
+
+    Raises:
+        InputFileError: if the block finds no file.
+    """
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+
+
+def text_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a text file that hold anything, with their numbers.
+
+    Raises:
+        InputFileError: if the file is missing, or a line is longer than any.
+    """
+    with must_exist(path), open_regular(path) as file:
+        for number, line in enumerate(whole_lines(file, path), start=1):
+            if line.strip():
+                yield number, line
 
 
 def missing_file(path: Source) -> InputFileError:

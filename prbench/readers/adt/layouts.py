@@ -17,7 +17,7 @@ from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_
 from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
 from prbench.readers.files import decode_json
-from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import read_synthetic_tree
 from prbench.recording import Recording
@@ -122,9 +122,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
         InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata, and
             subtours that would lie outside of their sequence, are reported when the recording is read, not here.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of ADT recordings", found="no such folder")
+    root = existing_folder(root, "a folder of ADT recordings")
     synthetic = read_synthetic_tree(root) is not None
     folders = [root] if _is_recording(root) else sorted(path for path in root.iterdir() if path.is_dir())
     dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"

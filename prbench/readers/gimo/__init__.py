@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
@@ -37,9 +36,7 @@ class GimoReader:
     def read(self, found: RecordingFiles) -> Recording:
         """Read one segment; also one that a build leaves out because no event is known."""
         manifest = load_manifest("gimo")
-        reason = manifest.why_bad(found.recording_id)
-        if reason:
-            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        found.require_usable(manifest.why_bad(found.recording_id))
         return recording_from_gimo(
             read_readings(found, manifest, self.options),
             manifest,

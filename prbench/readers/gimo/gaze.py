@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from prbench.bounded import open_regular, read_whole
 from prbench.errors import InputFileError
-from prbench.readers.files import missing_file
+from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 
 _TYPES = {
@@ -43,7 +43,8 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
     Raises:
         InputFileError: if the file is missing, no PLY, shorter than its header says, or its vertices have no x, y, z.
     """
-    content = _content(path)
+    with must_exist(path):
+        content = read_whole(path)
     header = parse_header(path, content)
     names = [name for name, _ in header.properties]
     if header.n_vertices == 0:
@@ -112,13 +113,6 @@ def _count(path: Path, word: str) -> int:
     if not word.isdecimal() or len(word) > _MOST_DIGITS:
         raise InputFileError(path, "header", expected="a number of vertices", found=f"'{word}'")
     return int(word)
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_whole(path)
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
 
 
 def _ascii_vertices(path: Path, body: bytes, header: _PlyHeader, names: list[str]) -> Float[np.ndarray, "v 3"]:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.bounded import read_text, require_size
 from prbench.errors import InputFileError
-from prbench.readers.files import missing_file, require_increasing
+from prbench.readers.files import must_exist, require_increasing
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.coordinates import read_matrix
 from prbench.recording.streams import PoseStream
@@ -62,15 +62,14 @@ def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "
     wanted = [*range(_HEAD, _HEAD + 16), *range(_GAZE_VALID, _WIDTH)]
     names = [str(column) for column in range(_WIDTH)]
     types = {names[column]: pa.float64() for column in wanted} | {names[_TICK]: pa.int64()}
-    try:
+    with must_exist(path):
         require_size(path)
+    try:
         table = pyarrow.csv.read_csv(
             path,
             read_options=pyarrow.csv.ReadOptions(column_names=names),
             convert_options=pyarrow.csv.ConvertOptions(include_columns=list(types), column_types=types),
         )
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     except pa.ArrowInvalid as error:
         raise InputFileError(
             path,
@@ -88,11 +87,10 @@ def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "
 def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 18"]]:
     """Lines after the first (which holds the principal point and the size): ticks, then focal lengths and pose."""
     try:
-        lines = [line.split(",") for line in read_text(path).splitlines()[1:] if line.strip()]
+        with must_exist(path):
+            lines = [line.split(",") for line in read_text(path).splitlines()[1:] if line.strip()]
         ticks = np.array([int(line[0]) for line in lines], dtype=np.int64)
         rows = np.array([[float(word) for word in line[1:]] for line in lines])
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     except ValueError as error:
         raise InputFileError(path, "", expected="rows of equally many numbers", found=str(error)) from error
     if rows.ndim != 2 or rows.shape[1] != _VIDEO_WIDTH:

@@ -23,7 +23,7 @@ import numpy as np
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_PICKLE
-from prbench.readers.files import missing_file
+from prbench.readers.files import must_exist
 from prbench.readers.gimo.pickle_machine import Name, PickleMachine, PickleRefused, Unfinished
 
 _EXPECTED = "a pickled dictionary of torch tensors"
@@ -66,10 +66,8 @@ def load_tensors(path: Path) -> dict[str, np.ndarray]:
         InputFileError: if the file is missing, too large or damaged, holds an opcode or a name that tensors do not need
             (nothing of it is imported or run), or holds anything but a dictionary of tensors.
     """
-    try:
+    with must_exist(path):
         content = read_whole(path, largest=LARGEST_PICKLE)
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     try:
         loaded = _loaded(content, _NAMES | {_LOAD_STORAGE: Name("torch.storage._load_from_bytes", _StorageLoader())})
     except PickleRefused as error:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.readers.egoallo.format import forward_kinematics
-from prbench.readers.files import missing_file
+from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
 from prbench.readers.gimo.pickled_tensors import load_tensors
@@ -150,10 +150,8 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3
     Raises:
         InputFileError: if the file is missing, or a line is cut.
     """
-    try:
+    with must_exist(path):
         lines = read_whole(path).splitlines()
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     places = [line.split()[1:4] for line in lines if line.startswith(b"v ")]
     corners = [[word.partition(b"/")[0] for word in line.split()[1:]] for line in lines if line.startswith(b"f ")]
     try:

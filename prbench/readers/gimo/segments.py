@@ -12,7 +12,15 @@ from typing import Literal
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
-from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import (
+    FilesOnDemand,
+    InputFile,
+    RecordingFiles,
+    existing_folder,
+    input_file,
+    is_present,
+    names_in,
+)
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_segments
 from prbench.readers.gimo.events import (
@@ -53,9 +61,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
         InputFileError: if there is no readable ``dataset.csv``, none of its sequences is there (listing them), or the
             table of events is damaged or has an event in both splits.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of GIMO", found="no such folder")
+    root = existing_folder(root, "a folder of GIMO")
     if not (root / gimo.TABLE_FILE).is_file():
         raise InputFileError(
             root / gimo.TABLE_FILE,

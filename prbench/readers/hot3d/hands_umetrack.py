@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
-from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
+from prbench.readers.files import Nanoseconds, decode_json, require_increasing, text_lines
 from prbench.readers.hot3d import format as hot3d
 
 N_JOINTS = 22
@@ -143,7 +141,7 @@ def read_lines(path: Path, decoder: msgspec.json.Decoder[Any]) -> tuple[list[Any
     """
     records = []
     bad = 0
-    for line in _text_lines(path):
+    for _, line in text_lines(path):
         try:
             records.append(decoder.decode(line))
         except (msgspec.DecodeError, UnicodeDecodeError):
@@ -274,11 +272,3 @@ def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, 
     rows = np.repeat(np.arange(len(bones)), 3)
     np.add.at(dense, (rows, np.array(bones).ravel()), np.array(weights, dtype=np.float64).ravel())
     return dense
-
-
-def _text_lines(path: Path) -> Iterator[bytes]:
-    try:
-        with open_regular(path) as file:
-            yield from (line for line in whole_lines(file, path) if line.strip())
-    except FileNotFoundError as error:
-        raise missing_file(path) from error

@@ -19,7 +19,7 @@ from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
 from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.files import decode_json, read_columns
-from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import synthetic_tree_around
@@ -109,9 +109,7 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
         InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata is
             reported when its recording is read, not here.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of HOT3D recordings", found="no such folder")
+    root = existing_folder(root, "a folder of HOT3D recordings")
     found = [
         _recording(root, path.parent, options)
         for pattern in ("", "*/", "*/*/")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.errors import InputFileError, RecordingUnusable
+from prbench.errors import InputFileError
 from prbench.readers.aria_mps.readings import read_mps
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.bodies import read_bodies
@@ -94,9 +94,7 @@ def _read_identity(found: RecordingFiles) -> str:
     """The participant, if the recording can be used."""
     path = found.require(layout.METADATA, hot3d.METADATA_FILE)
     metadata = decode_json(path, layout.METADATA_DECODER)
-    reason = layout.why_unusable(metadata)
-    if reason:
-        raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+    found.require_usable(layout.why_unusable(metadata))
     return metadata.participant_id
 
 
