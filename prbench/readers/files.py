@@ -31,6 +31,7 @@ _WATCHED_SIZE = 2**28
 """Bytes of a plain text file from which on it is read in pieces, which is slower; of a shorter one no more can come
 than a few times as much."""
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
+_SORT = "The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones."
 
 
 @foreign_input()
@@ -96,7 +97,13 @@ def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray,
 
 
 def require_increasing(
-    path: Source, times: Int[np.ndarray, " n"], *, unit: str, place: str = "line", first: int = 2
+    path: Source,
+    times: Int[np.ndarray, " n"],
+    *,
+    unit: str,
+    place: str = "line",
+    first: int = 2,
+    remedy: str = _SORT,
 ) -> None:
     """Refuse a clock that stands still or runs backwards.
 
@@ -106,6 +113,7 @@ def require_increasing(
         unit: Their unit, for the message.
         place: What a row is called.
         first: Number of the first row.
+        remedy: What to do about it, for the message.
 
     Raises:
         InputFileError: naming the first row that does not come after the one before it.
@@ -118,7 +126,7 @@ def require_increasing(
             f"{place} {row + first}",
             expected=f"a time after {times[row - 1]} {unit}",
             found=f"{times[row]} {unit}",
-            remedy="The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones.",
+            remedy=remedy,
         )
 
 

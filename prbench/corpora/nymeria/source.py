@@ -26,15 +26,24 @@ from prbench.corpora.sources import (
     RecordingIdentity,
     without_folders,
 )
-from prbench.corpora.splits import split_by_participant
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
+from prbench.randomness import hash_fraction
 from prbench.readers import RecordingFiles, described_options, require_one_origin
 from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest
+
+
+def split_by_participant(manifest: Manifest, participant_id: str) -> Literal["train", "validation", "test"]:
+    """The manifest's shares of sha256(dataset/participant) / 2**256."""
+    fraction = hash_fraction(manifest.name, participant_id)
+    if fraction >= manifest.thresholds["test_from"]:
+        return "test"
+    return "validation" if fraction < manifest.thresholds["validation_below"] else "train"
+
 
 _BYTES_A_SECOND = 50e6
 _TABLE_SHARE = 0.06

@@ -42,7 +42,7 @@ def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
         aria_inputs(root, found),
         points=point_cloud(found),
         glasses_size=ASSUMED_SIZE,
-        turned=_turned,
+        turned=prepared_trajectory,
     )
 
 
@@ -72,13 +72,6 @@ def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
         up=np.array([0.0, 0.0, 1.0]),
         graph_uids=(_GRAPH_UID,),
         left_out=0,
-    )
-
-
-def _turned(trajectory: AriaTrajectory) -> AriaTrajectory:
-    """The poses of an ADT trajectory as EgoAllo must see them."""
-    return prepared_trajectory(
-        adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     )
 
 

@@ -167,7 +167,7 @@ def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
     try:
         return [
             (subtour_id(folder.name, tour.subtour_name), subtour_folder(metadata_path, tour))
-            for tour in _subtours(metadata_path)
+            for tour in _metadata(metadata_path).subtour_list()
         ]
     except InputFileError:
         return []
@@ -194,23 +194,16 @@ def _is_recording(folder: Path) -> bool:
     metadata_path = _metadata_file(folder)
     if metadata_path is None:
         return any((folder / name).is_file() for name in _OWN_FILES)
-    return _is_adt(metadata_path)
+    # HOT3D's metadata have the same name and tell the kind of headset.
+    return _metadata(metadata_path).headset is None
 
 
-def _is_adt(metadata_path: Path) -> bool:
-    """Return True where metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
+def _metadata(path: Path) -> Metadata:
+    """Metadata of a sequence; empty where they are damaged: reading reports it, and no bad folder hides the others."""
     try:
-        return decode_json(metadata_path, METADATA_DECODER).headset is None
+        return decode_json(path, METADATA_DECODER)
     except InputFileError:
-        return True  # reported when the recording is read
-
-
-def _subtours(metadata_path: Path) -> tuple[_Subtour, ...]:
-    """Subtours of a sequence; none where its metadata is damaged, so that one bad folder does not hide the others."""
-    try:
-        return decode_json(metadata_path, METADATA_DECODER).subtour_list()
-    except InputFileError:
-        return ()
+        return Metadata()
 
 
 def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:

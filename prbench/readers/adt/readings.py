@@ -63,18 +63,17 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     calibration, calibration_remarks = _read_calibration(found)
     trajectory = _read_trajectory(found)
     size = None if calibration is None else calibration.size
-    glasses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=serial,
         concurrent=concurrent,
         glasses_size=size,
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
-        glasses=glasses,
+        glasses=trajectory,
         gaze=read_gaze(found.require(layouts.GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
-        estimated_body=read_bodies(found, cpf=glasses_z_up(glasses, size)) if options.poses == "egoallo" else None,
+        estimated_body=read_bodies(found, cpf=glasses_z_up(trajectory, size)) if options.poses == "egoallo" else None,
         messages=(*remarks, *trajectory.remarks, *calibration_remarks, *_gaze_warnings(found)),
     )
 

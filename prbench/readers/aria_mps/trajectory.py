@@ -5,7 +5,6 @@ Source: docs/specification/aria-mps.md#closed-loop-trajectory.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -35,9 +34,9 @@ from prbench.readers.files import (
 from prbench.readers.parse_cache import keep_parsed, load_parsed
 from prbench.readers.zipped import RememberingTail, Source, opened, require_whole_last_line, shown
 
-_FACTS = b"prbench.trajectory"
-_WISH = b"aria trajectory 1 "
-_KEPT_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
+_WISH = b"aria trajectory 2 "
+"""Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""
+_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
 
 
 def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
@@ -71,6 +70,8 @@ def _keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory
     keep_parsed(source, _WISH + wish, table.replace_schema_metadata({_FACTS: json.dumps(facts)}))
 
 
+_WISH = b"aria trajectory 2 "
+"""Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 """Columns that are read; the velocities are unreliable and stay unread."""
@@ -87,7 +88,7 @@ def read_trajectory(source: Source) -> mps.AriaTrajectory:
     Raises:
         InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.
     """
-    return _read_whole(source)
+    return _trajectory_of(source, _read_whole(source))
 
 
 def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
@@ -102,29 +103,35 @@ def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
     Raises:
         InputFileError: as :func:`read_trajectory`, for what was looked at.
     """
-    kept = _load_trajectory(source, wanted.key())
+    wish = _WISH + wanted.key()
+    kept = load_parsed(source, wish)
     if kept is not None:
-        return kept
+        return _trajectory_of(source, kept)
     try:
         table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
         require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
         trajectory = _trajectory_of(source, table)
     except (NotSearchable, pa.ArrowInvalid, InputFileError):
-        trajectory = _read_whole(source, wanted)  # it names the line of what is wrong
-    _keep_trajectory(source, wanted.key(), trajectory)
+        table = _wanted_rows(source, _read_whole(source), wanted)  # it names the line of what is wrong
+        trajectory = _trajectory_of(source, table)
+    keep_parsed(source, wish, table)
     return trajectory
 
 
-def _read_whole(source: Source, wanted: NearGaze | None = None) -> mps.AriaTrajectory:
+def _read_whole(source: Source) -> pa.Table:
     table = read_columns(source, COLUMNS)
-    time_us = table[mps.TIME_COLUMN].to_numpy()
-    require_increasing(source, time_us, unit="us")
-    if wanted is None or len(table) == 0:
-        return _trajectory_of(source, table)
+    require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+    return table
+
+
+def _wanted_rows(source: Source, table: pa.Table, wanted: NearGaze) -> pa.Table:
+    if len(table) == 0:
+        return table
     rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
-    rows = wanted.rows(time_us)
+    rows = wanted.rows(table[mps.TIME_COLUMN].to_numpy())
+    # Looked at before the choice, so that a bad pose is named by its line in the file.
     require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
-    return _trajectory_of(source, table.take(rows))
+    return table.take(rows)
 
 
 def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:

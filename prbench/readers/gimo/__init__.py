@@ -11,9 +11,8 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
-from prbench.readers.gimo.segments import extents, find_segments, row_of
+from prbench.readers.gimo.segments import GimoOptions, extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
 

@@ -18,8 +18,8 @@ from prbench.readers.gimo.dataset_csv import Row, overlapping
 from prbench.readers.gimo.events import events_of, read_events
 from prbench.readers.gimo.gaze import read_gaze
 from prbench.readers.gimo.hololens import read_hololens
-from prbench.readers.gimo.options import GimoOptions, Route
 from prbench.readers.gimo.routes import joints_from_meshes, joints_from_parameters, read_poses
+from prbench.readers.gimo.segments import GimoOptions, Route
 
 
 def read_readings(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gimo.GimoReadings:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,8 +17,9 @@ from prbench.errors import InputFileError
 from prbench.numpy_files import Archive
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.hands_umetrack import hand_rows, read_lines
+from prbench.readers.hot3d.hands_umetrack import Wrist, hand_rows, read_lines
 from prbench.readers.hot3d.layout import MANO, MANO_MODEL_PREFIX
+from prbench.recording.streams import Side
 
 N_VERTICES = 778
 N_JOINTS = 16
@@ -129,13 +129,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
-class _Wrist(msgspec.Struct):
-    t_xyz: tuple[float, float, float]
-    q_wxyz: tuple[float, float, float, float]
-
-
 class _ManoHand(msgspec.Struct):
-    wrist_xform: _Wrist
+    wrist_xform: Wrist
     pose: list[float]
     betas: list[float]
 
@@ -189,13 +184,13 @@ def read_mano_rows(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, .
     return tuple(hands), remarks
 
 
-def _read_models(found: RecordingFiles, folder: Path | None) -> dict[Literal["left", "right"], ManoModel]:
+def _read_models(found: RecordingFiles, folder: Path | None) -> dict[Side, ManoModel]:
     """Both hands of the licensed model.
 
     Raises:
         InputFileError: if one is missing (saying how to convert it) or damaged.
     """
-    models: dict[Literal["left", "right"], ManoModel] = {}
+    models: dict[Side, ManoModel] = {}
     for side in hot3d.HAND_KEYS:
         path = found.path(f"{MANO_MODEL_PREFIX}{side}")
         name = f"MANO_{side.upper()}.npz"

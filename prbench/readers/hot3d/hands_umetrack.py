@@ -91,13 +91,15 @@ _QUATERNION_TOLERANCE = 1e-3
 _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
 
 
-class _Wrist(msgspec.Struct):
+class Wrist(msgspec.Struct):
+    """Pose of a wrist in either kind of file."""
+
     t_xyz: tuple[float, float, float]
     q_wxyz: tuple[float, float, float, float]
 
 
 class _UmeTrackHand(msgspec.Struct):
-    wrist_xform: _Wrist
+    wrist_xform: Wrist
     joint_angles: tuple[float, ...]
 
 

@@ -56,18 +56,11 @@ def recording_from_mogaze(
         legacy_gaze: See :func:`prbench.readers.mogaze.format.gaze_directions`.
     """
     times = np.arange(len(readings.state)) / mogaze.RATE
-    links, turned = mogaze_body.forward_kinematics(readings.state, mogaze_body.link_offsets(readings.fixed))
-    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
-    native_joints = mogaze_body.body_joints(links, named)
-    plausible = plausible_body_frames(times, native_joints)
-    world_from_source = _world_from_source(links[plausible], manifest)
-    body = BodyStream(times, hold_neighbours(transform_points(world_from_source, native_joints), plausible), plausible)
+    body, world_from_source, head_link = _body(times, readings, manifest, joint_mapping)
     goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
-    tracked = seen(goggles.position, goggles.rotation)
-    eyes = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
-    head = _head(times, eyes, tracked, turned[:, mogaze_body.LINKS.index("head")])
+    head = _head(times, goggles, world_from_source, head_link)
     directions, usable, in_metres = _gaze(readings, goggles, manifest, legacy=legacy_gaze)
-    gaze = GazeStream(times, eyes, directions, usable)
+    gaze = GazeStream(times, head.position, directions, usable)
     bodies = [each for each in readings.bodies if each is not goggles]
     tracks = tuple(_track(times, each, world_from_source) for each in bodies)
     events, skipped = annotated_events(readings.segments, tracks, body, int(manifest.thresholds["rest_window"]))
@@ -83,7 +76,7 @@ def recording_from_mogaze(
         head=head,
         body=body,
         hands=tuple(
-            HandStream(side, "wrist", times, body.joints[:, [wrist]], plausible)
+            HandStream(side, "wrist", times, body.joints[:, [wrist]], body.valid)
             for side, wrist in zip(SIDES, WRISTS, strict=True)
         ),
         objects=tracks,
@@ -95,12 +88,31 @@ def recording_from_mogaze(
             if each.vertices is not None and each.faces is not None
         ),
         world_from_source=world_from_source,
-        messages=readings.messages
-        + _remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres)
-        + skipped
-        + ((f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ())
-        + (("gaze by the formula of the dataset's player",) if legacy_gaze else ()),
+        messages=(
+            *readings.messages,
+            *_remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres),
+            *skipped,
+            *_choice_remarks(joint_mapping, legacy_gaze=legacy_gaze),
+        ),
     )
+
+
+def _body(
+    times: Float[np.ndarray, " n"],
+    readings: mogaze.MogazeReadings,
+    manifest: Manifest,
+    joint_mapping: JointMapping,
+) -> tuple[BodyStream, Float[np.ndarray, "4 4"], Float[np.ndarray, "n 3 3"]]:
+    """The wearer's body, the world that it stands in, and the rotations of its head link."""
+    links, turned = mogaze_body.forward_kinematics(readings.state, mogaze_body.link_offsets(readings.fixed))
+    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
+    native_joints = mogaze_body.body_joints(links, named)
+    plausible = plausible_body_frames(times, native_joints)
+    # Toes of implausible frames would tell a floor that is not there.
+    world_from_source = _world_from_source(links[plausible], manifest)
+    joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
+    head_link = turned[:, mogaze_body.LINKS.index("head")]
+    return BodyStream(times, joints, plausible), world_from_source, head_link
 
 
 def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
@@ -130,11 +142,13 @@ def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -
 
 def _head(
     times: Float[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
-    tracked: Bool[np.ndarray, " n"],
+    goggles: mogaze.MogazeBody,
+    world_from_source: Float[np.ndarray, "4 4"],
     head_link: Float[np.ndarray, "n 3 3"],
 ) -> PoseStream:
     """Return the goggles' poses, turned as the head is: the goggles' own axes mean nothing."""
+    tracked = seen(goggles.position, goggles.rotation)
+    position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
     known = np.isfinite(head_link).all(axis=(1, 2))
     face = np.array(mogaze_body.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
@@ -185,6 +199,12 @@ def _track(
         box_max=body.box_max,
         movable=not mogaze.is_furniture(body.name),
     )
+
+
+def _choice_remarks(joint_mapping: JointMapping, *, legacy_gaze: bool) -> tuple[str, ...]:
+    """Tell the user about options that change what the recording means."""
+    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
+    return (*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping
 
 
 def _remarks(
