@@ -186,6 +186,7 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
     """
     try:
+        # Some programs begin a file with a byte-order mark, which JSON does not know.
         content = read_all(path, largest=LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
         if nan_is_null and b"NaN" in content:
             content = re.sub(rb"(?<=[\[,:\s])-?NaN\b", b"null", content)

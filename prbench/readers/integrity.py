@@ -105,6 +105,7 @@ def _damaged_bvh(path: Path) -> str:
     hierarchy, _, motion = read_whole(path).partition(b"MOTION")
     lines = motion.splitlines()[1:]
     promised = next((line.split()[-1] for line in lines if line.startswith(b"Frames:")), b"")
+    # The first byte of an empty line, which is none, is "in" any text; hence the second test.
     frames = sum(1 for line in lines if line[:1] in b"-0123456789 " and line.strip())
     if not hierarchy or not promised.isdigit():
         return "cut off: it has no motion"

@@ -32,6 +32,7 @@ which wrist moved more before the event."""
 
 
 def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
+    # Guaranteed by readers, hence asserts; what users hand in is checked where it is read.
     assert times.ndim == 1, "one time a row"
     assert (np.diff(times) > 0).all(), "times must increase strictly; readers check their files"
     assert all(len(column) == len(times) for column in columns), "one row a time"

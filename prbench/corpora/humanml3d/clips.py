@@ -129,6 +129,7 @@ def _clip(
         end_time=start + n_frames / limits.fps,
         text_start=span[0],
         text_end=span[1],
+        # Cut only where a whole frame more was described; less than one is lost by rounding down.
         cut=span[1] * layout.RATE - first >= n_frames + 1,
         mirrored=identity.recording_id.startswith(layout.MIRROR_PREFIX),
         clock_method="same",

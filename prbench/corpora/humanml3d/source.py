@@ -144,9 +144,6 @@ class HumanML3DCorpus:
         return ClipLimits.of(options, self.manifest.thresholds)
 
 
-CORPUS = HumanML3DCorpus()
-
-
 def _motion_files(root: Path) -> dict[str, MotionFiles]:
     """Every motion by name.
 
@@ -201,3 +198,6 @@ def _splits(root: Path) -> dict[str, Split]:
             remedy="Copy them from the dataset's repository.",
         )  # fmt: skip
     return splits
+
+
+CORPUS = HumanML3DCorpus()

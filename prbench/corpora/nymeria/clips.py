@@ -143,6 +143,7 @@ def _fit(
     number = int(np.argmax([n_frames for _, n_frames in placed]))
     (first, n_frames), piece = placed[number], pieces[number]
     share = n_frames / limits.fps / length
+    # Frames are counted whole, so that a span may lose up to one of them.
     if share < coverage - 1.0 / limits.fps / length:
         within = min(p.start for p in pieces) <= start and end <= max(_end(p) for p in pieces)
         return _Fit("clock_gap" if within else "outside_motion", round(share, 6), coverage)

@@ -36,15 +36,6 @@ from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest
 
-
-def split_by_participant(manifest: Manifest, participant_id: str) -> Literal["train", "validation", "test"]:
-    """The manifest's shares of sha256(dataset/participant) / 2**256."""
-    fraction = hash_fraction(manifest.name, participant_id)
-    if fraction >= manifest.thresholds["test_from"]:
-        return "test"
-    return "validation" if fraction < manifest.thresholds["validation_below"] else "train"
-
-
 _BYTES_A_SECOND = 50e6
 _TABLE_SHARE = 0.06
 _NO_GAZE = np.empty(0, dtype=np.int64)
@@ -196,14 +187,6 @@ class NymeriaSource:
         return offset, tuple(part for part in (*messages, why) if part)
 
 
-def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, offset: ClockOffset) -> tuple[str, ...]:
-    """Say by how much the glasses' trajectory ends before the suit does: what follows was not used for the clock."""
-    missing = clean.span[1] - offset.seconds - time_us[-1] * 1e-6
-    if missing <= SEVERAL_SENSORS:
-        return ()
-    return (f"{path.name} ends {missing:.1f} s before the suit does; it may be cut off",)
-
-
 def recording_clips(
     identity: RecordingIdentity,
     body: BodyMotion,
@@ -276,9 +259,6 @@ class NymeriaCorpus:
         return chosen
 
 
-CORPUS = NymeriaCorpus()
-
-
 def _participant(found: RecordingFiles) -> str:
     """The wearer's invented name: from the sequence's name, else from the metadata where they tell it.
 
@@ -295,3 +275,22 @@ def _participant(found: RecordingFiles) -> str:
         if isinstance(metadata, dict) and isinstance(metadata.get("fake_name"), str) and metadata["fake_name"]:
             return metadata["fake_name"]
     return nymeria.participant_of(found.recording_id)
+
+
+def split_by_participant(manifest: Manifest, participant_id: str) -> Literal["train", "validation", "test"]:
+    """The manifest's shares of sha256(dataset/participant) / 2**256."""
+    fraction = hash_fraction(manifest.name, participant_id)
+    if fraction >= manifest.thresholds["test_from"]:
+        return "test"
+    return "validation" if fraction < manifest.thresholds["validation_below"] else "train"
+
+
+def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, offset: ClockOffset) -> tuple[str, ...]:
+    """Say by how much the glasses' trajectory ends before the suit does: what follows was not used for the clock."""
+    missing = clean.span[1] - offset.seconds - time_us[-1] * 1e-6
+    if missing <= SEVERAL_SENSORS:
+        return ()
+    return (f"{path.name} ends {missing:.1f} s before the suit does; it may be cut off",)
+
+
+CORPUS = NymeriaCorpus()

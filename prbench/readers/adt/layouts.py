@@ -49,7 +49,6 @@ GAZE_STATUS = "gaze status"
 SLAM_STATUS = "slam status"
 SKELETON_PREFIX = "skeleton:"
 """Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
-
 _FILES = {
     INSTANCES: (adt.INSTANCES_FILE,),
     OBJECTS: (adt.OBJECTS_FILE,),
@@ -105,13 +104,6 @@ class Metadata(msgspec.Struct):
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
-
-
-def subtour_id(sequence: str, subtour: str) -> str:
-    """Recording id of one pair of glasses of a v1.x sequence."""
-    return f"{sequence}_{subtour}"
-
-
 _DEFAULTS = AdtOptions()
 
 
@@ -138,10 +130,27 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
+def _is_recording(folder: Path) -> bool:
+    """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
+    metadata_path = _metadata_file(folder)
+    if metadata_path is None:
+        return any((folder / name).is_file() for name in _OWN_FILES)
+    # HOT3D's metadata have the same name and tell the kind of headset.
+    return _metadata(metadata_path).headset is None
+
+
 def _metadata_file(folder: Path) -> Path | None:
     """The metadata of a sequence, under its present or its old name; None if there is none."""
     names = (adt.METADATA_FILE, adt.METADATA_FILE_BEFORE_1_1)
     return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _metadata(path: Path) -> Metadata:
+    """Metadata of a sequence; empty where they are damaged: reading reports it, and no bad folder hides the others."""
+    try:
+        return decode_json(path, METADATA_DECODER)
+    except InputFileError:
+        return Metadata()
 
 
 def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) -> list[RecordingFiles]:
@@ -173,6 +182,11 @@ def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
         return []
 
 
+def subtour_id(sequence: str, subtour: str) -> str:
+    """Recording id of one pair of glasses of a v1.x sequence."""
+    return f"{sequence}_{subtour}"
+
+
 @foreign_input()
 def subtour_folder(metadata_path: Path, tour: _Subtour) -> Path:
     """Return the folder with the files of one pair of glasses.
@@ -181,29 +195,6 @@ def subtour_folder(metadata_path: Path, tour: _Subtour) -> Path:
         InputFileError: if its name leads out of the sequence, or cannot be the name of a folder.
     """
     return inside(metadata_path.parent, tour.subtour_name)
-
-
-def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtOptions) -> tuple[InputFile, ...]:
-    if options.poses != "egoallo":
-        return ()
-    return find_outputs(root, folder, recording_id, options.poses_root, smplh_model=options.smplh_model)
-
-
-def _is_recording(folder: Path) -> bool:
-    """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
-    metadata_path = _metadata_file(folder)
-    if metadata_path is None:
-        return any((folder / name).is_file() for name in _OWN_FILES)
-    # HOT3D's metadata have the same name and tell the kind of headset.
-    return _metadata(metadata_path).headset is None
-
-
-def _metadata(path: Path) -> Metadata:
-    """Metadata of a sequence; empty where they are damaged: reading reports it, and no bad folder hides the others."""
-    try:
-        return decode_json(path, METADATA_DECODER)
-    except InputFileError:
-        return Metadata()
 
 
 def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
@@ -222,6 +213,12 @@ def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
             files.append(input_file(_STATUS_OF[role], status))
     skeletons = sorted(folder.glob("Skeleton_*.json"))
     return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]
+
+
+def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtOptions) -> tuple[InputFile, ...]:
+    if options.poses != "egoallo":
+        return ()
+    return find_outputs(root, folder, recording_id, options.poses_root, smplh_model=options.smplh_model)
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001

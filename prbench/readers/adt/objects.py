@@ -28,32 +28,6 @@ class Instance(msgspec.Struct):
 _INSTANCES = msgspec.json.Decoder(dict[str, Instance])
 
 
-def read_instances(path: Path) -> dict[int, Instance]:
-    """Objects and people by id; ids have up to 16 digits and stay integers.
-
-    Raises:
-        InputFileError: if the file is missing, damaged or lacks a key.
-    """
-    return {instance.instance_id: instance for instance in decode_json(path, _INSTANCES).values()}
-
-
-def _read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
-    """Lower and upper corner of each object's box in its own frame, metres.
-
-    Raises:
-        InputFileError: if the file or a column is missing, or a corner is no number.
-    """
-    table = read_columns(path, {adt.OBJECT_ID: int, **dict.fromkeys((*adt.BOX_MIN, *adt.BOX_MAX), float)})
-    lower = column_vectors(table, adt.BOX_MIN)
-    upper = column_vectors(table, adt.BOX_MAX)
-    bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
-    if bad.any():
-        row = int(np.argmax(bad))
-        found = f"{lower[row].tolist()} … {upper[row].tolist()}"
-        raise InputFileError(path, f"line {row + 2}", expected="a lower and an upper corner", found=found)
-    return dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))
-
-
 def read_objects(
     instances_path: Path, boxes_path: Path, poses_path: Path
 ) -> tuple[tuple[adt.AdtObject, ...], tuple[str, ...]]:
@@ -97,3 +71,29 @@ def read_objects(
         return objects, ()
     named = ", ".join(str(key) for key in incomplete[:5]) + (" …" if len(incomplete) > 5 else "")
     return objects, (f"{len(incomplete)} objects without name, box or pose are left out: {named}",)
+
+
+def read_instances(path: Path) -> dict[int, Instance]:
+    """Objects and people by id; ids have up to 16 digits and stay integers.
+
+    Raises:
+        InputFileError: if the file is missing, damaged or lacks a key.
+    """
+    return {instance.instance_id: instance for instance in decode_json(path, _INSTANCES).values()}
+
+
+def _read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
+    """Lower and upper corner of each object's box in its own frame, metres.
+
+    Raises:
+        InputFileError: if the file or a column is missing, or a corner is no number.
+    """
+    table = read_columns(path, {adt.OBJECT_ID: int, **dict.fromkeys((*adt.BOX_MIN, *adt.BOX_MAX), float)})
+    lower = column_vectors(table, adt.BOX_MIN)
+    upper = column_vectors(table, adt.BOX_MAX)
+    bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = f"{lower[row].tolist()} … {upper[row].tolist()}"
+        raise InputFileError(path, f"line {row + 2}", expected="a lower and an upper corner", found=found)
+    return dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))

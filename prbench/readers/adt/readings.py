@@ -23,28 +23,6 @@ from prbench.readers.found import RecordingFiles
 
 _BEHIND = np.pi / 2  # radians; no eye looks there
 _TOO_MANY = 0.2  # share of rows
-
-
-def read_gaze(path: Path) -> GazeAngles:
-    """Read a gaze file and refuse angles that are no radians.
-
-    Raises:
-        InputFileError: as :func:`read_gaze_angles`; or if many angles would look backwards.
-    """
-    gaze = read_gaze_angles(path)
-    largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
-    known = largest[np.isfinite(largest)]
-    if len(known) and (known > _BEHIND).mean() > _TOO_MANY:
-        raise InputFileError(
-            path,
-            "yaw and pitch",
-            expected="angles in radians, below 1.57",
-            found=f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows",
-            remedy="They look like degrees; use the file as it was released.",
-        )
-    return gaze
-
-
 _DEFAULTS = AdtOptions()
 
 
@@ -78,25 +56,6 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     )
 
 
-def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
-    """The optional calibration, and remarks; one whose own services call it an error is left aside."""
-    path = found.path(layouts.CALIBRATION)
-    status = found.path(layouts.SLAM_STATUS)
-    if path is None:
-        return None, ()
-    try:
-        remarks = () if status is None else read_warnings(status)
-    except InputFileError as error:
-        return None, (f"the online calibration is not used: {error}",)
-    return read_first_calibration(path), remarks
-
-
-def _gaze_warnings(found: RecordingFiles) -> tuple[str, ...]:
-    """Refuses gaze of the services that they call an error; gaze of the release itself has no such status."""
-    status = found.path(layouts.GAZE_STATUS)
-    return () if status is None else read_warnings(status)
-
-
 def _read_identity(found: RecordingFiles) -> tuple[str, str]:
     """Serial of the glasses, and the id of the concurrent recording (empty if there is none)."""
     path = found.require(layouts.METADATA, adt.METADATA_FILE)
@@ -121,6 +80,19 @@ def _read_identity(found: RecordingFiles) -> tuple[str, str]:
     return own.device_serial, concurrent
 
 
+def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
+    """The optional calibration, and remarks; one whose own services call it an error is left aside."""
+    path = found.path(layouts.CALIBRATION)
+    status = found.path(layouts.SLAM_STATUS)
+    if path is None:
+        return None, ()
+    try:
+        remarks = () if status is None else read_warnings(status)
+    except InputFileError as error:
+        return None, (f"the online calibration is not used: {error}",)
+    return read_first_calibration(path), remarks
+
+
 def _read_trajectory(found: RecordingFiles) -> AriaTrajectory:
     path = found.require(layouts.TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
@@ -133,3 +105,29 @@ def _read_trajectory(found: RecordingFiles) -> AriaTrajectory:
             remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
         )
     return trajectory
+
+
+def read_gaze(path: Path) -> GazeAngles:
+    """Read a gaze file and refuse angles that are no radians.
+
+    Raises:
+        InputFileError: as :func:`read_gaze_angles`; or if many angles would look backwards.
+    """
+    gaze = read_gaze_angles(path)
+    largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
+    known = largest[np.isfinite(largest)]
+    if len(known) and (known > _BEHIND).mean() > _TOO_MANY:
+        raise InputFileError(
+            path,
+            "yaw and pitch",
+            expected="angles in radians, below 1.57",
+            found=f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows",
+            remedy="They look like degrees; use the file as it was released.",
+        )
+    return gaze
+
+
+def _gaze_warnings(found: RecordingFiles) -> tuple[str, ...]:
+    """Refuses gaze of the services that they call an error; gaze of the release itself has no such status."""
+    status = found.path(layouts.GAZE_STATUS)
+    return () if status is None else read_warnings(status)

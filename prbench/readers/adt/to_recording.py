@@ -76,6 +76,7 @@ def recording_from_adt(
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
     rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
+    # The suit in either case: an estimated body was held against the glasses when it was read.
     _check_overlap(readings, span, gaze, suit, tracks)
     return Recording(
         dataset=dataset,
@@ -91,6 +92,7 @@ def recording_from_adt(
         hands=hands,
         objects=tuple(track for track in tracks if track.object_id not in rooms),
         other_people=tuple(OtherPerson(person.name, _body_and_hands(person, manifest, span)[1]) for person in others),
+        # Twins name each other; the smaller of both names is the same seen from either.
         split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)

@@ -18,73 +18,6 @@ from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE
 from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
 from prbench.timelines import covered
 
-
-def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -> PoseStream:
-    """World poses of a part of the glasses (CPF, a camera) from those of the device."""
-    rotation = Rotation.from_quat(device.rotation, scalar_first=True)
-    return PoseStream(
-        times=device.times,
-        position=device.position + rotation.apply(device_from_part[:3, 3]),
-        rotation=(rotation * Rotation.from_matrix(device_from_part[:3, :3])).as_quat(scalar_first=True),
-        valid=device.valid,
-    )
-
-
-def head_and_camera(
-    device: PoseStream, size: mps.GlassesSize, device_from_rgb: Float[np.ndarray, "4 4"] | None
-) -> tuple[PoseStream, PoseStream]:
-    """World poses of the central pupil frame and of the RGB camera.
-
-    Args:
-        device: World poses of the glasses.
-        size: Size of the glasses, which decides where the eyes are.
-        device_from_rgb: Calibrated pose of the camera; its pose by design where None.
-    """
-    device_cpf = mps.device_from_cpf(size)
-    device_rgb = device_cpf @ mps.cpf_from_rgb() if device_from_rgb is None else device_from_rgb
-    return part_poses(device, device_cpf), part_poses(device, device_rgb)
-
-
-def size_remark(size: mps.GlassesSize | None, assumed: mps.GlassesSize) -> list[str]:
-    """Tell the user that a size of the glasses had to be assumed; nothing where a file tells it."""
-    if size is not None:
-        return []
-    return [f"size of the glasses unknown, {assumed} assumed: gaze origins may be off by 2.4 mm"]
-
-
-def gaze_in_world(
-    cpf: PoseStream,
-    times: Float[np.ndarray, " n"],
-    yaw: Float[np.ndarray, " n"],
-    pitch: Float[np.ndarray, " n"],
-    *,
-    same_instant: float,
-) -> GazeStream:
-    """Gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
-
-    A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
-    ``same_instant`` and none on both sides at most 50 ms apart.
-
-    Args:
-        cpf: World poses of the central pupil frame.
-        times: Gaze times on the clock of the poses, seconds.
-        yaw: Radians, positive left; may hold NaN.
-        pitch: Radians, positive up; may hold NaN.
-        same_instant: Rows closer than this belong to one instant, seconds.
-    """
-    with np.errstate(invalid="ignore"):
-        measured = (np.abs(yaw) <= WIDEST_GAZE_ANGLE) & (np.abs(pitch) <= WIDEST_GAZE_ANGLE)
-    direction_cpf = gaze_directions_cpf(np.where(measured, yaw, 0.0), np.where(measured, pitch, 0.0))
-    origin, rotation = cpf.pose_at(times)
-    posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP, tolerance=same_instant)
-    return GazeStream(
-        times=times,
-        origin=origin,
-        direction=Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf),
-        valid=measured & posed,
-    )
-
-
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
 """Size of glasses where no file tells it."""
 SAME_INSTANT = 1e-3
@@ -153,6 +86,66 @@ def _device_poses(
     )
 
 
+def head_and_camera(
+    device: PoseStream, size: mps.GlassesSize, device_from_rgb: Float[np.ndarray, "4 4"] | None
+) -> tuple[PoseStream, PoseStream]:
+    """World poses of the central pupil frame and of the RGB camera.
+
+    Args:
+        device: World poses of the glasses.
+        size: Size of the glasses, which decides where the eyes are.
+        device_from_rgb: Calibrated pose of the camera; its pose by design where None.
+    """
+    device_cpf = mps.device_from_cpf(size)
+    device_rgb = device_cpf @ mps.cpf_from_rgb() if device_from_rgb is None else device_from_rgb
+    return part_poses(device, device_cpf), part_poses(device, device_rgb)
+
+
+def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -> PoseStream:
+    """World poses of a part of the glasses (CPF, a camera) from those of the device."""
+    rotation = Rotation.from_quat(device.rotation, scalar_first=True)
+    return PoseStream(
+        times=device.times,
+        position=device.position + rotation.apply(device_from_part[:3, 3]),
+        rotation=(rotation * Rotation.from_matrix(device_from_part[:3, :3])).as_quat(scalar_first=True),
+        valid=device.valid,
+    )
+
+
+def gaze_in_world(
+    cpf: PoseStream,
+    times: Float[np.ndarray, " n"],
+    yaw: Float[np.ndarray, " n"],
+    pitch: Float[np.ndarray, " n"],
+    *,
+    same_instant: float,
+) -> GazeStream:
+    """Gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
+
+    A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
+    ``same_instant`` and none on both sides at most 50 ms apart.
+
+    Args:
+        cpf: World poses of the central pupil frame.
+        times: Gaze times on the clock of the poses, seconds.
+        yaw: Radians, positive left; may hold NaN.
+        pitch: Radians, positive up; may hold NaN.
+        same_instant: Rows closer than this belong to one instant, seconds.
+    """
+    with np.errstate(invalid="ignore"):
+        measured = (np.abs(yaw) <= WIDEST_GAZE_ANGLE) & (np.abs(pitch) <= WIDEST_GAZE_ANGLE)
+    # Streams hold no NaN: an unmeasured ray looks straight ahead, and the mask says so.
+    direction_cpf = gaze_directions_cpf(np.where(measured, yaw, 0.0), np.where(measured, pitch, 0.0))
+    origin, rotation = cpf.pose_at(times)
+    posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP, tolerance=same_instant)
+    return GazeStream(
+        times=times,
+        origin=origin,
+        direction=Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf),
+        valid=measured & posed,
+    )
+
+
 def _wrists(
     wrists: mps.WristPositions, device: PoseStream, seconds_before_device: float, least_confidence: float
 ) -> tuple[HandStream, ...]:
@@ -165,6 +158,7 @@ def _wrists(
         local = wrists.wrist[:, index]
         seen = np.isfinite(local).min(axis=1)
         points = turn.apply(np.where(seen[:, None], local, 0.0)) + origin
+        # Greater, not at least: 0 and -1 both stand for a hand that was not seen.
         valid = seen & posed & np.greater(wrists.confidence[:, index], least_confidence)
         streams.append(HandStream(side, "wrist", times, points[:, None], valid))
     return tuple(streams)
@@ -183,6 +177,13 @@ def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
             f" {mps.LEAST_QUALITY} and are invalid"
         )
     return tuple(remarks)
+
+
+def size_remark(size: mps.GlassesSize | None, assumed: mps.GlassesSize) -> list[str]:
+    """Tell the user that a size of the glasses had to be assumed; nothing where a file tells it."""
+    if size is not None:
+        return []
+    return [f"size of the glasses unknown, {assumed} assumed: gaze origins may be off by 2.4 mm"]
 
 
 def _gap_remarks(device: PoseStream, gaze: GazeStream) -> tuple[str, ...]:

@@ -151,6 +151,7 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
             found="none",
             remedy="The recording has no ground truth; download it again.",
         )
+    # Gravity is a constant of a world, so that the first row of the kept one tells it.
     gravity = column_vectors(table, mps.GRAVITY_COLUMNS)[kept][0]
     return mps.AriaTrajectory(
         time_us=table[mps.TIME_COLUMN].to_numpy()[kept],
@@ -175,6 +176,7 @@ def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
     names = encoded.dictionary.to_pylist()
     codes = encoded.indices.to_numpy(zero_copy_only=False)
     counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
+    # sorted() is stable: of two equally frequent worlds the one that comes first in the file.
     ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
     kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
     return ranked, kept
@@ -214,6 +216,7 @@ def check_trajectory(source: Source) -> TrajectoryCheck:
         stream = RememberingTail(file)
         for table in _tables(source, stream):
             time_us = table[mps.TIME_COLUMN].to_numpy()
+            # The last time of the block before joins in: the step between two blocks counts, too.
             known = time_us if last_us is None else np.append(last_us, time_us)
             require_increasing(source, known, unit="us", first=rows + 2 - (last_us is not None))
             _require_poses(source, table, first=rows + 2)

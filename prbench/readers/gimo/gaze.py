@@ -37,6 +37,35 @@ class _PlyHeader:
     """Bytes up to the first vertex."""
 
 
+def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[gimo.GazePoints, tuple[str, ...]]:
+    """The gaze point of every frame that has one: the first vertex of ``<frame>_center.ply``.
+
+    A frame has none when one of its two files is missing, damaged or without vertices, or when the point is the origin.
+
+    Args:
+        cones: ``<frame>.ply`` by frame: scene points inside the cone of the gaze; only counted.
+        centres: ``<frame>_center.ply`` by frame.
+
+    Returns:
+        The points, and remarks about damaged files.
+    """
+    frames = []
+    points = []
+    damaged: list[InputFileError] = []
+    for frame in sorted(cones.keys() & centres.keys()):
+        try:
+            vertices = read_vertices(centres[frame])
+            seen = len(vertices) > 0 and count_vertices(cones[frame]) > 0
+        except InputFileError as error:
+            damaged.append(error)
+            continue
+        if seen and np.isfinite(vertices[0]).all() and np.abs(vertices[0]).sum() >= gimo.NO_POINT:
+            frames.append(frame)
+            points.append(vertices[0])
+    found = gimo.GazePoints(np.array(frames, dtype=np.int64), np.array(points, dtype=np.float64).reshape(-1, 3))
+    return found, _remarks(damaged)
+
+
 def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
     """Positions of all vertices, in the unit of the file.
 
@@ -59,16 +88,6 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
         raise _cut(path, header)
     rows = np.frombuffer(content, kind, header.n_vertices, header.size)
     return np.column_stack([rows[axis].astype(np.float64) for axis in "xyz"])
-
-
-def count_vertices(path: Path) -> int:
-    """Return the number of vertices that the header promises; the rest is not read.
-
-    Raises:
-        InputFileError: see :func:`read_vertices`.
-    """
-    with open_regular(path) as file:
-        return parse_header(path, file.read(_LONGEST_HEADER)).n_vertices
 
 
 def parse_header(path: Path, content: bytes) -> _PlyHeader:
@@ -136,33 +155,14 @@ def _cut(path: Path, header: _PlyHeader) -> InputFileError:
     )
 
 
-def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[gimo.GazePoints, tuple[str, ...]]:
-    """The gaze point of every frame that has one: the first vertex of ``<frame>_center.ply``.
+def count_vertices(path: Path) -> int:
+    """Return the number of vertices that the header promises; the rest is not read.
 
-    A frame has none when one of its two files is missing, damaged or without vertices, or when the point is the origin.
-
-    Args:
-        cones: ``<frame>.ply`` by frame: scene points inside the cone of the gaze; only counted.
-        centres: ``<frame>_center.ply`` by frame.
-
-    Returns:
-        The points, and remarks about damaged files.
+    Raises:
+        InputFileError: see :func:`read_vertices`.
     """
-    frames = []
-    points = []
-    damaged: list[InputFileError] = []
-    for frame in sorted(cones.keys() & centres.keys()):
-        try:
-            vertices = read_vertices(centres[frame])
-            seen = len(vertices) > 0 and count_vertices(cones[frame]) > 0
-        except InputFileError as error:
-            damaged.append(error)
-            continue
-        if seen and np.isfinite(vertices[0]).all() and np.abs(vertices[0]).sum() >= gimo.NO_POINT:
-            frames.append(frame)
-            points.append(vertices[0])
-    found = gimo.GazePoints(np.array(frames, dtype=np.int64), np.array(points, dtype=np.float64).reshape(-1, 3))
-    return found, _remarks(damaged)
+    with open_regular(path) as file:
+        return parse_header(path, file.read(_LONGEST_HEADER)).n_vertices
 
 
 def _remarks(damaged: list[InputFileError]) -> tuple[str, ...]:

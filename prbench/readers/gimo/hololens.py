@@ -28,6 +28,22 @@ _GAZE_ORIGIN = 852
 _GAZE_DIRECTION = 856
 _VIDEO_WIDTH = 18
 _VIDEO_POSE = 2
+_CPF_FROM_HOLOLENS = np.diag([-1.0, 1.0, -1.0])  # x right, y up, z back → x left, y up, z forward
+_CAMERA_FROM_HOLOLENS = np.diag([1.0, -1.0, -1.0])  # → x right, y down, z forward
+_TICKS_A_SECOND = 1e7
+_LONGEST_STEP = 0.1  # seconds between two rows; the recorder runs at about 60 Hz
+_IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class GlassesStreams:
+    """Streams of the glasses in the room; empty where there are no files, or none that fit."""
+
+    head: PoseStream
+    camera: PoseStream
+    eye: PoseStream | None = None
+    """Between the eyes; None without HoloLens files."""
+    messages: tuple[str, ...] = ()
 
 
 def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
@@ -99,24 +115,6 @@ def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f
     return ticks, rows
 
 
-_CPF_FROM_HOLOLENS = np.diag([-1.0, 1.0, -1.0])  # x right, y up, z back → x left, y up, z forward
-_CAMERA_FROM_HOLOLENS = np.diag([1.0, -1.0, -1.0])  # → x right, y down, z forward
-_TICKS_A_SECOND = 1e7
-_LONGEST_STEP = 0.1  # seconds between two rows; the recorder runs at about 60 Hz
-_IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
-
-
-@dataclass(frozen=True)
-class GlassesStreams:
-    """Streams of the glasses in the room; empty where there are no files, or none that fit."""
-
-    head: PoseStream
-    camera: PoseStream
-    eye: PoseStream | None = None
-    """Between the eyes; None without HoloLens files."""
-    messages: tuple[str, ...] = ()
-
-
 def glasses_streams(
     readings: gimo.GimoReadings, head_joint: PoseStream, *, limit: float, required: bool
 ) -> GlassesStreams:
@@ -173,6 +171,7 @@ class _Glasses:
         frames = np.rint(times * gimo.FRAME_RATE).astype(np.int64)
         known = frames < len(hololens.video_ticks)
         self._frames = np.minimum(frames, len(hololens.video_ticks) - 1)
+        # Counted from the first tick: a float does not hold ticks since an epoch exactly.
         first = int(hololens.ticks[0])
         self._rows = (hololens.ticks - first) / _TICKS_A_SECOND
         self._query = (hololens.video_ticks[self._frames] - first) / _TICKS_A_SECOND
@@ -232,6 +231,7 @@ class _Glasses:
         valid: Bool[np.ndarray, " n"],
     ) -> PoseStream:
         """Poses in the room with the axes of prbench; the shrinking of the scan turns nothing."""
+        # The cube root of the determinant is the scale by which the transform shrinks.
         room_rotation = room_from_glasses[:3, :3] / np.cbrt(np.linalg.det(room_from_glasses[:3, :3]))
         turned = Rotation.from_matrix(room_rotation) * rotation * Rotation.from_matrix(part_from_own)
         return PoseStream(

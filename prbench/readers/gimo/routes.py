@@ -126,6 +126,7 @@ def _canonical_vertices(
             )
     if faces.min(initial=0) < 0 or faces.max(initial=0) >= len(vertices):
         raise InputFileError(path, "faces", expected=f"vertices from 1 to {len(vertices)}", found=f"{faces.max() + 1}")
+    # Both list the same faces in the same order, so that a corner tells its vertex of the model.
     corners = vertices[faces.ravel()]
     canonical = np.full_like(model.template, np.nan)
     canonical[model.faces.ravel()] = corners

@@ -85,8 +85,22 @@ STREAM = "hololens stream"
 VIDEO = "hololens video"
 HOLOLENS_TRANSFORM = "hololens transform"
 SCENE_MESH = "scene mesh"
-
 Split = Literal["train", "test"]
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """The files of one sequence, listed once for all its segments."""
+
+    path: Path
+
+    @cached_property
+    def poses(self) -> dict[str, dict[int, Path]]:
+        return _by_frame(self.path / gimo.POSE_FOLDER)
+
+    @cached_property
+    def gaze(self) -> dict[str, dict[int, Path]]:
+        return _by_frame(self.path / gimo.GAZE_FOLDER)
 
 
 def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFiles, ...]:
@@ -138,77 +152,6 @@ def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Pat
             remedy="Correct the option, or make the table: `prbench candidates gimo` proposes one.",
         )
     return read_events(path), path
-
-
-def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
-    """The row of ``dataset.csv`` that a recording stands for, and all rows.
-
-    Raises:
-        InputFileError: if the table has changed since the search.
-    """
-    path = found.require(TABLE, gimo.TABLE_FILE)
-    rows = read_segments(path)
-    row = next((row for row in rows if found.recording_id in _names(row)), None)
-    if row is None:
-        raise InputFileError(path, "", expected=f"the segment {found.recording_id}", found="a table without it")
-    return row, rows
-
-
-def _names(row: Row) -> tuple[str, str]:
-    """Ids under which a row can be known: its own, and in synthetic trees the name of its sequence."""
-    return row.segment.name, row.segment.sequence
-
-
-@dataclass(frozen=True)
-class _Folder:
-    """The files of one sequence, listed once for all its segments."""
-
-    path: Path
-
-    @cached_property
-    def poses(self) -> dict[str, dict[int, Path]]:
-        return _by_frame(self.path / gimo.POSE_FOLDER)
-
-    @cached_property
-    def gaze(self) -> dict[str, dict[int, Path]]:
-        return _by_frame(self.path / gimo.GAZE_FOLDER)
-
-
-def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
-    """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
-    found: dict[str, dict[int, Path]] = {}
-    for name in names_of(folder):
-        stem = _frame_of(name)
-        if _is_number(stem):
-            files = found.setdefault(name.removeprefix(stem), {})
-            frame = int(stem)
-            # Of "7.pkl" and "07.pkl" always the same one, in whatever order the disk lists them.
-            if frame not in files or name > files[frame].name:
-                files[frame] = folder / name
-    return found
-
-
-def names_of(folder: Path) -> list[str]:
-    """Names of all that lies in a folder, in no order; none if there is no such folder."""
-    if not folder.is_dir():
-        return []
-    with os.scandir(folder) as entries:
-        return [entry.name for entry in entries]
-
-
-def unnumbered(folder: Path) -> list[str]:
-    """Names of files that have no frame number and so are left out."""
-    return sorted(name for name in names_of(folder) if not _is_number(_frame_of(name)))
-
-
-def _is_number(stem: str) -> bool:
-    return stem.isascii() and stem.isdigit()
-
-
-def _frame_of(name: str) -> str:
-    """Return what stands in the place of the frame number in a file's name."""
-    stem, dot, _ = name.rpartition(".")
-    return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
 
 class _Search:
@@ -283,15 +226,15 @@ class _Search:
         return [input_file(role, path) for role, path in paths.items() if is_present(path)]
 
 
-def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
-    wanted = sorted(frame for frame in files if segment.start_frame <= frame <= segment.end_frame)
-    return {f"{role}{frame}": files[frame] for frame in wanted}
-
-
 def _transform_file(folder: Path, name: str) -> Path:
     """The file that a row names; some copies of the table leave out the ending."""
     path = inside(folder, name)
     return path if path.suffix == ".json" else path.with_name(f"{path.name}.json")
+
+
+def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
+    wanted = sorted(frame for frame in files if segment.start_frame <= frame <= segment.end_frame)
+    return {f"{role}{frame}": files[frame] for frame in wanted}
 
 
 def _hololens_files(folder: Path) -> dict[str, Path]:
@@ -306,9 +249,27 @@ def _hololens_files(folder: Path) -> dict[str, Path]:
     return {role: paths[0] for role, paths in found.items() if paths}
 
 
-def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
-    """Files of one kind by frame."""
-    return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
+def unnumbered(folder: Path) -> list[str]:
+    """Names of files that have no frame number and so are left out."""
+    return sorted(name for name in names_of(folder) if not _is_number(_frame_of(name)))
+
+
+def names_of(folder: Path) -> list[str]:
+    """Names of all that lies in a folder, in no order; none if there is no such folder."""
+    if not folder.is_dir():
+        return []
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in entries]
+
+
+def _is_number(stem: str) -> bool:
+    return stem.isascii() and stem.isdigit()
+
+
+def _frame_of(name: str) -> str:
+    """Return what stands in the place of the frame number in a file's name."""
+    stem, dot, _ = name.rpartition(".")
+    return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
@@ -324,3 +285,41 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
             slack = SEVERAL_SENSORS if role == CENTRE else ONE_SYSTEM  # eyes are lost now and then
             streams.append(Extent(stream, files[max(files)].name, *ends, tells_span=False, slack=slack))
     return tuple(streams)
+
+
+def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
+    """The row of ``dataset.csv`` that a recording stands for, and all rows.
+
+    Raises:
+        InputFileError: if the table has changed since the search.
+    """
+    path = found.require(TABLE, gimo.TABLE_FILE)
+    rows = read_segments(path)
+    row = next((row for row in rows if found.recording_id in _names(row)), None)
+    if row is None:
+        raise InputFileError(path, "", expected=f"the segment {found.recording_id}", found="a table without it")
+    return row, rows
+
+
+def _names(row: Row) -> tuple[str, str]:
+    """Ids under which a row can be known: its own, and in synthetic trees the name of its sequence."""
+    return row.segment.name, row.segment.sequence
+
+
+def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
+    """Files of one kind by frame."""
+    return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
+
+
+def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
+    """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
+    found: dict[str, dict[int, Path]] = {}
+    for name in names_of(folder):
+        stem = _frame_of(name)
+        if _is_number(stem):
+            files = found.setdefault(name.removeprefix(stem), {})
+            frame = int(stem)
+            # Of "7.pkl" and "07.pkl" always the same one, in whatever order the disk lists them.
+            if frame not in files or name > files[frame].name:
+                files[frame] = folder / name
+    return found

@@ -143,6 +143,7 @@ def _filled(
     longest: int,
 ) -> tuple[Float[np.ndarray, "m 22 3"], Bool[np.ndarray, " m"]]:
     """Joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held and invalid."""
+    # Between two frames that are n + 1 apart n are missing.
     valid = _between(frames, wanted, longest + 1)
     values = interpolate(frames.astype(np.float64), joints, wanted.astype(np.float64))
     return hold_neighbours(values, valid), valid
@@ -174,6 +175,7 @@ def _gaze(
     apart = np.where(seen[:, None], points - origin, 0.0)
     distance = np.linalg.norm(apart, axis=1)
     valid = seen & posed & (distance > _SHORTEST_LOOK)
+    # Some unit vector stands where nothing was measured; the mask says so.
     direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
     measured = len(readings.gaze.frames)
     total = len(body.times)
@@ -190,6 +192,7 @@ def _gaze_points(
     if len(gaze.frames) == 0:
         return np.zeros((len(wanted), 3)), np.zeros(len(wanted), dtype=bool)
     points = transform_points(readings.transform.room_from_scan(), gaze.points)
+    # 0.1 s at 30 frames a second is 3 frames, also where the product is 2.9999.
     seen = _between(gaze.frames, wanted, int(longest_gap * gimo.FRAME_RATE + 1e-9))
     return interpolate(gaze.frames.astype(np.float64), points, wanted.astype(np.float64)), seen
 

@@ -93,6 +93,7 @@ def masks_of_sides(
     if len(track.masks) == 1:
         mask = track.masks[0]
         return (mask, None) if abs(mask.frame - start) <= abs(mask.frame - end) else (None, mask)
+    # By pairs, since the mask nearest to the start may be nearest to the end, too.
     return min(
         itertools.permutations(track.masks, 2),
         key=lambda pair: (abs(pair[0].frame - start) + abs(pair[1].frame - end), pair[0].frame),
@@ -178,6 +179,7 @@ def _cube_edge(
     focal = hd_epic.FOCAL_LENGTH
     if isinstance(readings.glasses, hd_epic.FrameReadings) and readings.glasses.rgb_focal_length is not None:
         focal = readings.glasses.rgb_focal_length
+    # Pinhole camera: metres = pixels * distance / focal length.
     return float(mean_side * np.linalg.norm(location - eye) / focal)
 
 

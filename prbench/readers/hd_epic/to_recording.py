@@ -157,6 +157,7 @@ def _frame_gaze(
     """
     looking = np.flatnonzero((frames.gaze_ns >= 0) & (frames.slam_ns >= 0) & _finite(frames))
     away = np.abs(frames.gaze_ns - frames.slam_ns)[looking]
+    # lexsort sorts by its last key first: by gaze time, and within one time by nearness.
     nearest_first = looking[np.lexsort((away, frames.gaze_ns[looking]))]
     gaze_ns, first = np.unique(frames.gaze_ns[nearest_first], return_index=True)
     rows = nearest_first[first]

@@ -20,6 +20,84 @@ _METRES = 7
 """Decimals: float32 millimetres carry no more."""
 
 
+class _Accessor(msgspec.Struct):
+    count: int
+
+
+class _Description(msgspec.Struct):
+    """The JSON part of a binary glTF, as far as it declares sizes."""
+
+    accessors: list[_Accessor] = []
+
+
+class Instance(msgspec.Struct):
+    """One entry of ``instance.json``."""
+
+    instance_name: str
+    instance_type: str
+
+
+_INSTANCES = msgspec.json.Decoder(dict[str, Instance])
+
+
+def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...]]:
+    """All objects that a recording tracks, by uid, and remarks.
+
+    An object without a model keeps its poses; without a name it is called by its uid.
+
+    Raises:
+        InputFileError: for a missing or damaged file, a pose that is no pose, a clock that runs backwards, no object.
+    """
+    path = found.require(layout.OBJECTS, hot3d.OBJECTS_FILE)
+    rows = _read_pose_rows(path)
+    instances = read_instances(found.require(layout.INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"))
+    held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
+    if not held:
+        raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
+    models = {uid: found.path(f"{layout.MODEL_PREFIX}{uid}") for uid in held}
+    objects = tuple(
+        hot3d.Hot3dObject(
+            object_id=uid,
+            name=instances[uid].instance_name if uid in instances else uid,
+            rows=rows[uid],
+            mesh=None if model is None else read_glb(model),
+        )
+        for uid, model in models.items()
+    )
+    nameless = [uid for uid in held if uid not in instances]
+    return objects, (f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}",) if nameless else ()
+
+
+def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
+    """Poses of every body of the file, by uid; uids stay text.
+
+    Raises:
+        InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
+            stands still (a repeated row) or runs backwards.
+    """
+    poses = read_poses_by_body(
+        path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
+    )
+    if not poses:
+        raise InputFileError(
+            path,
+            "",
+            expected="rows of poses",
+            found="none",
+            remedy="metadata.json says that this ground truth is there; download the recording again.",
+        )
+    return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
+
+
+def read_instances(path: Path) -> dict[str, Instance]:
+    """Names by uid.
+
+    Raises:
+        InputFileError: if the file is missing, damaged or lacks a key.
+    """
+    return decode_json(path, _INSTANCES)
+
+
 def read_glb(path: Path) -> ObjectMesh:
     """Read the triangles of a model in the object's frame, metres: node transforms applied, materials left aside.
 
@@ -70,84 +148,6 @@ def _require_plausible_counts(path: Path) -> None:
             found=f"{largest:,}",
             remedy="Download the object library again.",
         )
-
-
-class _Accessor(msgspec.Struct):
-    count: int
-
-
-class _Description(msgspec.Struct):
-    """The JSON part of a binary glTF, as far as it declares sizes."""
-
-    accessors: list[_Accessor] = []
-
-
-class Instance(msgspec.Struct):
-    """One entry of ``instance.json``."""
-
-    instance_name: str
-    instance_type: str
-
-
-_INSTANCES = msgspec.json.Decoder(dict[str, Instance])
-
-
-def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...]]:
-    """All objects that a recording tracks, by uid, and remarks.
-
-    An object without a model keeps its poses; without a name it is called by its uid.
-
-    Raises:
-        InputFileError: for a missing or damaged file, a pose that is no pose, a clock that runs backwards, no object.
-    """
-    path = found.require(layout.OBJECTS, hot3d.OBJECTS_FILE)
-    rows = _read_pose_rows(path)
-    instances = read_instances(found.require(layout.INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"))
-    held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
-    if not held:
-        raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
-    models = {uid: found.path(f"{layout.MODEL_PREFIX}{uid}") for uid in held}
-    objects = tuple(
-        hot3d.Hot3dObject(
-            object_id=uid,
-            name=instances[uid].instance_name if uid in instances else uid,
-            rows=rows[uid],
-            mesh=None if model is None else read_glb(model),
-        )
-        for uid, model in models.items()
-    )
-    nameless = [uid for uid in held if uid not in instances]
-    return objects, (f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}",) if nameless else ()
-
-
-def read_instances(path: Path) -> dict[str, Instance]:
-    """Names by uid.
-
-    Raises:
-        InputFileError: if the file is missing, damaged or lacks a key.
-    """
-    return decode_json(path, _INSTANCES)
-
-
-def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
-    """Poses of every body of the file, by uid; uids stay text.
-
-    Raises:
-        InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
-            stands still (a repeated row) or runs backwards.
-    """
-    poses = read_poses_by_body(
-        path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
-    )
-    if not poses:
-        raise InputFileError(
-            path,
-            "",
-            expected="rows of poses",
-            found="none",
-            remedy="metadata.json says that this ground truth is there; download the recording again.",
-        )
-    return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
 
 
 def read_headset(path: Path) -> hot3d.PoseRows:

@@ -31,7 +31,6 @@ from prbench.skeleton import WRISTS, transform_points
 
 JointMapping = Literal["anatomical", "named"]
 """``anatomical``: the manifest's default; or one of its other mappings."""
-
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _MILLIMETRES = 1000.0
@@ -115,19 +114,6 @@ def _body(
     return BodyStream(times, joints, plausible), world_from_source, head_link
 
 
-def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
-    """Frames in which a body was tracked: finite, with a quaternion of about unit length."""
-    length = np.linalg.norm(rotation, axis=1)
-    return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
-
-
-def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
-    """Return the last valid frame before each frame, and whether it is at most ``longest`` frames ago."""
-    frames = np.arange(len(valid))
-    last = np.maximum.accumulate(np.where(valid, frames, -1))
-    return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)
-
-
 def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -> Float[np.ndarray, "4 4"]:
     """Z up to Y up; the floor is moved to 0 where the lowest toes tell that it lies elsewhere."""
     world_from_source = np.eye(4)
@@ -156,6 +142,12 @@ def _head(
     return PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
 
 
+def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
+    """Frames in which a body was tracked: finite, with a quaternion of about unit length."""
+    length = np.linalg.norm(rotation, axis=1)
+    return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
+
+
 def _gaze(
     readings: mogaze.MogazeReadings, goggles: mogaze.MogazeBody, manifest: Manifest, *, legacy: bool
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], bool]:
@@ -164,9 +156,11 @@ def _gaze(
     confident = readings.gaze_confidence >= manifest.thresholds["gaze_confidence"]
     points = readings.gaze_points
     known = points[confident & np.isfinite(points).all(axis=1)]
+    # No file tells the unit of the gaze points.
     in_metres = len(known) > 0 and np.median(np.linalg.norm(known, axis=1)) < manifest.thresholds["metre_scale"]
     native = np.full(points.shape, np.nan)
     if tracked.any():
+        # The files hold quaternions as x y z w, which is SciPy's own order.
         native[tracked] = mogaze.gaze_directions(
             goggles.position[tracked],
             Rotation.from_quat(goggles.rotation[tracked]).as_matrix(),
@@ -181,10 +175,18 @@ def _gaze(
     return np.where(usable[:, None], held, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
 
 
+def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
+    """Return the last valid frame before each frame, and whether it is at most ``longest`` frames ago."""
+    frames = np.arange(len(valid))
+    last = np.maximum.accumulate(np.where(valid, frames, -1))
+    return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)
+
+
 def _track(
     times: Float[np.ndarray, " n"], body: mogaze.MogazeBody, world_from_source: Float[np.ndarray, "4 4"]
 ) -> ObjectTrack:
     valid = seen(body.position, body.rotation)
+    # x y z w, as in the files; unseen rows, which hold no rotation, become the identity.
     native = Rotation.from_quat(np.where(valid[:, None], body.rotation, (0.0, 0.0, 0.0, 1.0)))
     rotation = (Rotation.from_matrix(_TO_WORLD) * native).as_quat(canonical=True, scalar_first=True)
     return ObjectTrack(
@@ -199,12 +201,6 @@ def _track(
         box_max=body.box_max,
         movable=not mogaze.is_furniture(body.name),
     )
-
-
-def _choice_remarks(joint_mapping: JointMapping, *, legacy_gaze: bool) -> tuple[str, ...]:
-    """Tell the user about options that change what the recording means."""
-    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
-    return (*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping
 
 
 def _remarks(
@@ -232,3 +228,9 @@ def _remarks(
     if unknown:
         remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
     return tuple(remarks)
+
+
+def _choice_remarks(joint_mapping: JointMapping, *, legacy_gaze: bool) -> tuple[str, ...]:
+    """Tell the user about options that change what the recording means."""
+    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
+    return (*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping
