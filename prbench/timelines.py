@@ -133,6 +133,13 @@ class SequenceGrid:
         return self.start_time + np.arange(self.n_frames) / self.fps
 
 
+def stream_ranges(streams: Mapping[str, Float[np.ndarray, " _"] | None]) -> dict[str, tuple[float, float]]:
+    """First and last time of each stream for :func:`require_overlap`; streams that are None or empty are left out."""
+    return {
+        name: (float(times[0]), float(times[-1])) for name, times in streams.items() if times is not None and len(times)
+    }
+
+
 def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str) -> tuple[float, float]:
     """The span that all streams share.
 

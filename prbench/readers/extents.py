@@ -7,14 +7,13 @@ recordings have (:class:`prbench.readers.KnowsEnds`).
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.bounded import open_regular
+from prbench.bounded import open_regular, read_end
 from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
 from prbench.readers.files import header_names
 from prbench.readers.found import InputFile
@@ -125,9 +124,7 @@ def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
     """The first and the last bytes; of a small file or a member of an archive all of it where that is less."""
     if not file.member:
         with open_regular(file.path) as plain:
-            head = plain.read(_END)
-            plain.seek(max(os.fstat(plain.fileno()).st_size - _END, 0))
-            return head, plain.read()
+            return plain.read(_END), read_end(file.path, _END)
     with opened(source_of(file)) as member:
         content = member.read(LARGEST_UNPACKED_FOR_ITS_END)
     return content[:_END], content[-_END:]

@@ -5,7 +5,6 @@ None of this parses a file; a file that passes may still be refused when it is r
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,7 @@ import h5py
 import msgspec
 
 from prbench.boundary import foreign_input
-from prbench.bounded import read_whole, require_size
+from prbench.bounded import read_end, read_whole, require_size
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_UNPACKED, LONGEST_LINE
 from prbench.numpy_files import map_array, read_header
@@ -62,7 +61,7 @@ def _damaged_csv(path: Path) -> str:
 
 
 def _damaged_json(path: Path) -> str:
-    end = _tail(path).rstrip()[-1:]
+    end = read_end(path, _TAIL).rstrip()[-1:]
     return "" if end in (b"}", b"]") else "cut off: it does not end with a closing bracket"
 
 
@@ -113,17 +112,11 @@ def _damaged_bvh(path: Path) -> str:
 
 
 def _damaged_pickle(path: Path) -> str:
-    return "" if _tail(path).endswith(b".") else "cut off: it does not end with a stop mark"
-
-
-def _tail(path: Path) -> bytes:
-    with open(path, "rb") as file:
-        file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL))
-        return file.read()
+    return "" if read_end(path, _TAIL).endswith(b".") else "cut off: it does not end with a stop mark"
 
 
 def _last_line(path: Path) -> bytes:
-    lines = _tail(path).splitlines(keepends=True)
+    lines = read_end(path, _TAIL).splitlines(keepends=True)
     return lines[-1] if lines else b""
 
 

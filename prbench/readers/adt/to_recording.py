@@ -30,7 +30,7 @@ from prbench.recording.streams import (
     Recording,
 )
 from prbench.skeleton import invert_rigid
-from prbench.timelines import require_overlap
+from prbench.timelines import require_overlap, stream_ranges
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"
 """Size of glasses where no file tells it (choice: the public sample's)."""
@@ -197,10 +197,7 @@ def _check_overlap(
 ) -> None:
     tolerance = adt.SAME_INSTANT
     ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
-    if len(gaze.times):
-        ranges["gaze"] = float(gaze.times[0]), float(gaze.times[-1])
-    if body is not None and len(body.times):
-        ranges["body"] = float(body.times[0]), float(body.times[-1])
+    ranges |= stream_ranges({"gaze": gaze.times, "body": None if body is None else body.times})
     moving = [
         track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
     ]

@@ -36,45 +36,26 @@ from prbench.readers.zipped import RememberingTail, Source, opened, require_whol
 
 _WISH = b"aria trajectory 2 "
 """Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""
-_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
-
-
-def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
-    """Return what was read before from a file that has not changed since; None if nothing was."""
-    table = load_parsed(source, _WISH + wish)
-    if table is None:
-        return None
-    facts = json.loads(table.schema.metadata[_FACTS])
-    numbers = np.column_stack([table[name].to_numpy() for name in _KEPT_NUMBERS])
-    return mps.AriaTrajectory(
-        time_us=table["time_us"].to_numpy(),
-        position=numbers[:, :3],
-        rotation=numbers[:, 3:7],
-        quality=numbers[:, 7],
-        up=np.array(facts["up"]),
-        graph_uids=tuple(facts["graph_uids"]),
-        left_out=facts["left_out"],
-    )
-
-
-def _keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory) -> None:
-    """Keep what was read from a file."""
-    numbers = np.column_stack([trajectory.position, trajectory.rotation, trajectory.quality])
-    facts = {
-        "up": trajectory.up.tolist(),
-        "graph_uids": list(trajectory.graph_uids),
-        "left_out": trajectory.left_out,
-    }
-    columns = {name: numbers[:, index] for index, name in enumerate(_KEPT_NUMBERS)}
-    table = pa.table({"time_us": trajectory.time_us, **columns})
-    keep_parsed(source, _WISH + wish, table.replace_schema_metadata({_FACTS: json.dumps(facts)}))
-
-
-_WISH = b"aria trajectory 2 "
-"""Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 """Columns that are read; the velocities are unreliable and stay unread."""
+_BLOCK = 2**20  # bytes
+
+
+@dataclass(frozen=True)
+class TrajectoryCheck:
+    """Facts that hold for all rows of a sound trajectory."""
+
+    rows: int
+    first_us: int
+    last_us: int
+    gaps: int
+    """Steps above 50 ms."""
+    longest_step_us: int
+    low_quality: int
+    """Rows with a quality below 0.5."""
+    worlds: dict[str, int]
+    """Rows of each world frame; rows without a world are under ``UNDEFINED_ROW``."""
 
 
 def read_trajectory(source: Source) -> mps.AriaTrajectory:
@@ -89,49 +70,6 @@ def read_trajectory(source: Source) -> mps.AriaTrajectory:
         InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.
     """
     return _trajectory_of(source, _read_whole(source))
-
-
-def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
-    """Read only the rows around wanted times, as ``format.rows_around`` would choose them from all rows.
-
-    The rows are searched for, not read through: what stands between them is not noticed, be it a repeated row, a
-    number that is none, or a world of its own shorter than the wanted steps. Rows without a world or of another one
-    are left out after the choice, so that at the edge of such a stretch poses may be missing for one step of the grid;
-    they are counted among the rows that were looked at. :func:`check_trajectory` looks at
-    every row. What was read is kept for the next time (:mod:`prbench.readers.parse_cache`).
-
-    Raises:
-        InputFileError: as :func:`read_trajectory`, for what was looked at.
-    """
-    wish = _WISH + wanted.key()
-    kept = load_parsed(source, wish)
-    if kept is not None:
-        return _trajectory_of(source, kept)
-    try:
-        table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
-        require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
-        trajectory = _trajectory_of(source, table)
-    except (NotSearchable, pa.ArrowInvalid, InputFileError):
-        table = _wanted_rows(source, _read_whole(source), wanted)  # it names the line of what is wrong
-        trajectory = _trajectory_of(source, table)
-    keep_parsed(source, wish, table)
-    return trajectory
-
-
-def _read_whole(source: Source) -> pa.Table:
-    table = read_columns(source, COLUMNS)
-    require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
-    return table
-
-
-def _wanted_rows(source: Source, table: pa.Table, wanted: NearGaze) -> pa.Table:
-    if len(table) == 0:
-        return table
-    rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
-    rows = wanted.rows(table[mps.TIME_COLUMN].to_numpy())
-    # Looked at before the choice, so that a bad pose is named by its line in the file.
-    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
-    return table.take(rows)
 
 
 def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
@@ -164,12 +102,6 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     )
 
 
-def _has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
-    """Rows that hold a pose at all."""
-    undefined = pc.call_function("equal", [table[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
-    return ~undefined.to_numpy(zero_copy_only=False)
-
-
 def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
     """World frames of a trajectory, most frequent first, and the rows of the first."""
     encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
@@ -182,23 +114,53 @@ def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
     return ranked, kept
 
 
-_BLOCK = 2**20  # bytes
+def _read_whole(source: Source) -> pa.Table:
+    table = read_columns(source, COLUMNS)
+    require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+    return table
 
 
-@dataclass(frozen=True)
-class TrajectoryCheck:
-    """Facts that hold for all rows of a sound trajectory."""
+def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
+    """Read only the rows around wanted times, as ``format.rows_around`` would choose them from all rows.
 
-    rows: int
-    first_us: int
-    last_us: int
-    gaps: int
-    """Steps above 50 ms."""
-    longest_step_us: int
-    low_quality: int
-    """Rows with a quality below 0.5."""
-    worlds: dict[str, int]
-    """Rows of each world frame; rows without a world are under ``UNDEFINED_ROW``."""
+    The rows are searched for, not read through: what stands between them is not noticed, be it a repeated row, a
+    number that is none, or a world of its own shorter than the wanted steps. Rows without a world or of another one
+    are left out after the choice, so that at the edge of such a stretch poses may be missing for one step of the grid;
+    they are counted among the rows that were looked at. :func:`check_trajectory` looks at
+    every row. What was read is kept for the next time (:mod:`prbench.readers.parse_cache`).
+
+    Raises:
+        InputFileError: as :func:`read_trajectory`, for what was looked at.
+    """
+    wish = _WISH + wanted.key()
+    kept = load_parsed(source, wish)
+    if kept is not None:
+        return _trajectory_of(source, kept)
+    try:
+        table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
+        require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+        trajectory = _trajectory_of(source, table)
+    except (NotSearchable, pa.ArrowInvalid, InputFileError):
+        table = _wanted_rows(source, _read_whole(source), wanted)  # it names the line of what is wrong
+        trajectory = _trajectory_of(source, table)
+    keep_parsed(source, wish, table)
+    return trajectory
+
+
+def _wanted_rows(source: Source, table: pa.Table, wanted: NearGaze) -> pa.Table:
+    if len(table) == 0:
+        return table
+    rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
+    rows = wanted.rows(table[mps.TIME_COLUMN].to_numpy())
+    # Looked at before the choice, so that a bad pose is named by its line in the file.
+    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
+    return table.take(rows)
+
+
+def _has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
+    """Rows that hold a pose at all."""
+    undefined = pc.call_function("equal", [table[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
+    return ~undefined.to_numpy(zero_copy_only=False)
 
 
 @foreign_input()

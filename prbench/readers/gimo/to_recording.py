@@ -29,7 +29,7 @@ from prbench.recording.streams import (
     Side,
 )
 from prbench.skeleton import WRISTS, Joint, transform_points
-from prbench.timelines import interpolate
+from prbench.timelines import covered, interpolate
 
 Target = Literal["point", "cube"]
 GazeOrigin = Literal["head", "hololens"]
@@ -144,18 +144,11 @@ def _filled(
 ) -> tuple[Float[np.ndarray, "m 22 3"], Bool[np.ndarray, " m"]]:
     """Joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held and invalid."""
     # Between two frames that are n + 1 apart n are missing.
-    valid = _between(frames, wanted, longest + 1)
-    values = interpolate(frames.astype(np.float64), joints, wanted.astype(np.float64))
+    known = frames.astype(np.float64)
+    asked = wanted.astype(np.float64)
+    valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1)
+    values = interpolate(known, joints, asked)
     return hold_neighbours(values, valid), valid
-
-
-def _between(frames: Int[np.ndarray, " n"], wanted: Int[np.ndarray, " m"], longest_step: int) -> Bool[np.ndarray, " m"]:
-    """Frames that exist, or lie between two existing ones at most ``longest_step`` apart."""
-    right = np.searchsorted(frames, wanted)
-    exists = (right < len(frames)) & (frames[np.minimum(right, len(frames) - 1)] == wanted)
-    inner = (right > 0) & (right < len(frames))
-    step = frames[np.minimum(right, len(frames) - 1)] - frames[np.maximum(right - 1, 0)]
-    return exists | (inner & (step <= longest_step))
 
 
 def _gaze(
@@ -193,8 +186,11 @@ def _gaze_points(
         return np.zeros((len(wanted), 3)), np.zeros(len(wanted), dtype=bool)
     points = transform_points(readings.transform.room_from_scan(), gaze.points)
     # 0.1 s at 30 frames a second is 3 frames, also where the product is 2.9999.
-    seen = _between(gaze.frames, wanted, int(longest_gap * gimo.FRAME_RATE + 1e-9))
-    return interpolate(gaze.frames.astype(np.float64), points, wanted.astype(np.float64)), seen
+    longest = int(longest_gap * gimo.FRAME_RATE + 1e-9)
+    known = gaze.frames.astype(np.float64)
+    asked = wanted.astype(np.float64)
+    seen = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest)
+    return interpolate(known, points, asked), seen
 
 
 def _events(

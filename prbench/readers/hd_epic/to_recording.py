@@ -27,7 +27,7 @@ from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.events import BoxKind, annotated_events
 from prbench.recording.streams import GazeStream, PoseStream, Recording
-from prbench.timelines import covered, interpolate, require_overlap, slerp
+from prbench.timelines import covered, interpolate, require_overlap, slerp, stream_ranges
 
 
 def recording_from_hd_epic(
@@ -51,11 +51,8 @@ def recording_from_hd_epic(
     thresholds = hd_epic.Thresholds(**manifest.thresholds)
     streams = glasses_streams(readings.glasses, thresholds, world_from_source=world)
     body = None if readings.body is None else body_stream(readings.body, world_from_source=world)
-    ranges = {"video": readings.clock.span, "glasses": _range(streams.device.times)}
-    if len(streams.gaze.times):
-        ranges["gaze"] = _range(streams.gaze.times)
-    if body is not None:
-        ranges["body"] = _range(body.times)
+    times = {"glasses": streams.device.times, "gaze": streams.gaze.times, "body": None if body is None else body.times}
+    ranges = {"video": readings.clock.span} | stream_ranges(times)
     require_overlap(ranges, recording=readings.video)
     events, remarks = annotated_events(readings, streams, body, thresholds, boxes=boxes)
     return Recording(
@@ -185,7 +182,3 @@ def _finite(frames: hd_epic.FrameReadings) -> np.ndarray:
 def _during(gaze: GazeStream, span: tuple[float, float]) -> GazeStream:
     inside = (gaze.times >= span[0]) & (gaze.times <= span[1] + 1 / hd_epic.FPS)
     return dataclasses.replace(gaze, valid=gaze.valid & inside)
-
-
-def _range(times: np.ndarray) -> tuple[float, float]:
-    return float(times[0]), float(times[-1])

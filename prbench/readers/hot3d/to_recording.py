@@ -22,7 +22,7 @@ from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
 from prbench.recording.streams import HandStream, ObjectTrack, Occluder, Recording
-from prbench.timelines import nearest_index, require_overlap
+from prbench.timelines import nearest_index, require_overlap, stream_ranges
 
 
 def recording_from_hot3d(
@@ -235,9 +235,7 @@ def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
 
 
 def _check_overlap(readings: hot3d.Hot3dReadings, span: tuple[float, float], streams: MpsStreams) -> None:
-    ranges = {"ground truth": span, "glasses": (float(streams.head.times[0]), float(streams.head.times[-1]))}
-    if len(streams.gaze.times):
-        ranges["gaze"] = float(streams.gaze.times[0]), float(streams.gaze.times[-1])
+    ranges = {"ground truth": span} | stream_ranges({"glasses": streams.head.times, "gaze": streams.gaze.times})
     starts, ends = zip(*((entry.rows.time_ns[0], entry.rows.time_ns[-1]) for entry in readings.objects), strict=True)
     ranges["objects"] = float(min(starts) / 1e9), float(max(ends) / 1e9)
     require_overlap(ranges, recording=readings.recording_id)
