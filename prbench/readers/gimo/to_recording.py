@@ -146,7 +146,7 @@ def _filled(
     # Between two frames that are n + 1 apart n are missing.
     known = frames.astype(np.float64)
     asked = wanted.astype(np.float64)
-    valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1)
+    valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1.0)
     values = interpolate(known, joints, asked)
     return hold_neighbours(values, valid), valid
 
@@ -186,7 +186,7 @@ def _gaze_points(
         return np.zeros((len(wanted), 3)), np.zeros(len(wanted), dtype=bool)
     points = transform_points(readings.transform.room_from_scan(), gaze.points)
     # 0.1 s at 30 frames a second is 3 frames, also where the product is 2.9999.
-    longest = int(longest_gap * gimo.FRAME_RATE + 1e-9)
+    longest = float(int(longest_gap * gimo.FRAME_RATE + 1e-9))
     known = gaze.frames.astype(np.float64)
     asked = wanted.astype(np.float64)
     seen = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest)
