@@ -25,7 +25,7 @@ class ProposedPick(msgspec.Struct, frozen=True, kw_only=True):
         time: When the object is picked up, in seconds on the recording's clock; null without a proposal.
         hand: ``left`` or ``right``; null without a proposal.
         confidence: From 0 to 1; it ranks proposals and is no probability; null without a proposal.
-        reason: What speaks for the proposal; empty without one.
+        reason: What speaks for the proposal, or why there is none; it stands in the file, too.
         problem: Why the segment could not be read; empty for those that were.
     """
 
@@ -86,7 +86,7 @@ def _proposed(proposal: Proposal) -> ProposedPick:
         time=None if found is None else float(found.time),
         hand=None if found is None else found.hand,
         confidence=None if found is None else float(found.confidence),
-        reason="" if found is None else found.reason,
+        reason=str(proposal.row()["reason"]),
         problem=proposal.problem,
     )
 

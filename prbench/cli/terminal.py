@@ -118,9 +118,13 @@ def _column_widths(rows: Sequence[Sequence[str]], available: int, numbers: Colle
     if to_share < 0:
         return None
     wanted = [line - least for line, least in zip(longest_lines, needed)]
-    if sum(wanted) <= to_share:
-        return longest_lines
-    return [least + to_share * want // sum(wanted) for least, want in zip(needed, wanted)]
+    widths = needed
+    # Columns that want little are served first, so that only those with long texts are folded.
+    for served, index in enumerate(sorted(range(len(columns)), key=lambda column: wanted[column])):
+        extra = min(wanted[index], to_share // (len(columns) - served))
+        widths[index] += extra
+        to_share -= extra
+    return widths
 
 
 def _print_grid(

@@ -77,3 +77,11 @@ def test_neither_a_word_nor_a_number_is_broken_however_narrow_the_terminal(width
 def test_a_narrow_terminal_gets_one_line_a_cell(monkeypatch):
     assert "synthetic-adt\n  duration s: 7.09 ± 2.85\n  movement m: 0.59 ± 0.17\n" in shown_at(40, monkeypatch)
     assert "7.09 ± 2.85   0.59 ± 0.17   few recordings; all equal" in shown_at(200, monkeypatch)
+
+
+def test_only_long_texts_are_folded(capsys):
+    evidence = "seen in the files, which hold a number of this size in every entry " * 5
+    print_table("inferred", ("", "value", "how surely", "evidence"), [("frame rate", "20", "assumed", evidence)])
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split() == ["value", "how", "surely", "evidence"] for line in lines)
+    assert max(len(line) for line in lines) <= 200
