@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -19,6 +21,131 @@ _MARKS = {
 }
 
 
+class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
+    """One metric over the sequences of one dataset.
+
+    Attributes:
+        metric: Id of the metric, such as ``prime_success``.
+        title: Its name in tables.
+        unit: ``rate`` (from 0 to 1), ``ratio``, or a unit such as ``m``.
+        mean: Mean over sequences.
+        low: Lower bound of the interval of the mean; null where the data support none.
+        high: Upper bound of the interval.
+        level: Confidence level of the interval, such as 0.95.
+        interval: Name of the estimator of the interval.
+        sequences: Number of sequences behind the mean.
+        recordings: Number of recordings that they come from.
+        marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
+        flags: Number of motions that carry each remark.
+        says_nothing: True where the method stands still and the metric therefore says nothing about it.
+    """
+
+    metric: str
+    title: str
+    unit: str
+    mean: float | None
+    low: float | None
+    high: float | None
+    level: float
+    interval: str
+    sequences: int
+    recordings: int
+    marks: list[str]
+    flags: dict[str, int]
+    says_nothing: bool
+
+
+class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
+    """The scores of one method on one dataset.
+
+    Attributes:
+        dataset: Name of the dataset.
+        title: The same for readers; holds the word "synthetic" where the data are.
+        synthetic: Whether the data are synthetic; such scores are never compared with published ones.
+        method: Name of the method.
+        origin: Whose method it is, in words.
+        condition: What the method was given: ``none``, ``text``, ``goal-pose``, ``goal-loc`` or ``unstated``.
+        control: ``shuffled-goal`` if it was given other sequences' goals; null if not.
+        split: Split of the table.
+        sequences: Number of chosen sequences.
+        unsupported: Number of those that are longer than the method can generate and were not scored.
+        recordings: Number of recordings that the sequences come from.
+        samples: Number of motions of each sequence.
+        length_mismatches: Number of motions of another length than the recorded one.
+        recorded_motions: Number of motions that equal the recorded one.
+        metrics: The metrics in the order of tables.
+    """
+
+    dataset: str
+    title: str
+    synthetic: bool
+    method: str
+    origin: str
+    condition: str
+    control: str | None
+    split: str
+    sequences: int
+    unsupported: int
+    recordings: int
+    samples: int
+    length_mismatches: int
+    recorded_motions: int
+    metrics: list[MetricScore]
+
+
+def dataset_scores(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> DatasetScores:
+    """Make the scores of one method on one dataset a part of a report.
+
+    Args:
+        summary: What it scored.
+        origin: Whose method it is, in words.
+        motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
+    """
+    irrelevant = _irrelevant(motionless)
+    return DatasetScores(
+        dataset=summary.dataset,
+        title=summary.title,
+        synthetic=summary.synthetic,
+        method=summary.method,
+        origin=origin,
+        condition=summary.condition,
+        control=summary.control,
+        split=summary.split,
+        sequences=summary.sequences,
+        unsupported=summary.unsupported,
+        recordings=summary.recordings,
+        samples=summary.samples,
+        length_mismatches=summary.length_mismatches,
+        recorded_motions=summary.recorded_motions,
+        metrics=[_metric_score(metric, says_nothing=metric.metric in irrelevant) for metric in summary.metrics],
+    )
+
+
+def _metric_score(metric: MetricSummary, *, says_nothing: bool) -> MetricScore:
+    return MetricScore(
+        metric=metric.metric,
+        title=metric.title,
+        unit=metric.unit,
+        mean=metric.mean,
+        low=metric.low,
+        high=metric.high,
+        level=metric.level,
+        interval=metric.interval,
+        sequences=metric.sequences,
+        recordings=metric.recordings,
+        marks=list(metric.marks),
+        flags=dict(metric.flags),
+        says_nothing=says_nothing,
+    )
+
+
+def _irrelevant(motionless: bool) -> set[str]:
+    """Name the metrics that say nothing of a method, which are some where it stands still."""
+    from prbench.metrics import METRICS
+
+    return {info.id for info in METRICS if motionless and info.irrelevant_if_motionless}
+
+
 def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> None:
     """Print the scores of one method on one dataset.
 
@@ -27,9 +154,7 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
-    from prbench.metrics import METRICS
-
-    irrelevant = {info.id for info in METRICS if motionless and info.irrelevant_if_motionless}
+    irrelevant = _irrelevant(motionless)
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method} ({origin}), condition {summary.condition}{control};"
