@@ -286,7 +286,9 @@ def _controls() -> list[ControlMethod]:
 
 
 def _print_details(report: MethodsReport) -> None:
-    rows = [("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load")]
+    rows: list[tuple[str, ...]] = [
+        ("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load")
+    ]
     problems = []
     for method in report.methods:
         assert method.details is not None

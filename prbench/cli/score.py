@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -119,7 +120,7 @@ def score(
     return Answer(ScoreReport(scores=scores, out=out), lambda: _print(scored, out))
 
 
-def _print(scored: list[Scored], out: Path | None) -> None:
+def _print(scored: Sequence[Scored], out: Path | None) -> None:
     from prbench.submitted.score_predictions import UNSTATED
 
     for each in scored:
