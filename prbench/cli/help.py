@@ -48,7 +48,9 @@ def help(ctx: click.Context, topic: tuple[str, ...]) -> int:
     for word in topic:
         if not isinstance(found, click.Group):
             raise click.UsageError(f"'{context.command_path}' has no commands of its own, such as '{word}'.", context)
-        _, found, _ = found.resolve_command(context, [word])  # refuses an unknown one, and names the nearest
+        _, command_found, _ = found.resolve_command(context, [word])  # refuses an unknown one, names the nearest
+        assert command_found is not None
+        found = command_found
         context = click.Context(found, info_name=word, parent=context)
     print(found.get_help(context))
     return 0

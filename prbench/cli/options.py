@@ -16,10 +16,28 @@ FIRST_RUN_SEQUENCES = 48
 """Limit of a run on the embedded dataset (``prbench.workflows.first_run``); spelt out for the same reason."""
 SPLITS = ("train", "validation", "test")
 PATH = click.Path(path_type=Path)
-POSITIVE = click.IntRange(min=1)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Decorator = Callable[[_Function], _Function]
+
+
+class _Positive(click.ParamType):
+    """A whole number of at least 1."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Parse the number."""
+        try:
+            number = int(value)
+        except ValueError:
+            number = 0
+        if number < 1:
+            self.fail(f"expected a whole number of at least 1, found '{value}'.", param, ctx)
+        return number
+
+
+POSITIVE = _Positive()
 
 
 class KeyValue(click.ParamType):

@@ -24,7 +24,7 @@ def progress(description: str) -> Iterator[ProgressCallback]:
     """Show the progress of one piece of work while the block runs: each item as a line with ``--verbose``."""
     now = session()
     if now.quiet:
-        yield lambda done, total, last: None
+        yield lambda *_: None
     elif now.verbose:
         yield _lines(description, seconds_between=0.0)
     elif sys.stderr.isatty():
@@ -70,7 +70,7 @@ def show_training(description: str) -> Iterator[Callable[[Progress], None]]:
     """Show a training on standard error while the block runs."""
     now = session()
     if now.quiet:
-        yield lambda progress: None
+        yield lambda _: None
     elif sys.stderr.isatty() and not now.verbose:
         with _training_bar(description) as callback:
             yield callback

@@ -29,15 +29,27 @@ if TYPE_CHECKING:
     from prbench.submitted.score_predictions import ScoreReport as Scored
 
 
+class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
+    """The finished motions of one dataset.
+
+    Attributes:
+        origin: Where the motions come from, in words.
+        scores: Their scores.
+    """
+
+    origin: str
+    scores: DatasetScores
+
+
 class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
     """The scores of finished motions.
 
     Attributes:
-        scores: One entry a dataset.
+        datasets: One entry a dataset.
         out: Folder that the scores were written to; null if nothing was written.
     """
 
-    scores: list[DatasetScores]
+    datasets: list[ScoredMotions]
     out: Path | None
 
 
@@ -116,8 +128,11 @@ def score(
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
-    scores = [dataset_scores(each.summary, origin=each.origin, motionless=each.motionless) for each in scored]
-    return Answer(ScoreReport(scores=scores, out=out), lambda: _print(scored, out))
+    datasets = [
+        ScoredMotions(origin=each.origin, scores=dataset_scores(each.summary, motionless=each.motionless))
+        for each in scored
+    ]
+    return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
 
 
 def _print(scored: Sequence[Scored], out: Path | None) -> None:

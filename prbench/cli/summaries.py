@@ -22,22 +22,21 @@ _MARKS = {
 
 
 class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
-    """One metric over the sequences of one dataset.
+    """One metric of one method on one dataset.
 
     Attributes:
         metric: Id of the metric, such as ``prime_success``.
-        title: Its name in tables.
-        unit: ``rate`` (from 0 to 1), ``ratio``, or a unit such as ``m``.
-        mean: Mean over sequences.
-        low: Lower bound of the interval of the mean; null where the data support none.
-        high: Upper bound of the interval.
+        title: Its name as printed.
+        unit: ``rate`` (from 0 to 1), ``m``, or the metric's other unit.
+        mean: Mean over sequences; null without any.
+        low: Lower bound of the interval; null where too few recordings allow none.
+        high: Upper bound of the interval; null likewise.
         level: Confidence level of the interval, such as 0.95.
-        interval: Name of the estimator of the interval.
-        sequences: Number of sequences behind the mean.
+        sequences: Number of sequences that it was computed on.
         recordings: Number of recordings that they come from.
-        marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
+        marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
-        says_nothing: True where the method stands still and the metric therefore says nothing about it.
+        means_nothing: The method stands still, so that this metric says nothing about it.
     """
 
     metric: str
@@ -47,40 +46,36 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
     low: float | None
     high: float | None
     level: float
-    interval: str
     sequences: int
     recordings: int
     marks: list[str]
     flags: dict[str, int]
-    says_nothing: bool
+    means_nothing: bool
 
 
 class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
-    """The scores of one method on one dataset.
+    """Scores of one method on one dataset.
 
     Attributes:
         dataset: Name of the dataset.
-        title: The same for readers; holds the word "synthetic" where the data are.
-        synthetic: Whether the data are synthetic; such scores are never compared with published ones.
+        title: Its name as printed; carries the word "synthetic" where the data are.
+        synthetic: The people are synthetic: never compare these scores with published ones.
         method: Name of the method.
-        origin: Whose method it is, in words.
-        condition: What the method was given: ``none``, ``text``, ``goal-pose``, ``goal-loc`` or ``unstated``.
-        control: ``shuffled-goal`` if it was given other sequences' goals; null if not.
+        condition: What it was given.
+        control: ``shuffled-goal`` or null.
         split: Split of the table.
         sequences: Number of chosen sequences.
-        unsupported: Number of those that are longer than the method can generate and were not scored.
-        recordings: Number of recordings that the sequences come from.
-        samples: Number of motions of each sequence.
-        length_mismatches: Number of motions of another length than the recorded one.
-        recorded_motions: Number of motions that equal the recorded one.
-        metrics: The metrics in the order of tables.
+        unsupported: Number of them that are longer than the method can generate, and were not scored.
+        recordings: Number of recordings that they come from.
+        samples: Motions a sequence.
+        remark: That recorded motions were handed in; empty if there are none.
+        metrics: One entry a metric.
     """
 
     dataset: str
     title: str
     synthetic: bool
     method: str
-    origin: str
     condition: str
     control: str | None
     split: str
@@ -88,26 +83,39 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     unsupported: int
     recordings: int
     samples: int
-    length_mismatches: int
-    recorded_motions: int
+    remark: str
     metrics: list[MetricScore]
 
 
-def dataset_scores(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> DatasetScores:
-    """Make the scores of one method on one dataset a part of a report.
+def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> DatasetScores:
+    """Turn a summary into the shape that ``--json`` prints.
 
     Args:
-        summary: What it scored.
-        origin: Whose method it is, in words.
-        motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
+        summary: Scores of a method on a dataset.
+        motionless: The method's motions stand still.
     """
-    irrelevant = _irrelevant(motionless)
+    metrics = [
+        MetricScore(
+            metric=metric.metric,
+            title=metric.title,
+            unit=metric.unit,
+            mean=metric.mean,
+            low=metric.low,
+            high=metric.high,
+            level=metric.level,
+            sequences=metric.sequences,
+            recordings=metric.recordings,
+            marks=list(metric.marks),
+            flags=metric.flags,
+            means_nothing=metric.metric in _irrelevant(motionless),
+        )
+        for metric in summary.metrics
+    ]
     return DatasetScores(
         dataset=summary.dataset,
         title=summary.title,
         synthetic=summary.synthetic,
         method=summary.method,
-        origin=origin,
         condition=summary.condition,
         control=summary.control,
         split=summary.split,
@@ -115,35 +123,16 @@ def dataset_scores(summary: DatasetSummary, *, origin: str, motionless: bool = F
         unsupported=summary.unsupported,
         recordings=summary.recordings,
         samples=summary.samples,
-        length_mismatches=summary.length_mismatches,
-        recorded_motions=summary.recorded_motions,
-        metrics=[_metric_score(metric, says_nothing=metric.metric in irrelevant) for metric in summary.metrics],
+        remark=summary.recorded_motion_mark,
+        metrics=metrics,
     )
 
 
-def _metric_score(metric: MetricSummary, *, says_nothing: bool) -> MetricScore:
-    return MetricScore(
-        metric=metric.metric,
-        title=metric.title,
-        unit=metric.unit,
-        mean=metric.mean,
-        low=metric.low,
-        high=metric.high,
-        level=metric.level,
-        interval=metric.interval,
-        sequences=metric.sequences,
-        recordings=metric.recordings,
-        marks=list(metric.marks),
-        flags=dict(metric.flags),
-        says_nothing=says_nothing,
-    )
-
-
-def _irrelevant(motionless: bool) -> set[str]:
-    """Name the metrics that say nothing of a method, which are some where it stands still."""
+def _irrelevant(motionless: bool) -> frozenset[str]:
+    """Return the ids of metrics that say nothing about motions that stand still."""
     from prbench.metrics import METRICS
 
-    return {info.id for info in METRICS if motionless and info.irrelevant_if_motionless}
+    return frozenset(info.id for info in METRICS if motionless and info.irrelevant_if_motionless)
 
 
 def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> None:

@@ -178,7 +178,7 @@ def _tasks(
         motions = next(given) if given is not None else None
         if index not in wanted:
             continue
-        first = dataset.source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
+        first = dataset.source.batch(rows, prepared.condition, seed=request.seed, salt=salt, sample=0)
         yield BatchTask(
             index=index,
             sequence_ids=dataset.ids(rows),
@@ -226,7 +226,7 @@ def _scored_set(prepared: PreparedRun, dataset: PreparedDataset) -> ScoredSet:
         recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
         chosen=len(dataset.chosen),
         method=prepared.record.method.name,
-        condition=request.condition.value,
+        condition=prepared.condition.value,
         control=request.control,
         split=request.split,
         samples=request.samples,

@@ -37,7 +37,9 @@ def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys
     out = tmp_path / "scores"
     words = ["score", str(predictions), "--conditions", str(conditions), "--data", str(data), "--out", str(out)]
     report = reported([*words, "--name", "still"], ScoreReport, capsys)
-    (scores,) = report.scores
+    (dataset,) = report.datasets
+    scores = dataset.scores
+    assert dataset.origin == "file predictions.npz"
     summary = DatasetSummary.read(out)
     assert report.out == out
     assert (scores.method, scores.condition, scores.samples) == ("still", "goal-loc", 2)
