@@ -210,3 +210,19 @@ def replace_option(what: str = "table") -> _Decorator:
         is_flag=True,
         help=f"Replace an earlier {what} even where the new one lacks recordings that it holds (refused by default).",
     )
+
+
+def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
+    """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
+    from prbench.methods.installed import list_adapters
+    from prbench.methods.names import METHOD_CONTROLS
+
+    names = {adapter.name for adapter in list_adapters() if not adapter.problem}
+    return sorted(name for name in {*names, *METHOD_CONTROLS} if name.startswith(incomplete))
+
+
+def complete_dataset(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
+    """Return the datasets that begin with what was typed, for the shell's completion."""
+    from prbench.datasets import readable_datasets
+
+    return sorted(name for name in readable_datasets() if name.startswith(incomplete))

@@ -17,6 +17,7 @@ from prbench.cli.options import (
     FIRST_RUN_SEQUENCES,
     PATH,
     POSITIVE,
+    complete_method,
     control_option,
     data_option,
     limit_option,
@@ -98,6 +99,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--method",
     metavar="NAME|cmd:…|FILE",
+    shell_complete=complete_method,
     help="An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
     " ground-truth, ground-truth-resampled, scripted; all: the rows of the study's Table 2.",
 )

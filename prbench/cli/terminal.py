@@ -93,29 +93,34 @@ def print_table(
     if not output.is_terminal:  # in a file or pipe nothing is folded to the width of a terminal that is not there
         output = console(width=max(200, output.width))
     output.print(clean(title), style="italic", soft_wrap=True)  # a table folds its own title to its width
-    widths = _column_widths([header, *shown], output.width)
+    widths = _column_widths([header, *shown], output.width, numbers)
     if widths is None:
         _print_stacked(output, header, shown)
     else:
         _print_grid(output, header, shown, widths, numbers=numbers, spaced=spaced)
 
 
-_BETWEEN_COLUMNS = 2
+_BETWEEN_COLUMNS = 3  # of Rich's table: a space on either side of a cell, and one for the line that is not drawn
 
 
-def _column_widths(rows: Sequence[Sequence[str]], available: int) -> list[int] | None:
-    """Share the width among the columns so that no word is broken; return None where it does not suffice."""
+def _column_widths(rows: Sequence[Sequence[str]], available: int, numbers: Collection[int]) -> list[int] | None:
+    """Share the width among the columns so that no word and no number is broken; return None where it does not suffice.
+
+    Columns of numbers keep their width, since ``0.59 ±`` above ``0.17`` is hard to read.
+    """
     columns = list(zip(*rows))
-    longest_words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
     longest_lines = [max((len(line) for cell in column for line in cell.splitlines()), default=0) for column in columns]
-    available -= _BETWEEN_COLUMNS * len(columns)
-    if sum(longest_lines) <= available:
-        return longest_lines
-    to_share = available - sum(longest_words)
+    longest_words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    needed = []
+    for index, (line, word) in enumerate(zip(longest_lines, longest_words)):
+        needed.append(line if index in numbers else word)
+    to_share = available - _BETWEEN_COLUMNS * len(columns) - 1 - sum(needed)
     if to_share < 0:
         return None
-    wanted = [line - word for line, word in zip(longest_lines, longest_words)]
-    return [word + to_share * want // sum(wanted) for word, want in zip(longest_words, wanted)]
+    wanted = [line - least for line, least in zip(longest_lines, needed)]
+    if sum(wanted) <= to_share:
+        return longest_lines
+    return [least + to_share * want // sum(wanted) for least, want in zip(needed, wanted)]
 
 
 def _print_grid(

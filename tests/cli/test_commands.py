@@ -219,3 +219,17 @@ def test_histograms_are_drawn_beside_the_studys_numbers(tmp_path):
     assert main(["synthesize", "adt", "--histograms", str(picture), "--recordings", "1"]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in tmp_path.iterdir()] == ["h.png"], "a picture alone writes no recordings"
+
+
+@pytest.mark.parametrize(
+    ("words", "found"), [("run --method sta", "static"), ("run --sam", "--samples"), ("le", "leaderboard")]
+)
+def test_values_options_and_commands_are_completed(words, found):
+    environment = {
+        **os.environ,
+        "_PRBENCH_COMPLETE": "bash_complete",
+        "COMP_WORDS": f"prbench {words}",
+        "COMP_CWORD": str(len(words.split())),
+    }
+    done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
+    assert f",{found}\n" in done.stdout
