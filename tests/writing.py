@@ -42,7 +42,7 @@ class Inputs:
         if heavy:
             _make_for_heavy(made)
         fake_dataset(made.table, 6)
-        synthesised = ("synthesize", "adt", "--recordings", 1, "--events", 2, "--no-verify", "--out", made.adt)
+        synthesised = ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", made.adt)
         run(made.folder, *synthesised)
         gimo_sample.write_root(made.gimo, gimo_sample.readings())
         for name in ("run", "run-of-conditions"):
@@ -54,8 +54,8 @@ class Inputs:
 
 
 def _make_for_heavy(made: Inputs) -> None:
-    run(made.folder, "synthesize", "hd-epic", "--recordings", 1, "--events", 4, "--no-verify", "--out", made.hdepic)
-    run(made.folder, "build-corpus", "synthetic", "--recordings", 4, "--out", made.corpus)
+    run(made.folder, "synthesize", "hd-epic", "--count", 1, "--events", 4, "--no-verify", "--out", made.hdepic)
+    run(made.folder, "build-corpus", "synthetic", "--count", 4, "--out", made.corpus)
     configured = ("--config", "smoke", "--set", "training.steps=2")
     run(made.folder, "train", "--method", "t2m-evaluator", *configured, "--data", made.corpus, "--out", made.evaluator)
 
@@ -191,20 +191,20 @@ WRITING = (
         lambda given, out: ("build-dataset", "all", "--root", given.adt, "--out", out),
         held="result/synthetic-adt",
     ),
-    Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--recordings", 1, "--out", out)),
+    Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--count", 1, "--out", out)),
     Writing(
         "synthesize --out",
-        lambda _, out: ("synthesize", "adt", "--recordings", 1, "--events", 2, "--no-verify", "--out", out),
+        lambda _, out: ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", out),
     ),
     Writing(
         "synthesize --table",
-        lambda _, out: ("synthesize", "adt", "--table", "--recordings", 1, "--events", 2, "--out", out),
+        lambda _, out: ("synthesize", "adt", "--table", "--count", 1, "--events", 2, "--out", out),
     ),
-    Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--recordings", 1, "--out", out)),
+    Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--count", 1, "--out", out)),
     Writing("synthesize --gallery", lambda _, out: ("synthesize", "adt", "--gallery", out), "g.png"),
     Writing(
         "synthesize --histograms",
-        lambda _, out: ("synthesize", "adt", "--recordings", 1, "--histograms", out),
+        lambda _, out: ("synthesize", "adt", "--count", 1, "--histograms", out),
         "h.png",
     ),
     Writing("run --out", lambda given, out: (*_RUN, "--data", given.table, "--out", out), varies=("cost.json",)),
@@ -272,6 +272,7 @@ WRITING = (
         lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--draw", out),
         "e.png",
     ),
+    Writing("stats --out", lambda given, out: ("stats", given.table, "--out", out), "s.json"),
     Writing(
         "explain --out",
         lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--out", out),
@@ -306,6 +307,13 @@ WRITING = (
         lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--prepare", "--poses-root", out),
         held=f"result/{_RECORDING}",
     ),
+    Writing(
+        "poses --out",
+        lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--dry-run", "--out", out),
+        "p.json",
+    ),
+    Writing("datasets --out", lambda _, out: ("datasets", "--out", out), "d.json"),
+    Writing("inspect --out", lambda given, out: ("inspect", given.adt, "--out", out), "i.json"),
     Writing("adapters new --out", lambda _, out: ("adapters", "new", "glide", "--out", out), refuses=True),
     Writing(
         "adapters converters --out", lambda _, out: ("adapters", "converters", "--out", out), "prbench_converters.py"
@@ -324,7 +332,7 @@ WRITING = (
     ),
     Writing(
         "validate --out",
-        lambda given, out: ("validate", "hd-epic", "--root", given.hdepic, "--limit", 1, "--out", out),
+        lambda given, out: ("validate", "hd-epic", "--root", given.hdepic, "--max-recordings", 1, "--out", out),
         "v.json",
     ),
     Writing(

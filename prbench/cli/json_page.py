@@ -60,11 +60,12 @@ prbench adapters list static --json
 ```
 
 A command that cannot do its work prints a document, too: `report` is null, and `error` says why. Numbers that JSON
-cannot hold (not a number, infinity) are null. Paths are written as they were given. Keys may be added in later versions;
-a key that is described here keeps its name and meaning within a major version.
+cannot hold (not a number, infinity) are null. Paths are written as they were given. Keys may be added in later
+versions; a key that is described here keeps its name and meaning within a major version.
 
 `python -m prbench.cli.json_page docs/json.md` writes this page from the classes of the reports.
 """
+_COUNTABLE = ("string", "integer", "number", "boolean", "path")
 _PLAIN_TYPES: dict[Any, str] = {
     str: "string",
     int: "integer",
@@ -187,6 +188,11 @@ class _Writer:
             meaning = described.get(name, "").replace("``", "`").replace("|", "\\|")
             self.lines.append(f"| `{name}` | {self._in_words(annotation)} | {meaning} |")
 
+    def _plural(self, annotation: Any) -> str:
+        """Name a type as what a list holds."""
+        words = self._in_words(annotation)
+        return f"{words}s" if words in _COUNTABLE else words
+
     def _in_words(self, annotation: Any) -> str:
         """Say what JSON holds for a type."""
         origin = typing.get_origin(annotation)
@@ -203,7 +209,7 @@ class _Writer:
         if origin is dict or annotation is dict:
             return f"object: {self._in_words(inner[1]) if inner else 'any'} by name"
         if origin in (list, tuple, set, frozenset) or annotation in (list, tuple):
-            kinds = dict.fromkeys(self._in_words(each) for each in inner if each is not Ellipsis)
+            kinds = dict.fromkeys(self._plural(each) for each in inner if each is not Ellipsis)
             return f"list of {' and '.join(kinds) or 'any'}"
         if isinstance(annotation, type) and issubclass(annotation, Enum):
             return " or ".join(f"`{each.value}`" for each in annotation)

@@ -209,14 +209,14 @@ def test_from_the_command_line(root, config, monkeypatch, capsys):
 
 
 def test_input_folders_for_running_it_by_hand(root, capsys):
-    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--limit", "1"]) == 0
+    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--max-recordings", "1"]) == 0
     name = _names(root)[0]
     folder = root / "egoallo" / name
     assert f"--traj-root {folder} --traj-length " in capsys.readouterr().out
     assert {path.name for path in folder.rglob("*.*")} == {
         "closed_loop_trajectory.csv", "semidense_points.csv.gz", "video.vrs", "prepared-by-prbench.txt",
     }  # fmt: skip
-    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--limit", "1"]) == 0  # again: replaced
+    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--max-recordings", "1"]) == 0  # again: replaced
 
 
 def test_by_hand_into_a_folder_of_other_files_is_refused(root, tmp_path, capsys):

@@ -101,7 +101,7 @@ def test_the_sample_shows_published_counts_and_says_what_is_a_guess(samples, cap
     printed = capsys.readouterr().out
     for text in ("18,134", "18,264", "70.6%", "33.1%", "94.8%", "88.5%", "[known]", "[measured here]", "[guess]"):
         assert text in printed
-    content = json.loads((tmp_path / "v.json").read_text())
+    content = json.loads((tmp_path / "v.json").read_text())["report"]
     both = content["agreements"][-1]
     assert {"published": "primed", "rule": "primed", "events": 2} in both["counts"]
     assert both["prime_time_difference_s"]["largest"] == pytest.approx(0.0026, abs=2e-4)
