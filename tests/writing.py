@@ -166,7 +166,7 @@ _HEAVY = {
     "stats --draw",
     "explain --draw",
     "synthesize nymeria --out",
-    "adapters check --json",
+    "adapters check --out",
     "validate --out",
     "evaluate-text --out",
 }
@@ -247,6 +247,11 @@ WRITING = (
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(
+        "leaderboard compare --out",
+        lambda given, out: ("leaderboard", "compare", given.run, given.run, "--out", out),
+        "c.json",
+    ),
+    Writing(
         "view --out png",
         lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
         "v.png",
@@ -267,6 +272,13 @@ WRITING = (
         lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--draw", out),
         "e.png",
     ),
+    Writing("stats --out", lambda given, out: ("stats", given.table, "--out", out), "s.json"),
+    Writing(
+        "explain --out",
+        lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--out", out),
+        "e.json",
+    ),
+    Writing("diff --out", lambda given, out: ("diff", given.table, given.table, "--out", out), "d.json"),
     Writing("diff --csv", lambda given, out: ("diff", given.table, given.table, "--csv", out), "d.csv"),
     Writing(
         "candidates --out",
@@ -307,14 +319,15 @@ WRITING = (
         "adapters converters --out", lambda _, out: ("adapters", "converters", "--out", out), "prbench_converters.py"
     ),
     Writing(
-        "adapters check --json",
-        lambda _, out: ("adapters", "check", "static", "--json", out),
+        "adapters check --out",
+        lambda _, out: ("adapters", "check", "static", "--out", out),
         "a.json",
         varies=("a.json",),
     ),
+    Writing("adapters list --out", lambda _, out: ("adapters", "list", "static", "--out", out), "m.json"),
     Writing(
-        "doctor --json",
-        lambda given, out: ("doctor", given.run / "predictions", "--data", given.table, "--json", out),
+        "doctor --out",
+        lambda given, out: ("doctor", given.run / "predictions", "--data", given.table, "--out", out),
         "d.json",
     ),
     Writing(

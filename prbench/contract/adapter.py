@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from prbench.contract.conditions import Condition, ConditionBatch
+from prbench.entry_points import ADAPTERS
 from prbench.sequences.table import SequenceTable
 
 
@@ -53,7 +54,7 @@ class TrainingRun:
     device: str
 
 
-ENTRY_POINT_GROUP = "prbench.adapters"
+ENTRY_POINT_GROUP = ADAPTERS
 
 
 @runtime_checkable
