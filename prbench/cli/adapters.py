@@ -233,11 +233,11 @@ def _problem(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> st
 
 
 def _print_methods(methods: Sequence[InstalledMethod]) -> None:
-    rows = [("name", "package", "version", "target", "")]
+    rows = []
     for method in methods:
         remark = f"! {method.problem}" if method.problem else ""
         rows.append((method.name, method.package, method.version, method.target, remark))
-    print_columns(rows)
+    print_columns(("name", "package", "version", "target", ""), rows)
 
 
 def _detailed(names: Sequence[str], found: Sequence[InstalledAdapter], *, time_limit: float) -> Answer:
@@ -286,9 +286,7 @@ def _controls() -> list[ControlMethod]:
 
 
 def _print_details(report: MethodsReport) -> None:
-    rows: list[tuple[str, ...]] = [
-        ("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load")
-    ]
+    rows = []
     problems = []
     for method in report.methods:
         assert method.details is not None
@@ -296,12 +294,12 @@ def _print_details(report: MethodsReport) -> None:
             problems.append(f"! {method.name} ({method.package} {method.version}): {method.details.error}")
         else:
             rows.append(_details_row(method, method.details))
-    print_columns(rows)
+    print_columns(("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load"), rows)
     for problem in problems:
         print(problem)
     if report.controls:
         print("\ncontrols, part of prbench:")
-        print_columns([(f"{control.use} {control.name}", control.summary) for control in report.controls])
+        print_columns(("", ""), [(f"{control.use} {control.name}", control.summary) for control in report.controls])
 
 
 def _details_row(method: InstalledMethod, details: MethodDetails) -> tuple[str, ...]:
