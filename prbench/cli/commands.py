@@ -114,8 +114,7 @@ class Command(click.Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example, folded as a shell reads it."""
-        formatter.write("\nexample:\n")
-        formatter.write("".join(f"{line}\n" for line in folded_command(self.example, formatter.width)))
+        _write_example(self.example, formatter)
 
 
 class SeveralValues(click.Option):
@@ -134,12 +133,21 @@ class Group(click.Group):
         name: What the group is called by.
         sections: The title of each section, and the commands in it: name and where its function stands
             (``module:function``).
+        example: A command line of one of them; empty for none.
         settings: Of :class:`click.Group`.
     """
 
-    def __init__(self, name: str | None = None, *, sections: Mapping[str, Mapping[str, str]], **settings: Any) -> None:
+    def __init__(
+        self,
+        name: str | None = None,
+        *,
+        sections: Mapping[str, Mapping[str, str]],
+        example: str = "",
+        **settings: Any,
+    ) -> None:
         super().__init__(name, **settings)
         self.sections = sections
+        self.example = example
         self.params += [_quiet_option(), _verbose_option()]
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -175,6 +183,11 @@ class Group(click.Group):
         for title, commands in self.sections.items():
             with formatter.section(title):
                 formatter.write_dl([(name, summary(self.get_command(ctx, name))) for name in commands])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example, folded as a shell reads it."""
+        if self.example:
+            _write_example(self.example, formatter)
 
     def walk(self, ctx: click.Context) -> Iterator[tuple[str, click.Command]]:
         """Yield every command of the group and of the groups in it, with its name, such as ``leaderboard export``."""
@@ -223,6 +236,11 @@ def folded_command(line: str, width: int) -> list[str]:
             current = "     "
         current += f" {word}"
     return [*lines, current]
+
+
+def _write_example(example: str, formatter: click.HelpFormatter) -> None:
+    formatter.write("\nexample:\n")
+    formatter.write("".join(f"{line}\n" for line in folded_command(example, formatter.width)))
 
 
 def _one_value_an_option(words: Sequence[str], several: set[str]) -> list[str]:

@@ -33,8 +33,8 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
         command: Name of the command, such as ``leaderboard compare``.
         exit_code: What the command ended with.
         notes: What the command said beside its report, on standard error.
-        report: The command's report; its shape is documented below each command. None if there is an error.
-        error: Why there is no report; None if there is one.
+        report: The command's report; its shape is described below, command by command; null if there is an error.
+        error: Why there is no report; null if there is one.
     """
 
     prbench: str

@@ -104,6 +104,16 @@ def limit_option(default: str = "all") -> _Decorator:
     )
 
 
+def root_option(help: str = "Your copy of the dataset.", *, required: bool = True) -> _Decorator:
+    """Add ``--root DIR``, a folder with a dataset's own files."""
+    return click.option("--root", type=PATH, metavar="DIR", required=required, help=help)
+
+
+def count_option(help: str) -> _Decorator:
+    """Add ``--count N``, how many synthetic recordings to make; ``--recordings`` chooses among recordings there are."""
+    return click.option("--count", type=POSITIVE, metavar="N", help=help)
+
+
 def recordings_options(function: _Function) -> _Function:
     """Add ``--recordings GLOB`` and ``--max-recordings N``, which choose recordings of a copy of a dataset."""
     by_name = click.option(

@@ -28,7 +28,7 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
         metric: Id of the metric, such as ``prime_success``.
         title: Its name as printed.
         unit: ``rate`` (from 0 to 1), ``m``, or the metric's other unit.
-        mean: Mean over sequences.
+        mean: Mean over sequences; null without any.
         low: Lower bound of the interval; null where too few recordings allow none.
         high: Upper bound of the interval; null likewise.
         level: Confidence level of the interval, such as 0.95.
@@ -42,7 +42,7 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
     metric: str
     title: str
     unit: str
-    mean: float
+    mean: float | None
     low: float | None
     high: float | None
     level: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -118,9 +119,13 @@ def _column_widths(rows: Sequence[Sequence[str]], available: int, numbers: Colle
     if to_share < 0:
         return None
     wanted = [line - least for line, least in zip(longest_lines, needed)]
-    if sum(wanted) <= to_share:
-        return longest_lines
-    return [least + to_share * want // sum(wanted) for least, want in zip(needed, wanted)]
+    widths = needed
+    # Columns that want little are served first, so that only those with long texts are folded.
+    for served, index in enumerate(sorted(range(len(columns)), key=lambda column: wanted[column])):
+        extra = min(wanted[index], to_share // (len(columns) - served))
+        widths[index] += extra
+        to_share -= extra
+    return widths
 
 
 def _print_grid(
@@ -154,8 +159,19 @@ def _print_stacked(output: Console, header: Sequence[str], rows: Iterable[Sequen
     output.print()
 
 
-def print_columns(rows: Sequence[tuple[str, ...]]) -> None:
-    """Print rows of equally many cells, each column as wide as its widest cell."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows)]
-    for row in rows:
-        print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip())
+def print_columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print rows in columns as wide as their widest cells, never folded; on a narrower terminal one line a cell.
+
+    Args:
+        header: Names of the columns; empty names are left out, and so is a header without any name.
+        rows: Cells, as many as there are names.
+    """
+    lines = [header, *rows] if any(header) else list(rows)
+    widths = [max(len(cell) for cell in column) for column in zip(*lines)]
+    joined = ["  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths)).rstrip() for line in lines]
+    available = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    if available is not None and max(map(len, joined), default=0) > available:
+        _print_stacked(console(), header, [tuple(clean(cell) for cell in row) for row in rows])
+    else:
+        for line in joined:
+            print(line)

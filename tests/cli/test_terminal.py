@@ -11,7 +11,7 @@ from rich.console import Console
 
 from prbench.cli import terminal
 from prbench.cli.progress import progress
-from prbench.cli.terminal import clean_output, print_table
+from prbench.cli.terminal import clean_output, print_columns, print_table
 
 
 def test_a_title_longer_than_its_table_stays_on_one_line(capsys) -> None:
@@ -77,3 +77,37 @@ def test_neither_a_word_nor_a_number_is_broken_however_narrow_the_terminal(width
 def test_a_narrow_terminal_gets_one_line_a_cell(monkeypatch):
     assert "synthetic-adt\n  duration s: 7.09 ± 2.85\n  movement m: 0.59 ± 0.17\n" in shown_at(40, monkeypatch)
     assert "7.09 ± 2.85   0.59 ± 0.17   few recordings; all equal" in shown_at(200, monkeypatch)
+
+
+def test_only_long_texts_are_folded(capsys):
+    evidence = "seen in the files, which hold a number of this size in every entry " * 5
+    print_table("inferred", ("", "value", "how surely", "evidence"), [("frame rate", "20", "assumed", evidence)])
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split() == ["value", "how", "surely", "evidence"] for line in lines)
+    assert max(len(line) for line in lines) <= 200
+
+
+COLUMNS = ("name", "package", "target", "")
+ROWS = [("static", "prbench", "prbench_adapters.static:load", ""), ("pr", "prbench", "prbench_adapters.pr:load", "! x")]
+
+
+def test_columns_are_never_folded_in_a_file(capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "20")
+    print_columns(COLUMNS, ROWS)
+    assert capsys.readouterr().out.splitlines() == [
+        "name    package  target",
+        "static  prbench  prbench_adapters.static:load",
+        "pr      prbench  prbench_adapters.pr:load      ! x",
+    ]
+
+
+def test_columns_become_blocks_on_a_terminal_that_is_too_narrow(monkeypatch) -> None:
+    screen = io.StringIO()
+    screen.isatty = lambda: True
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "45")
+    print_columns(COLUMNS, ROWS)
+    lines = [line.rstrip() for line in re.sub(r"\x1b\[[0-9;]*m", "", screen.getvalue()).splitlines()]
+    assert "  target: prbench_adapters.static:load" in lines
+    assert max(map(len, lines)) <= 45
