@@ -38,6 +38,8 @@ class _Positive(click.ParamType):
 
 
 POSITIVE = _Positive()
+SECONDS = click.FloatRange(min=0, min_open=True)
+"""A time limit."""
 
 
 class KeyValue(click.ParamType):
@@ -53,6 +55,9 @@ class KeyValue(click.ParamType):
         if not separator or not key:
             self.fail(f"expected key=value, found '{value}'.", param, ctx)
         return key, text
+
+    def __repr__(self) -> str:
+        return "KEY=VALUE"
 
 
 def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _Decorator:

@@ -17,6 +17,7 @@ from prbench.cli.options import (
     FIRST_RUN_SEQUENCES,
     PATH,
     POSITIVE,
+    SECONDS,
     complete_method,
     control_option,
     data_option,
@@ -147,7 +148,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.option(
     "--timeout",
-    type=float,
+    type=SECONDS,
     metavar="SECONDS",
     help="For each batch, of a program or with --isolate (default 600); a program that is late is stopped.",
 )
