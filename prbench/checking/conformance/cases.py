@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,8 @@ def kept_synthetic_cases(folder: Path) -> Cases:
     if not kept.is_file():
         cases = synthetic_cases()
         with atomic_path(kept) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **{name: np.asarray(value) for name, value in vars(cases.source).items()})
+            arrays = {name: np.asarray(value) for name, value in vars(cases.source).items()}
+            np.savez(file, allow_pickle=False, **arrays)
         return cases
     with np.load(kept) as arrays:
         values: dict[str, Any] = dict(arrays)
