@@ -161,7 +161,7 @@ def _estimate(
 
 def _prepare(lacking: list[PoseState], root: Path, poses_root: Path | None) -> list[PreparedInput]:
     """Write an input folder for each recording, and note those for which something lacks."""
-    from prbench.workflows.poses.prepare_by_hand import prepare_by_hand
+    from prbench.workflows.poses.make import prepare_by_hand
 
     prepared = []
     for name, text, well in prepare_by_hand(lacking, root, poses_root):

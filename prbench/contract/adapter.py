@@ -19,6 +19,8 @@ from prbench.contract.conditions import Condition, ConditionBatch
 from prbench.entry_points import ADAPTERS
 from prbench.sequences.table import SequenceTable
 
+ENTRY_POINT_GROUP = ADAPTERS
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -52,9 +54,6 @@ class TrainingRun:
     """Folder for checkpoints and logs; kept per table identity, so that a fit is done once."""
     seed: int
     device: str
-
-
-ENTRY_POINT_GROUP = ADAPTERS
 
 
 @runtime_checkable

@@ -13,11 +13,12 @@ from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecordi
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
-from prbench.readers.aria_mps import check_trajectory, source_of
+from prbench.readers.aria_mps.trajectory import check_trajectory
 from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
+from prbench.readers.zipped import source_of
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
 
@@ -41,6 +42,7 @@ def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
     """Look for each corpus in the folder itself, and one folder below where there is nothing."""
     found = []
     for name in CORPUS_MODULES:
+        # The corpus of synthetic people is generated on the spot.
         if corpus_for(name).manifest is None:
             continue  # generated on the spot; no folder holds it
         below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
@@ -120,6 +122,7 @@ def inspect_folder(
         if not corpora:
             raise
         discovery = Discovery((), ())
+    # Counted before the first recording is read: with --thorough each is read in full, and progress needs a total.
     total = sum(len(found.recordings) for found in discovery.found)
     datasets = []
     done = 0
@@ -160,6 +163,7 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
         missing += (f"missing: {SYNTHETIC_FILE}",)
     wanted = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
     damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
+    # A missing file outranks a damaged one: it has to be downloaded anyway.
     if missing or damaged:
         state: State = "incomplete" if missing else "damaged"
         return InspectedRecording(recording.recording_id, state, size, missing + damaged + wanted)
