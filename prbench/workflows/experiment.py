@@ -22,7 +22,7 @@ from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
 from prbench.limits import HARMLESS_SIZE
 from prbench.runs import RunFolder, read_scores
 from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN
-from prbench.workflows.tables_of_runs import table_finder
+from prbench.workflows.first_run import table_finder
 
 
 class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
