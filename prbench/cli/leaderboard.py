@@ -14,7 +14,7 @@ from prbench.cli.options import PATH, data_option, out_file_option, workers_opti
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.leaderboard import ComparedMetric
+    from prbench.leaderboard.comparison import ComparedMetric
     from prbench.submitted.verification import RunChecker
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
