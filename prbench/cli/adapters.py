@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
-from prbench.cli.options import CONDITIONS, POSITIVE, out_file_option, out_folder_option
+from prbench.cli.options import CONDITIONS, SECONDS, out_file_option, out_folder_option
 from prbench.cli.terminal import print_columns
 
 if TYPE_CHECKING:
@@ -142,8 +142,8 @@ class ConvertersReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Import each in a process of its own and show its conditions, whether it trains, its limits and weights, or"
     " its error.",
 )
-@click.option("--timeout", type=POSITIVE, default=30, metavar="SECONDS", help="Time limit of each import (default 30).")
-def list_methods(names: tuple[str, ...], details: bool, timeout: int) -> Answer:
+@click.option("--timeout", type=SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30).")
+def list_methods(names: tuple[str, ...], details: bool, timeout: float) -> Answer:
     """List the installed methods with their packages, without importing any of them.
 
     With NAME only these methods are listed.
@@ -156,7 +156,7 @@ def list_methods(names: tuple[str, ...], details: bool, timeout: int) -> Answer:
     if unknown:
         raise no_such_method(unknown[0], known)
     if details:
-        return _detailed(names, found, time_limit=float(timeout))
+        return _detailed(names, found, time_limit=timeout)
     shown = [_installed(adapter, found) for adapter in found if not names or adapter.name in names]
     return Answer(MethodsReport(methods=shown, controls=[]), lambda: _print_methods(shown))
 

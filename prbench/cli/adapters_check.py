@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, POSITIVE, method_settings
+from prbench.cli.options import PATH, SECONDS, method_settings
 from prbench.cli.progress import progress
 from prbench.shown import clean
 
@@ -66,14 +66,14 @@ class CheckReport(msgspec.Struct, frozen=True, kw_only=True):
 @method_settings
 @click.option(
     "--timeout",
-    type=POSITIVE,
+    type=SECONDS,
     default=600,
     metavar="SECONDS",
     help="Time limit of each call of the method (default 600).",
 )
 @click.option(
     "--start-timeout",
-    type=POSITIVE,
+    type=SECONDS,
     default=120,
     metavar="SECONDS",
     help="Time limit of importing an installed method, and of loading it (default 120).",
@@ -86,8 +86,8 @@ def check(
     options: tuple[tuple[str, str], ...],
     device: str,
     threads: int,
-    timeout: int,
-    start_timeout: int,
+    timeout: float,
+    start_timeout: float,
     isolate: bool,
 ) -> Answer:
     """Check that a method keeps the contract, and say what to change where it does not.
@@ -104,8 +104,8 @@ def check(
         threads=threads,
         isolate=isolate,
         data=data,
-        time_limit=float(timeout),
-        start_limit=float(start_timeout),
+        time_limit=timeout,
+        start_limit=start_timeout,
     )
     with progress(f"checking {method}") as show:
         found = conformance.check(request, lambda name, place, total: show(place, total, name))

@@ -58,6 +58,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
 @click.option(
     "--config",
+    type=PATH,
     default="small",
     metavar="NAME|FILE",
     help="A configuration of the method, or a .toml file (default small).",
@@ -81,7 +82,7 @@ def train(
     stage: str | None,
     data: tuple[Path, ...],
     out: Path | None,
-    config: str,
+    config: Path,
     overrides: tuple[tuple[str, str], ...],
     init: Path | None,
     device: str,
@@ -95,7 +96,7 @@ def train(
     from prbench.training.run import train as run_training
 
     if show_config:
-        return _configuration(method, config, stage=stage, overrides=overrides)
+        return _configuration(method, str(config), stage=stage, overrides=overrides)
     if not data:
         raise UsageError("--data DIR is needed.")
     if out is None:
@@ -105,7 +106,7 @@ def train(
         data=data,
         out=out,
         stage=stage,
-        configuration=config,
+        configuration=str(config),
         overrides=overrides,
         initial=init,
         device=device,
