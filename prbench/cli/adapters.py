@@ -142,9 +142,7 @@ class ConvertersReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Import each in a process of its own and show its conditions, whether it trains, its limits and weights, or"
     " its error.",
 )
-@click.option(
-    "--timeout", type=SECONDS, default=30.0, metavar="SECONDS", help="Time limit of each import (default 30)."
-)
+@click.option("--timeout", type=SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30).")
 def list_methods(names: tuple[str, ...], details: bool, timeout: float) -> Answer:
     """List the installed methods with their packages, without importing any of them.
 

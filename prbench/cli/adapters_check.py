@@ -67,14 +67,14 @@ class CheckReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--timeout",
     type=SECONDS,
-    default=600.0,
+    default=600,
     metavar="SECONDS",
     help="Time limit of each call of the method (default 600).",
 )
 @click.option(
     "--start-timeout",
     type=SECONDS,
-    default=120.0,
+    default=120,
     metavar="SECONDS",
     help="Time limit of importing an installed method, and of loading it (default 120).",
 )

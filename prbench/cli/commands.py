@@ -103,7 +103,11 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words; one option may be followed by several values, as in ``--data A B``."""
         several = {name for option in self.params if getattr(option, "several", False) for name in option.opts}
-        return super().parse_args(ctx, _one_value_an_option(args, several))
+        try:
+            return super().parse_args(ctx, _one_value_an_option(args, several))
+        except click.UsageError as error:  # click forgets here and there which command it was
+            error.ctx = error.ctx or ctx
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,8 +39,25 @@ class _Positive(click.ParamType):
 
 
 POSITIVE = _Positive()
-SECONDS = click.FloatRange(min=0, min_open=True)
-"""A time limit."""
+
+
+class _Seconds(click.ParamType):
+    """A time limit in seconds, above 0."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse the number."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = 0.0
+        if not 0 < number < math.inf:
+            self.fail(f"expected seconds above 0, found '{value}'.", param, ctx)
+        return number
+
+
+SECONDS = _Seconds()
 
 
 class KeyValue(click.ParamType):

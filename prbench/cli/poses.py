@@ -15,8 +15,8 @@ from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
+    from prbench.workflows.poses import PoseState
     from prbench.workflows.poses.config import PosesConfig
-    from prbench.workflows.poses.states import PoseState
 
 _STILL_LACKING = 3
 """Exit code when some recording was to get a body and did not."""

@@ -12,6 +12,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command, note, session
+from prbench.cli.embedded import embedded_table
 from prbench.cli.options import (
     CONDITIONS,
     FIRST_RUN_SEQUENCES,
@@ -315,19 +316,6 @@ def _on_embedded_table(experiment: Experiment, engine: Engine) -> Experiment:
         changes["limit"] = experiment.limit or first_run.SEQUENCES
         changes["batch_size"] = experiment.batch_size or first_run.BATCH_SIZE
     return msgspec.structs.replace(experiment, **changes)
-
-
-def embedded_table(engine: Engine) -> Path:
-    """Return the folder of the embedded synthetic dataset, which is built on the first call."""
-    from prbench.workflows.first_run import RECORDINGS, default_table, default_table_folder
-
-    folder = default_table_folder()
-    if (folder / "dataset.json").is_file():
-        note(f"no --data given: using the embedded synthetic dataset in {folder}")
-    else:
-        note(f"no --data given: building a synthetic dataset of {RECORDINGS} recordings in {folder} (once)")
-    with progress("building synthetic data") as show:
-        return default_table(engine, show, tell=note).folder
 
 
 def _tell_claims(method: str) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from prbench.cli.commands import Answer, note
+from prbench.cli.embedded import embedded_table
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
@@ -49,7 +50,6 @@ class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
 
 def run_table_two(given: Mapping[str, Any], *, minutes: int | None, workers: int | None) -> Answer:
     """Run what is missing of the table; the exit code is 1 if a row failed."""
-    from prbench.cli.run import embedded_table
     from prbench.engine import engine_for
     from prbench.workflows.table_two import run_table
     from prbench.workflows.table_two.as_markdown import as_builtins

@@ -42,6 +42,8 @@ NAMED_ONLY = (
     ["export-release"],
     ["run"],
     ["train"],
+    ["run", "--config"],
+    ["COMMAND", "--help"],
 )
 """Named in running text, without what they need."""
 
@@ -53,9 +55,9 @@ def test_commands_are_found() -> None:
 @pytest.mark.parametrize("command", _shown_commands())
 def test_a_shown_command_parses(command, monkeypatch) -> None:
     words = shlex.split(command)[1:]
-    if words in NAMED_ONLY:
+    if words in NAMED_ONLY or " ".join(words) in all_commands():
         return
-    parsed(words)
+    parsed(words[: words.index(">")] if ">" in words else words)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
