@@ -67,6 +67,8 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
+    if os.environ.get("NO_COLOR"):  # Rich itself would leave bold and italic text
+        settings["color_system"] = None
     return Console(
         file=stream.raw if isinstance(stream, _CleanStream) else stream, highlight=False, markup=False, **settings
     )
