@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -67,6 +68,8 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
+    if os.environ.get("NO_COLOR"):  # Rich itself would leave bold and italic text
+        settings["color_system"] = None
     return Console(
         file=stream.raw if isinstance(stream, _CleanStream) else stream, highlight=False, markup=False, **settings
     )

@@ -111,3 +111,14 @@ def test_columns_become_blocks_on_a_terminal_that_is_too_narrow(monkeypatch) -> 
     lines = [line.rstrip() for line in re.sub(r"\x1b\[[0-9;]*m", "", screen.getvalue()).splitlines()]
     assert "  target: prbench_adapters.static:load" in lines
     assert max(map(len, lines)) <= 45
+
+
+def test_no_color_leaves_no_escape_sequence(monkeypatch):
+    screen = io.StringIO()
+    screen.isatty = lambda: True
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("NO_COLOR", "1")
+    print_table("title", ("name",), [("cup",)])
+    assert "cup" in screen.getvalue()
+    assert "\x1b" not in screen.getvalue()
