@@ -99,8 +99,15 @@ class Predictions:
         Raises:
             PredictionsError: if there is none, or it is not of one of these forms.
         """
-        path = Path(path)
-        rows = _indexed(path, numbering)
+        return cls.of_rows(_indexed(Path(path), numbering))
+
+    @classmethod
+    def of_rows(cls, rows: IndexedRows) -> Predictions:
+        """Return motions that are indexed already.
+
+        Args:
+            rows: Their ids, samples and lengths, and what reads them.
+        """
         row_of = {key: row for row, key in enumerate(zip(rows.ids, rows.samples))}
         return cls(rows.paths, rows.id_column, rows.ids, rows.samples, rows.n_frames, rows.store, row_of)
 
