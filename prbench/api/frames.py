@@ -13,6 +13,8 @@ from prbench.shown import html
 if TYPE_CHECKING:
     import pandas as pd
 
+_SHOWN_ROWS = 20
+
 
 def frame_of(table: pa.Table) -> pd.DataFrame:
     """Return an Arrow table as a pandas frame.
@@ -77,4 +79,11 @@ def notebook_table(title: str, frame: pd.DataFrame, remarks: Iterable[str] = ())
         remarks: Lines below.
     """
     below = "".join(f"<p>{html(remark)}</p>" for remark in remarks)
-    return f"<p><b>{html(title)}</b></p>{frame.to_html(index=False, max_rows=20, na_rep='', border=0)}{below}"
+    table = frame.to_html(
+        index=False, max_rows=_SHOWN_ROWS, na_rep="", border=0, justify="left", float_format=_two_decimals
+    )
+    return f"<p><b>{html(title)}</b></p>{table}{below}"
+
+
+def _two_decimals(number: float) -> str:
+    return f"{number:.2f}"

@@ -223,7 +223,7 @@ class Run:
 def run(
     method: str,
     *,
-    condition: Literal["none", "text", "goal-pose", "goal-loc"] = "none",
+    condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None,
     data: PathLike | Table | Iterable[PathLike | Table] = (),
     out: PathLike | None = None,
     split: Literal["train", "validation", "test"] = "test",
@@ -248,7 +248,9 @@ def run(
     Args:
         method: Name of an installed method (``prbench adapters list``); ``cmd:`` and a command line, or a TOML file,
             for a program; or ``ground-truth``, ``ground-truth-resampled`` or ``scripted``.
-        condition: What the method is given: nothing, a sentence, the pose at the goal, or the goal's place.
+        condition: What the method is given: nothing (``none``), a sentence (``text``), the pose at the goal
+            (``goal-pose``), or the goal's place (``goal-loc``). By default what ``prbench run`` takes without
+            ``--condition``.
         data: A table or its folder, or several; without it prbench's own table of synthetic people is used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
         split: The sequences to run.
@@ -292,10 +294,10 @@ def run(
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
+    chosen = {} if condition is None else {"condition": condition_of(condition)}
     request = RunRequest(
         method=str(method),
         data=folders,
-        condition=condition_of(condition),
         weights=as_optional_path(weights),
         options=as_options(option),
         split=split,
@@ -310,6 +312,7 @@ def run(
         out=as_optional_path(out),
         isolate=isolate,
         timeout=timeout,
+        **chosen,
     )
     with progress(f"running {request.method_label}") as show:
         report = run_method(
@@ -320,7 +323,7 @@ def run(
     return Run(report.folder, folders)
 
 
-def _require_one(method: str, condition: str) -> None:
+def _require_one(method: str, condition: str | None) -> None:
     """Refuse ``all``, which is many runs.
 
     Raises:

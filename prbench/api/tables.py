@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _ROWS_AT_ONCE = 64
-_SHOWN_COLUMNS = ("sequence_id", "split", "action", "object_name", "hand", "n_frames", "prime_gap")
+_SHOWN_COLUMNS = ("action", "object_name", "hand", "n_frames", "prime_gap", "split", "sequence_id")
 _SHOWN_ROWS = 10
 
 

@@ -35,6 +35,7 @@ def test_there_are_three_notebooks_and_the_page_names_them():
     assert all(f"notebooks/{name}.py" in text for name in names)
 
 
+@pytest.mark.unchecked_shapes
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run_and_show_something(path, elsewhere):
     shown = run_notebook(path)
@@ -84,6 +85,7 @@ def test_notebooks_run_in_jupyter(path, elsewhere, monkeypatch):
     assert not [output for output in outputs if output.get("name") == "stderr"]
 
 
+@pytest.mark.unchecked_shapes
 def test_the_code_of_the_page_runs(elsewhere):
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     assert len(blocks) >= 7
