@@ -17,7 +17,7 @@ from prbench.errors import UsageError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from prbench.leaderboard import ComparedMetric, RunComparison
+    from prbench.leaderboard.comparison import ComparedMetric, RunComparison
 
 _COLUMNS = (
     "dataset", "metric", "title", "unit", "difference", "low", "high", "p_value", "adjusted_p_value", "conclusion",
@@ -148,7 +148,7 @@ def compare(
     from prbench.engine import engine_for
     from prbench.leaderboard import compare_runs
     from prbench.submitted.verification import RunChecker
-    from prbench.workflows.tables_of_runs import table_finder
+    from prbench.workflows.first_run import table_finder
 
     require_positive(workers=workers)
     folders = _folder_of(first), _folder_of(second)

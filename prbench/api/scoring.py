@@ -183,7 +183,7 @@ def _given(motions: Mapping[str, Any]) -> GivenMotions:
     Raises:
         PredictionsError: if there are none, or one is not of the right form.
     """
-    from prbench.runs.predictions.rows import IndexedRows, as_float32
+    from prbench.runs.predictions.rows import as_float32
     from prbench.submitted.score_predictions import GivenMotions
 
     if not motions:
@@ -200,10 +200,10 @@ def _given(motions: Mapping[str, Any]) -> GivenMotions:
             arrays.append(as_float32(motion))
     lengths = np.array([len(array) for array in arrays], dtype=np.int64)
     store = _ArraysInMemory(tuple(arrays))
-    rows = IndexedRows((), "sequence_id", tuple(ids), tuple(samples), lengths, store)
+    predictions = Predictions((), "sequence_id", tuple(ids), tuple(samples), lengths, store)
     digests = [bytes_digest(np.ascontiguousarray(array).tobytes()) for array in arrays]
     parts = [part for item in zip(ids, map(str, samples), digests, strict=True) for part in item]
-    return GivenMotions(Predictions.of_rows(rows), text_digest(*parts))
+    return GivenMotions(predictions, text_digest(*parts))
 
 
 def _samples_of(name: object, value: Any) -> list[np.ndarray]:
