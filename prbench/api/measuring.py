@@ -23,6 +23,7 @@ from prbench.skeleton import N_JOINTS
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import ArrayLike
 
 _GOAL = "goal_location (or goal_box)"
 _TIME_TOLERANCE = 1e-6  # seconds
@@ -99,16 +100,16 @@ class Measures(Mapping[str, Any]):
 
 
 def measure(
-    predicted: Any,
+    predicted: ArrayLike | Sequence[ArrayLike],
     *,
-    recorded: Any = None,
-    goal_location: Any = None,
-    goal_box: Any = None,
-    prime_time: Any = None,
-    head_tilt_deg: Any = None,
-    fps: Any = None,
+    recorded: ArrayLike | Sequence[ArrayLike] | None = None,
+    goal_location: ArrayLike | None = None,
+    goal_box: ArrayLike | None = None,
+    prime_time: ArrayLike | None = None,
+    head_tilt_deg: ArrayLike | None = None,
+    fps: ArrayLike | None = None,
     hand: str | Sequence[str | None] | None = None,
-    n_frames: Any = None,
+    n_frames: ArrayLike | None = None,
     metrics: Collection[str] | None = None,
 ) -> Measures:
     """Compute the study's six metrics for one motion or several, as far as the arguments allow.

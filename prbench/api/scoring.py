@@ -21,6 +21,7 @@ from prbench.storage import bytes_digest, text_digest
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import ArrayLike
 
     from prbench.submitted.score_predictions import GivenMotions, ScoreReport
 
@@ -75,7 +76,7 @@ class Scores:
 
 
 def score(
-    motions: PathLike | Mapping[str, Any],
+    motions: PathLike | Mapping[str, ArrayLike],
     table: PathLike | Table | Iterable[PathLike | Table],
     *,
     conditions: PathLike | None = None,
@@ -132,9 +133,9 @@ def score(
     from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 
     require_positive(limit=limit, max_frames=max_frames, workers=workers)
-    in_memory = isinstance(motions, Mapping)
+    given = _given(motions) if isinstance(motions, Mapping) else None
     request = ScoreRequest(
-        predictions=_IN_MEMORY if in_memory else as_path(motions),
+        predictions=_IN_MEMORY if isinstance(motions, Mapping) else as_path(motions),
         data=table_folders(table),
         conditions=as_optional_path(conditions),
         split=split,
@@ -148,7 +149,6 @@ def score(
         allow_length_mismatch=allow_length_mismatch,
         out=as_optional_path(out),
     )
-    given = _given(motions) if in_memory else None
     with progress("scoring") as show:
         reports = score_predictions(
             request,
@@ -177,7 +177,7 @@ class _ArraysInMemory:
         return str(_IN_MEMORY)
 
 
-def _given(motions: Mapping[str, Any]) -> GivenMotions:
+def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
     """Return motions by ``sequence_id`` as the scoring takes them.
 
     Raises:

@@ -67,8 +67,9 @@ class Table:
         """
         _require_split(split)
         require_positive(limit=limit)
-        ids = sequence_ids(self._table)
-        if split is not None:
+        if split is None:
+            ids = sequence_ids(self._table)
+        else:
             ids = self._table.scalars(split=split)["sequence_id"].to_pylist()
         return tuple(ids if limit is None else smallest_by_hash(ids, limit))
 
@@ -86,8 +87,8 @@ class Table:
             UsageError: for an unknown split or a limit below 1.
             TableError: if a file is damaged.
         """
-        chosen = None if limit is None else frozenset(self.sequence_ids(split=split, limit=limit))
         _require_split(split)
+        chosen = None if limit is None else frozenset(self.sequence_ids(split=split, limit=limit))
         return self._streamed(split, chosen)
 
     def _streamed(self, split: str | None, chosen: frozenset[str] | None) -> Iterator[Sequence]:
