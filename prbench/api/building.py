@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from prbench.curation import BuildReport
+    from prbench.sequences import RecordingRecord
     from prbench.synthetic.write_tree import WrittenTree
 
 _EVERYTHING = "all"
@@ -58,6 +59,26 @@ class Build:
             if record.status != "read"
         }
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Everything that the command says beside its table, one line each.
+
+        Recordings that were taken over from an interrupted build, that could not be read, of which a stream ends early
+        (events may be missing), and that gave no sequence, with the reason.
+        """
+        records = self._report.records
+        notes = []
+        if self._report.reused:
+            notes.append(f"{self._report.reused} recordings were taken over from an interrupted build.")
+        notes += [f"{name}: {why}" for name, why in self.unread.items()]
+        notes += [f"{one.recording_id}: cut short: {shortfall}" for one in records for shortfall in one.shortfalls]
+        notes += [
+            f"{one.recording_id}: no sequence: {_why_fruitless(one)}"
+            for one in records
+            if one.status == "read" and not one.outcomes.get("sequence")
+        ]
+        return tuple(notes)
+
     def to_pandas(self) -> pd.DataFrame:
         """Return the way from files to sequences: one row a stage with columns ``stage, kept, dropped, why``."""
         return frame_from_rows(self._rows(), ("stage", "kept", "dropped", "why"))
@@ -74,9 +95,16 @@ class Build:
         return f"<Build of {self._report.info.title}: {self._report.info.counts.sequences} sequences, {self.folder}>"
 
     def _repr_html_(self) -> str:
-        remarks = [f"{name}: {why}" for name, why in self.unread.items()]
         title = f"{self._report.info.title}: from files to sequences"
-        return notebook_table(title, self.to_pandas(), [*remarks, f"table: {self.folder}"])
+        return notebook_table(title, self.to_pandas(), [*self.notes, f"table: {self.folder}"])
+
+
+def _why_fruitless(record: RecordingRecord) -> str:
+    """Name the outcomes of a recording's events, the most frequent first, and what the recording lacks."""
+    outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
+    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+    events = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
+    return "; ".join((events, *record.lacks))
 
 
 def build_dataset(
@@ -100,7 +128,7 @@ def build_dataset(
     """Turn a dataset's recordings into a table of prime-and-reach sequences, as ``prbench build-dataset`` does.
 
     A build that was interrupted goes on where it stopped. Recordings that cannot be read are left out and named in
-    :attr:`Build.unread`.
+    :attr:`Build.unread`; :attr:`Build.notes` tells what else was noticed.
 
     Args:
         dataset: Name of the dataset, for example ``adt``; ``prbench datasets`` lists them.

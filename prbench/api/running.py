@@ -18,7 +18,8 @@ from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
 from prbench.api.tables import Table, embedded_table, table_folders
 from prbench.errors import UsageError
-from prbench.runs import DatasetSummary, Predictions, RunFolder, RunRecord, read_scores
+from prbench.runs import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
+from prbench.shown import html
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,9 +35,10 @@ class Run:
     Make one with :func:`prbench.run` or :func:`prbench.open_run`.
     """
 
-    def __init__(self, folder: RunFolder, data: tuple[Path, ...] = ()) -> None:
+    def __init__(self, folder: RunFolder, data: tuple[Path, ...] = (), batches_found: int = 0) -> None:
         self._folder = folder
         self._data = data
+        self._batches_found = batches_found
 
     @property
     def folder(self) -> Path:
@@ -83,6 +85,20 @@ class Run:
             RunError: if the run is not finished.
         """
         return summary_frame(self.summaries, self._irrelevant)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the command says beside the scores, one line each: work taken over, crashes, names that were claimed."""
+        notes = []
+        if self._batches_found:
+            notes.append(f"{self._batches_found} batches were taken over from an earlier run.")
+        for name in self.datasets:
+            path = self._folder.dataset(name).cost
+            crashes = sum(RunCost.read(path).restarts.values()) if path.is_file() else 0
+            if crashes:
+                times = "once" if crashes == 1 else f"{crashes} times"
+                notes.append(f"its program crashed {times} and was started again: {path}, restarts.")
+        return (*notes, *_claims(self.method))
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a sequence, sample and metric.
@@ -217,7 +233,19 @@ class Run:
 
     def _repr_html_(self) -> str:
         shown = scores_for_notebook(self.summaries, self._irrelevant, origin=self.record.method.origin)
-        return f"{shown}<p>run folder: {self.folder}</p>"
+        lines = [*self.notes, f"run folder: {self.folder}"]
+        return shown + "".join(f"<p>{html(line)}</p>" for line in lines)
+
+
+def _claims(method: str) -> list[str]:
+    """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
+    from prbench.methods.installed import list_adapters
+
+    return [
+        f"{adapter.package} {adapter.version} is not used: {adapter.problem}."
+        for adapter in list_adapters()
+        if adapter.name == method and adapter.problem
+    ]
 
 
 def run(
@@ -320,7 +348,7 @@ def run(
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
-    return Run(report.folder, folders)
+    return Run(report.folder, folders, report.batches_found)
 
 
 def _require_one(method: str, condition: str | None) -> None:

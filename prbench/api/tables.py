@@ -11,6 +11,7 @@ import pyarrow as pa
 from prbench.api.arguments import PathLike, as_path, as_texts, require_positive
 from prbench.api.events import Events, Recordings, Story, require_event
 from prbench.api.frames import frame_of, notebook_table
+from prbench.api.pictures import Picture
 from prbench.api.progress import progress
 from prbench.api.rows import read_row, sequence_ids
 from prbench.api.sequences import Sequence, sequences_of
@@ -133,6 +134,24 @@ class Table:
         from prbench.workflows.explain import explain_event
 
         return Story(explain_event(self.folder, require_event(event), permitted=as_texts(permission)))
+
+    def plot(self) -> Picture:
+        """Draw what the sequences of the table have in common, as ``prbench stats --draw`` does.
+
+        Where goals lie as seen from the start (distance, elevation, azimuth), how far bodies move, how gaze comes to
+        the goal around the prime time, and how long before the event that is.
+
+        Returns:
+            The picture; a notebook shows it, :meth:`Picture.save` writes it as PNG.
+
+        Raises:
+            TableError: if the table holds no sequence.
+        """
+        from prbench.sequences.table_one import table_statistics
+        from prbench.viewing.distributions import draw_table_one
+
+        statistics = table_statistics(self._table.with_sequences())
+        return Picture(f"{self.dataset}, {len(self)} sequences", lambda path: draw_table_one([statistics], path))
 
     def to_pandas(self, *, arrays: bool = False) -> pd.DataFrame:
         """Return one row a sequence, with the columns of docs/table.md#sequences.

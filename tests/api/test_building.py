@@ -80,6 +80,20 @@ def test_a_damaged_recording_is_named(tmp_path):
     first = damaged.to_pandas().recording_id[0]
     assert list(build.unread) == [first]
     assert first in build._repr_html_()
+    assert [note for note in build.notes if note.startswith(f"{first}: failed: ")]
+
+
+def test_a_build_notes_what_the_command_notes(tmp_path):
+    written = prbench.synthesize("adt", tmp_path / "recordings", recordings=1, events=3)
+    name = written.to_pandas().recording_id[0]
+    gaze = written.folder / name / "eyegaze.csv"
+    lines = gaze.read_text(encoding="utf-8").splitlines(keepends=True)
+    gaze.write_text("".join(lines[:40]), encoding="utf-8")  # a second of gaze, and whole lines
+    build = prbench.build_dataset("adt", written.folder, tmp_path / "table")
+    assert build.unread == {}
+    assert [note for note in build.notes if note.startswith(f"{name}: cut short: ")]
+    assert [note for note in build.notes if note.startswith(f"{name}: no sequence: of ")]
+    assert len(build.table) == 0
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,17 @@ def test_without_the_extra_a_replay_says_what_to_install(synthetic, monkeypatch)
         synthetic[0].replay()
 
 
+def test_a_table_is_drawn_as_by_the_command(synthetic, empty, tmp_path):
+    from prbench.sequences import SequenceTable
+    from prbench.sequences.table_one import table_statistics
+    from prbench.viewing.distributions import draw_table_one
+
+    draw_table_one([table_statistics(SequenceTable.open(synthetic.folder))], tmp_path / "stats.png")
+    assert synthetic.plot().png == (tmp_path / "stats.png").read_bytes()
+    with pytest.raises(prbench.PrbenchError, match="holds no sequences"):
+        empty.plot()
+
+
 def test_a_story_is_a_png_alone(synthetic, tmp_path):
     story = synthetic.explain(synthetic.events[0].event_id)
     with pytest.raises(prbench.PrbenchError, match=r"expected a file that ends in \.png, found '\.html'"):
