@@ -119,8 +119,10 @@ print(f"left wrist {distance[0]:.2f} m, right wrist {distance[1]:.2f} m from the
 assert distance.min() < 0.5
 
 # %% [markdown]
-# The picture shows poses over time (the yellow line is the gaze, the blue box the goal), the way from above, and how
-# far the head ray, the gaze and the hands are from the goal. The dashed vertical line is the prime time.
+# The picture shows poses over time: the orange line is the gaze, the dashed line where the head points, and the blue
+# box the goal (or a blue arrow points to it, where it is too far away). On the right is the way from above. The
+# curves tell how far the head ray, the gaze and the hands are from the goal; the dashed vertical line is the prime
+# time.
 
 # %%
 sequence.plot()

@@ -71,9 +71,9 @@ else:
 # %% [markdown]
 # ## The motion
 #
-# The sequence of the accepted event, as a picture. In the right one of the three diagrams the hand comes near the
-# goal at the end; in the left one the yellow line (gaze) goes down to the goal at the dashed line, which is the prime
-# time.
+# The sequence of the accepted event, as a picture. In the left one of the three diagrams the orange line (gaze) comes
+# down to the goal at the dashed line, which is the prime time, and the black one (head) follows. In the right one a
+# hand comes near the goal at the end.
 
 # %%
 sequence = table.sequence(accepted.sequence_id)
