@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 import pyarrow as pa
@@ -96,7 +96,13 @@ class Events:
     def __iter__(self) -> Iterator[Event]:
         return (self[number] for number in range(len(self)))
 
-    def __getitem__(self, number: int) -> Event:
+    @overload
+    def __getitem__(self, number: int) -> Event: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Event]: ...
+    def __getitem__(self, number: int | slice) -> Event | list[Event]:
+        if isinstance(number, slice):
+            return [self[row] for row in range(len(self))[number]]
         values = self._rows.slice(_place(number, len(self)), 1).to_pylist()[0]
         arrays = {name: frozen(np.array(value)) for name, value in values.items() if isinstance(value, list)}
         return Event(**{name: (values | arrays)[name] for name in Event.__dataclass_fields__})
@@ -160,7 +166,13 @@ class Recordings:
     def __iter__(self) -> Iterator[Recording]:
         return (self[number] for number in range(len(self)))
 
-    def __getitem__(self, number: int) -> Recording:
+    @overload
+    def __getitem__(self, number: int) -> Recording: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Recording]: ...
+    def __getitem__(self, number: int | slice) -> Recording | list[Recording]:
+        if isinstance(number, slice):
+            return [self[row] for row in range(len(self))[number]]
         values = self._rows.slice(_place(number, len(self)), 1).to_pylist()[0]
         outcomes = {name: values.pop(name) for name in OUTCOMES}
         plain = {name: values[name] for name in Recording.__dataclass_fields__ if name != "outcomes"}

@@ -94,8 +94,9 @@ def score(
 ) -> Scores:
     """Score finished motions against the recorded ones, as ``prbench score`` does.
 
-    Every sequence of the split needs its motion, with as many frames as the recorded one; else the error names the
-    sequences that are missing, repeated or unknown.
+    Every sequence of the split needs its motion, with as many frames as the recorded one; else the error counts the
+    sequences that are missing, repeated or unknown and names the first of each. All that are missing:
+    ``set(table.sequence_ids(split="test")) - set(motions)``.
 
     Args:
         motions: A dictionary from ``sequence_id`` to an array (n, 22, 3) of joint positions in the canonical frame of

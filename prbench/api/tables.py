@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import pyarrow as pa
 
@@ -33,7 +33,8 @@ class Table:
     """A built dataset: its sequences, candidate events and recordings.
 
     ``len(table)`` is the number of sequences, ``for sequence in table`` reads them one group of rows after the other,
-    ``table[0]`` and ``table["a part of an id"]`` look one up. A table may hold events alone, and no sequence.
+    ``table[0]`` and ``table["a part of an id"]`` look one up, and ``table[:3]`` gives a list. A table may hold events
+    alone, and no sequence.
     Make one with :func:`prbench.open_table`, :func:`prbench.embedded_table` or :func:`prbench.build_dataset`.
     """
 
@@ -193,10 +194,16 @@ class Table:
     def __contains__(self, sequence_id: object) -> bool:
         return sequence_id in sequence_ids(self._table)
 
-    def __getitem__(self, key: int | str) -> Sequence:
+    @overload
+    def __getitem__(self, key: int | str) -> Sequence: ...
+    @overload
+    def __getitem__(self, key: slice) -> list[Sequence]: ...
+    def __getitem__(self, key: int | str | slice) -> Sequence | list[Sequence]:
         if isinstance(key, str):
             return self.sequence(key)
         ids = sequence_ids(self._table)
+        if isinstance(key, slice):
+            return [self.sequence(name) for name in ids[key]]
         if not -len(ids) <= key < len(ids):
             raise IndexError(f"{self.folder}: expected a number below {len(ids)}, found {key}")
         return self.sequence(ids[key])

@@ -90,6 +90,10 @@ def test_a_sequence_is_found_by_id_part_and_number(table):
     ids = table.sequence_ids()
     assert table.sequence(ids[3]).sequence_id == table[3].sequence_id == table[ids[3]].sequence_id == ids[3]
     assert table[-1].sequence_id == ids[-1]
+    assert [sequence.sequence_id for sequence in table[2:9:3]] == list(ids[2:9:3])
+    assert [event.event_id for event in table.events[-2:]] == table.events.to_pandas().event_id.tolist()[-2:]
+    assert [one.recording_id for one in table.recordings[:2]] == table.recordings.to_pandas().recording_id.tolist()[:2]
+    assert table[100:] == table.events[100:] == []
     part = ids[5].split("/", 1)[1]
     assert table.sequence(part).sequence_id == ids[5]
     assert ids[0] in table
