@@ -37,7 +37,7 @@ folder = Path(tempfile.mkdtemp(prefix="prbench-notebook-"))
 # and every object were tracked. `seed` chooses which people and kitchens; another seed gives others.
 
 # %%
-recordings = prbench.synthesize("adt", folder / "recordings", recordings=3, seed=1)
+recordings = prbench.synthesize("adt", folder / "recordings", count=3, seed=1)
 recordings.to_pandas()
 
 # %% [markdown]

@@ -24,7 +24,7 @@ from pathlib import Path
 import prbench
 
 folder = Path(tempfile.mkdtemp(prefix="prbench-notebook-"))
-recordings = prbench.synthesize("adt", folder / "recordings", recordings=3, seed=1, events=8)
+recordings = prbench.synthesize("adt", folder / "recordings", count=3, seed=1, events=8)
 table = prbench.build_dataset("adt", recordings.folder, folder / "tables" / "adt").table
 
 # %% [markdown]

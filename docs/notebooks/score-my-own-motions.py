@@ -28,7 +28,7 @@ import numpy as np
 import prbench
 
 folder = Path(tempfile.mkdtemp(prefix="prbench-notebook-"))
-recordings = prbench.synthesize("adt", folder / "recordings", recordings=4, seed=1)
+recordings = prbench.synthesize("adt", folder / "recordings", count=4, seed=1)
 table = prbench.build_dataset("adt", recordings.folder, folder / "tables" / "adt").table
 table
 

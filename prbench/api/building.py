@@ -114,7 +114,7 @@ def build_dataset(
     *,
     replace: bool = False,
     recordings: str = "*",
-    limit: int | None = None,
+    max_recordings: int | None = None,
     in_hand: str | None = None,
     ray_origin: Literal["eye", "camera"] | None = None,
     priming: Literal["rule", "published"] = "rule",
@@ -136,7 +136,7 @@ def build_dataset(
         out: Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing.
         replace: Replace an earlier table even where the new one lacks recordings that it holds.
         recordings: Only recordings whose name matches this pattern; ``*`` stands for any text.
-        limit: At most so many recordings: the first by name.
+        max_recordings: At most so many recordings: the first by name.
         in_hand: Another rule of the dataset for "the hand holds the object", for example ``wrist``.
         ray_origin: Where gaze rays start; the eye by default.
         priming: Prime times by the study's equations (``rule``), or taken over where the dataset publishes them.
@@ -169,7 +169,7 @@ def build_dataset(
             "dataset 'all' builds several tables: name one dataset, or run `prbench build-dataset all --root DIR --out"
             " DIR`."
         )
-    require_positive(limit=limit, workers=workers)
+    require_positive(max_recordings=max_recordings, workers=workers)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
     curation = CurationOptions(
@@ -185,7 +185,7 @@ def build_dataset(
     options = BuildOptions(
         curation=curation,
         recordings=recordings,
-        limit=limit,
+        limit=max_recordings,
         reader=tuple(sorted(reader.items())),
         on_error=on_error,
         replace=replace,
@@ -254,7 +254,7 @@ def synthesize(
     layout: str,
     out: PathLike,
     *,
-    recordings: int | None = None,
+    count: int | None = None,
     seed: int = 0,
     size: Literal["tiny", "default"] = "tiny",
     events: int | None = None,
@@ -270,7 +270,7 @@ def synthesize(
     Args:
         layout: Dataset whose layout the files have, for example ``adt`` or ``hot3d``.
         out: Folder of the recordings; earlier synthetic ones there are replaced.
-        recordings: How many; by default the size's number (2 or 24).
+        count: Number of recordings to make; by default the size's number (2 or 24).
         seed: Of everything.
         size: ``tiny`` or ``default``.
         events: Picks and puts a recording; by default the size's number (6 or 10).
@@ -289,14 +289,14 @@ def synthesize(
     """
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
-    require_positive(recordings=recordings, events=events, workers=workers)
-    planned = planned_recordings(size, recordings)
+    require_positive(count=count, events=events, workers=workers)
+    planned = planned_recordings(size, count)
     done = itertools.count(1)
     with progress(f"writing {layout}") as show:
         tree = synthesize_tree(
             layout,
             as_path(out),
-            recordings=recordings,
+            recordings=count,
             seed=seed,
             size=size,
             workers=workers,

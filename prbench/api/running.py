@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -322,7 +323,6 @@ def run(
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
-    chosen = {} if condition is None else {"condition": condition_of(condition)}
     request = RunRequest(
         method=str(method),
         data=folders,
@@ -340,8 +340,9 @@ def run(
         out=as_optional_path(out),
         isolate=isolate,
         timeout=timeout,
-        **chosen,
     )
+    if condition is not None:
+        request = replace(request, condition=condition_of(condition))
     with progress(f"running {request.method_label}") as show:
         report = run_method(
             request,

@@ -12,7 +12,7 @@ from prbench.sequences import DatasetInfo
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory) -> prbench.SyntheticRecordings:
     folder = tmp_path_factory.mktemp("building")
-    return prbench.synthesize("adt", str(folder / "recordings"), recordings=2, seed=3, events=4)
+    return prbench.synthesize("adt", str(folder / "recordings"), count=2, seed=3, events=4)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_options_are_those_of_the_command(recordings, tmp_path):
 
 
 def test_a_damaged_recording_is_named(tmp_path):
-    damaged = prbench.synthesize("adt", tmp_path / "recordings", recordings=2, events=3, defect="missing-trajectory")
+    damaged = prbench.synthesize("adt", tmp_path / "recordings", count=2, events=3, defect="missing-trajectory")
     build = prbench.build_dataset("adt", damaged.folder, tmp_path / "table")
     first = damaged.to_pandas().recording_id[0]
     assert list(build.unread) == [first]
@@ -84,7 +84,7 @@ def test_a_damaged_recording_is_named(tmp_path):
 
 
 def test_a_build_notes_what_the_command_notes(tmp_path):
-    written = prbench.synthesize("adt", tmp_path / "recordings", recordings=1, events=3)
+    written = prbench.synthesize("adt", tmp_path / "recordings", count=1, events=3)
     name = written.to_pandas().recording_id[0]
     gaze = written.folder / name / "eyegaze.csv"
     lines = gaze.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -102,7 +102,7 @@ def test_a_build_notes_what_the_command_notes(tmp_path):
         ({"dataset": "adtt"}, "adtt"),
         ({"dataset": "all"}, "'all' builds several tables"),
         ({"root": "nowhere"}, "nowhere"),
-        ({"limit": 0}, "limit: expected a whole number of at least 1, found '0'"),
+        ({"max_recordings": 0}, "max_recordings: expected a whole number of at least 1, found '0'"),
         ({"minimum_movement": "steps"}, "unknown minimum-movement measure 'steps'"),
         ({"priming": "published"}, "publishes no priming of its own"),
         ({"occlusion": "perhaps"}, "unknown treatment of occlusion|needs meshes"),
@@ -124,7 +124,7 @@ def test_a_build_that_cannot_be_is_refused(recordings, tmp_path, changes, messag
         ({"layout": "adtt"}, "adtt"),
         ({"size": "huge"}, "huge"),
         ({"defect": "nonsense"}, "nonsense"),
-        ({"recordings": 0}, "recordings: expected a whole number"),
+        ({"count": 0}, "count: expected a whole number"),
     ],
 )
 def test_recordings_that_cannot_be_are_refused(tmp_path, changes, message):
