@@ -144,7 +144,7 @@ class Sequence:
     """Rigid transform from the canonical frame to the recording's world (Y up), metres."""
     extra: Mapping[str, str] = field(default_factory=dict)
     """What only this dataset has, by name."""
-    _table: SequenceTable | None = None
+    _table: SequenceTable | None = field(default=None, init=False)
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
@@ -271,7 +271,7 @@ def sequences_of(chunk: SequenceChunk, table: SequenceTable) -> Iterable[Sequenc
         one = SequenceChunk(chunk.batch.slice(row, 1))
         plain = {name: one.batch.column(name)[0].as_py() for name in _PLAIN}
         extra = {pair["key"]: pair["value"] for pair in one.batch.column("extra")[0].as_py() or ()}
-        yield Sequence(
+        sequence = Sequence(
             **plain,
             joints=_copied(one.joints),
             previous_joints=_copied(one.poses("previous_joints")[0]),
@@ -285,8 +285,9 @@ def sequences_of(chunk: SequenceChunk, table: SequenceTable) -> Iterable[Sequenc
             head=_head(one),
             world_from_canonical=_copied(one.vectors("world_from_canonical").reshape(4, 4)),
             extra=extra,
-            _table=table,
         )
+        object.__setattr__(sequence, "_table", table)  # frozen for everybody else
+        yield sequence
 
 
 def _copied(values: np.ndarray) -> np.ndarray:
