@@ -14,7 +14,7 @@
 # # From a recording to a table
 #
 # Somebody wears glasses that record where the person is and where the eyes look. The person walks through a kitchen,
-# takes a cup, and puts it somewhere else. A method that generates human motion shall imitate that: look at the cup
+# takes a cup, and puts it somewhere else. A method that generates human motion has to do the same: look at the cup
 # first, walk to it, reach for it. To train and to test such a method we need many short pieces of motion that all
 # begin shortly before the look and end with the grasp.
 #

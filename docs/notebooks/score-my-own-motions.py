@@ -14,7 +14,7 @@
 # # Score my own motions
 #
 # You have a method that generates human motion, and its results as arrays. This notebook turns them into scores that
-# can be compared with those of other methods. Arrays are all it needs: how they were made is your affair.
+# can be compared with those of other methods. Arrays are all it needs: how they were made does not matter.
 #
 # It takes about fifteen seconds. The people are synthetic, so that no data is needed; never compare these scores with
 # published ones.
