@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
 import os
 import posixpath
 import re
@@ -29,13 +28,22 @@ PAGES_FROM_ROOT = {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contribut
 EXAMPLES_PAGE = "examples/index.md"
 COMMANDS_PAGE = "command-line.md"
 COMMANDS_MARK = "<!-- help of every command -->"
-HELP_WIDTH = 100  # columns
+BOOSTS = {
+    "index.md": 4.0,
+    "glossary.md": 4.0,
+    "changelog.md": 0.2,
+    "reliability.md": 0.5,
+    "api-reference.md": 0.5,
+    "specification/": 0.5,
+}
+"""How far up a page comes in the search, by the beginning of its path; first what explains to newcomers."""
+HELP_WIDTH = 80  # columns, as many as a page shows without scrolling
 
-_LOG = logging.getLogger("mkdocs.hooks")
 _LINKS = re.compile(
     r"(?P<code>^ *```.*?^ *```[^\n]*$)|\[(?P<text>[^\]\[]*)\]\((?P<target>[^()\s]+)\)|(?P<inline>`[^`\n]*`)",
     re.MULTILINE | re.DOTALL,
 )
+_ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(?=<code>)")
 _EXTERNAL = re.compile(r"[a-z]+:|#")
 _COMMAND_LINE = re.compile(r"^[\s│|]*([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:\s{2,}|\s*[│|]?$)", re.MULTILINE)
 
@@ -63,11 +71,18 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Turn the links of a page into links of the site, and fill in the help of the commands."""
     uri = page.file.src_uri
+    boosts = [boost for beginning, boost in BOOSTS.items() if uri.startswith(beginning)]
+    page.meta.setdefault("search", {"boost": boosts[0] if boosts else 1.0})
     if uri == COMMANDS_PAGE:
         markdown = markdown.replace(COMMANDS_MARK, "\n".join(command_sections()))
     if page.file.generated_by:
         return markdown
     return with_site_links(markdown, f"docs/{uri}")
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Leave out the roles of docstrings (``:class:``), which stand before names in the reference of the API."""
+    return _ROLE.sub("", html)
 
 
 def with_site_links(text: str, source: str) -> str:

@@ -22,15 +22,15 @@ DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "node_modules" not in path.parts)
 
 QUESTIONS = {
-    "priming": "index.html",
+    "what is priming": "index.html#what-is-priming",
     "Goal MPJPE": "glossary.html#goal-mpjpe",
     "Location Error": "glossary.html#location-error",
     "foot skating": "glossary.html#foot-skating",
     "prime gap": "glossary.html#prime-gap",
-    "HD-EPIC": "datasets.html",
-    "own method": "adding-a-method.html",
-    "column hand": "table.html",
-    "no GPU": "index.html",
+    "HD-EPIC": "datasets.html#hd-epic",
+    "adding method": "adding-a-method.html",
+    "reaching hand": "table.html#which-hand-reached",
+    "install GPU": "index.html#install-and-try-it",
     "canonical frame": "glossary.html#canonical-frame",
 }
 """What a newcomer types into the search, and a page or section that answers it."""
