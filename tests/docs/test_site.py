@@ -29,7 +29,7 @@ QUESTIONS = {
     "prime gap": "glossary.html#prime-gap",
     "HD-EPIC": "datasets.html#hd-epic",
     "adding method": "adding-a-method.html",
-    "reaching hand": "table.html#which-hand-reached",
+    "hand reached": "table.html#which-hand-reached",
     "install GPU": "index.html#install-and-try-it",
     "canonical frame": "glossary.html#canonical-frame",
 }
