@@ -33,7 +33,7 @@ BOOSTS = {
     "glossary.md": 4.0,
     "changelog.md": 0.2,
     "reliability.md": 0.5,
-    "api-reference.md": 0.5,
+    "api-": 0.5,
     "specification/": 0.5,
 }
 """How far up a page comes in the search, by the beginning of its path; first what explains to newcomers."""
