@@ -1,7 +1,7 @@
 """What the site shows beside the pages of this folder; mkdocs calls these functions (mkdocs.yml).
 
 * CHANGELOG, CONTRIBUTING and SECURITY, which stand at the root of the repository, become pages.
-* The example programs become one page.
+* The example programs become one page, each notebook (a script of jupytext's percent format) a page of its own.
 * The page on the command line shows the help of every command that is installed.
 * A link that leads out of this folder leads to the page made of that file, or becomes plain text where there is none.
 """
@@ -26,6 +26,7 @@ ROOT = DOCS.parent
 
 PAGES_FROM_ROOT = {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md", "SECURITY.md": "security.md"}
 EXAMPLES_PAGE = "examples/index.md"
+NOTEBOOKS = "notebooks"
 COMMANDS_PAGE = "command-line.md"
 COMMANDS_MARK = "<!-- help of every command -->"
 BOOSTS = {
@@ -65,6 +66,9 @@ def on_files(files: Any, config: Any) -> Any:
         text = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=with_site_links(text, source)))
     files.append(File.generated(config, EXAMPLES_PAGE, content=examples_page()))
+    for script in sorted((DOCS / NOTEBOOKS).glob("*.py")):
+        text = with_site_links(notebook_page(script), f"docs/{NOTEBOOKS}/{script.name}")
+        files.append(File.generated(config, f"{NOTEBOOKS}/{script.stem}.md", content=text))
     return files
 
 
@@ -113,6 +117,8 @@ def site_path(path: str) -> str | None:
     if not path.startswith("docs/"):
         return None
     below = path.removeprefix("docs/")
+    if below.startswith(f"{NOTEBOOKS}/"):
+        return str(Path(below).with_suffix(".md"))
     return EXAMPLES_PAGE if (ROOT / path).is_dir() and below.startswith("examples") else below
 
 
@@ -130,6 +136,21 @@ def examples_page() -> str:
         text = (DOCS / "examples" / name).read_text(encoding="utf-8").rstrip()
         lines += ["", f"## {name}", "", f"Download: [{name}]({name})", "", f"```{language}", text, "```"]
     return "\n".join(lines) + "\n"
+
+
+def notebook_page(script: Path) -> str:
+    """Return a notebook as a page: its text as it stands, its code in blocks, without what the code prints."""
+    _, *cells = re.split(r"^# %%(.*)\n", script.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    parts = []
+    for kind, text in zip(cells[::2], cells[1::2], strict=True):
+        if "[markdown]" in kind:
+            parts.append(re.sub(r"^# ?", "", text, flags=re.MULTILINE).strip())
+        elif text.strip():
+            parts.append(f"```python\n{text.strip()}\n```")
+    title, _, rest = parts[0].partition("\n")
+    download = f'<a href="{script.name}" download>{script.name}</a>'
+    note = f"*A notebook: {download} is a script that runs as it is, and that Jupyter opens with jupytext.*"
+    return "\n\n".join([title, note, rest.strip(), *parts[1:]]) + "\n"
 
 
 def command_sections() -> Iterator[str]:
