@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from tests.docs.test_citations import ROOT, headings
 
@@ -38,15 +39,24 @@ QUESTIONS = {
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
-    """The built site; ``PRBENCH_SITE`` names one that was built already."""
+    """The built site, made once for all workers; ``PRBENCH_SITE`` names one that was built already."""
     if built := os.environ.get("PRBENCH_SITE"):
         return Path(built)
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with FileLock(shared / "site.lock"):
+        if not (shared / "site").is_dir():
+            _build(shared / "site")
+    return shared / "site"
+
+
+def _build(folder: Path) -> None:
+    draft = folder.with_name("site-draft")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(draft)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
-    return folder
+    draft.rename(folder)
 
 
 class _Page(HTMLParser):
