@@ -77,6 +77,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     from prbench_adapters.diffusion.options import require_known
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
+    # The default belongs to another method, which a user may have removed.
     if weights is None and DEFAULT_WEIGHTS not in bundled_names():
         raise AdapterError(
             f"dno has no network of its own, and its default '{DEFAULT_WEIGHTS}' (part of the method mdm) is not"

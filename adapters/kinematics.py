@@ -43,51 +43,27 @@ _REST = {
 """Directions of the bones at rest, by the joint in which they end: body frame, x left, y up, z to the front."""
 
 
-def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 6"]:
-    """The first two **rows**, one after the other (DART and WANDR; HumanML3D takes columns)."""
-    return matrices[..., :2, :].flatten(-2)
+@dataclass(frozen=True)
+class World:
+    """A world with Z up, by the axes (0, 1, 2) that its points have in the world with Y up, and their signs."""
+
+    axes: tuple[int, int, int]
+    signs: tuple[float, float, float]
+
+    def from_y_up(self, vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
+        """Points or directions given with Y up."""
+        return vectors[..., self.axes] * vectors.new_tensor(self.signs)
+
+    def to_y_up(self, vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
+        """The inverse of :meth:`from_y_up`."""
+        back = tuple(self.axes.index(axis) for axis in range(3))
+        return vectors[..., back] * vectors.new_tensor([self.signs[place] for place in back])
 
 
-def matrices_of(rows: Float[torch.Tensor, "*batch 6"]) -> Float[torch.Tensor, "*batch 3 3"]:
-    """Rotation matrices of six numbers that may be no rotation: Gram-Schmidt, the first row keeps its direction."""
-    first = rows[..., :3]
-    second = rows[..., 3:]
-    first = unit(first)
-    second = unit(second - (first * second).sum(-1, keepdim=True) * first)
-    return torch.stack((first, second, torch.linalg.cross(first, second)), -2)
-
-
-def orthonormalised(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 3 3"]:
-    """The matrices without what rounding has added to them, through the six numbers."""
-    return matrices_of(rows_of(matrices))
-
-
-def _shortest_rotations(
-    axes: Float[torch.Tensor, "bones 3"],
-    half_turn_midways: Float[torch.Tensor, "bones 3"],
-    directions: Float[torch.Tensor, "*batch bones 3"],
-) -> Float[torch.Tensor, "*batch bones 3 3"]:
-    """The rotations by the smallest angle that turn fixed axes onto directions.
-
-    Each is the reflection at the axis a followed by the one at the direction m half-way between both:
-    ``(2 m m' - 1)(2 a a' - 1)``. Where the two are opposite, m is not defined and a fixed one is taken.
-
-    Args:
-        axes: Unit vectors along a coordinate axis, either way.
-        half_turn_midways: Unit vectors orthogonal to them, which decide about half turns.
-        directions: Unit vectors.
-    """
-    between = directions + axes
-    opposite = between.square().sum(-1, keepdim=True) < _OPPOSITE**2
-    midway = unit(torch.where(opposite, half_turn_midways, between))
-    turned = 2 * midway[..., :, None] * midway[..., None, :] - torch.eye(3).to(midway)
-    return turned * (2 * axes.abs() - 1)[:, None, :]
-
-
-def unit(vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
-    """Unit vectors; a zero vector stays zero and has no gradient of NaN."""
-    square = vectors.square().sum(-1, keepdim=True)
-    return vectors * torch.where(square > _SHORTEST**2, square, 1.0).rsqrt()
+DART = World(axes=(0, 2, 1), signs=(-1.0, 1.0, 1.0))
+"""docs/specification/dart.md#noise-optimisation: (x, y, z) with Y up is (-x, z, y) here, and the other way round."""
+WANDR = World(axes=(0, 2, 1), signs=(1.0, -1.0, 1.0))
+"""docs/specification/wandr.md#inference: (x, y, z) here is (x, z, -y) with Y up."""
 
 
 def fitted_rotations(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 22 3 3"]:
@@ -121,9 +97,38 @@ def root_orientation(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
     hips = unit(joints[..., Joint.LEFT_HIP, :] - joints[..., Joint.RIGHT_HIP, :])
     shoulders = unit(joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :])
     sine = torch.linalg.cross(hips, up).square().sum(-1, keepdim=True)
+    # A cross product of parallel vectors has no direction, only rounding.
     left = torch.where(sine > _NO_HEADING**2, hips, shoulders)
     front = unit(torch.linalg.cross(left, up))
     return torch.stack((left, torch.linalg.cross(front, left), front), -1)
+
+
+def _shortest_rotations(
+    axes: Float[torch.Tensor, "bones 3"],
+    half_turn_midways: Float[torch.Tensor, "bones 3"],
+    directions: Float[torch.Tensor, "*batch bones 3"],
+) -> Float[torch.Tensor, "*batch bones 3 3"]:
+    """The rotations by the smallest angle that turn fixed axes onto directions.
+
+    Each is the reflection at the axis a followed by the one at the direction m half-way between both:
+    ``(2 m m' - 1)(2 a a' - 1)``. Where the two are opposite, m is not defined and a fixed one is taken.
+
+    Args:
+        axes: Unit vectors along a coordinate axis, either way.
+        half_turn_midways: Unit vectors orthogonal to them, which decide about half turns.
+        directions: Unit vectors.
+    """
+    between = directions + axes
+    opposite = between.square().sum(-1, keepdim=True) < _OPPOSITE**2
+    midway = unit(torch.where(opposite, half_turn_midways, between))
+    turned = 2 * midway[..., :, None] * midway[..., None, :] - torch.eye(3).to(midway)
+    return turned * (2 * axes.abs() - 1)[:, None, :]
+
+
+def unit(vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
+    """Unit vectors; a zero vector stays zero and has no gradient of NaN."""
+    square = vectors.square().sum(-1, keepdim=True)
+    return vectors * torch.where(square > _SHORTEST**2, square, 1.0).rsqrt()
 
 
 def forward_kinematics(
@@ -155,13 +160,28 @@ def rest_offsets(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tens
     return torch.nn.functional.pad(lengths, (0, 0, 1, 0)) * _tree(joints.dtype, joints.device).rest
 
 
-class _Level:
-    """The joints that are equally many bones away from the pelvis."""
+def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 6"]:
+    """The first two **rows**, one after the other (DART and WANDR; HumanML3D takes columns)."""
+    return matrices[..., :2, :].flatten(-2)
 
-    def __init__(self, joints: list[int], above: list[int], device: torch.device) -> None:
-        self.joints = torch.tensor(joints, device=device)
-        self.parents = torch.tensor([above.index(PARENTS[joint]) for joint in joints], device=device)
-        """Their places in the level above."""
+
+def matrices_of(rows: Float[torch.Tensor, "*batch 6"]) -> Float[torch.Tensor, "*batch 3 3"]:
+    """Rotation matrices of six numbers that may be no rotation: Gram-Schmidt, the first row keeps its direction."""
+    first = rows[..., :3]
+    second = rows[..., 3:]
+    first = unit(first)
+    second = unit(second - (first * second).sum(-1, keepdim=True) * first)
+    return torch.stack((first, second, torch.linalg.cross(first, second)), -2)
+
+
+def orthonormalised(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 3 3"]:
+    """The matrices without what rounding has added to them, through the six numbers."""
+    return matrices_of(rows_of(matrices))
+
+
+@lru_cache(maxsize=8)
+def _tree(dtype: torch.dtype, device: torch.device) -> _Tree:
+    return _Tree(dtype, device)
 
 
 class _Tree:
@@ -180,34 +200,16 @@ class _Tree:
         rest = torch.zeros(N_JOINTS, 3)
         for direction, joints in _REST.items():
             rest[list(joints)] = torch.tensor(direction)
+        # Any axis at a right angle to the bone will do, as long as it is always the same one.
         axis = torch.where(rest[:, 2:].abs() > 0, torch.tensor(_Y), torch.tensor(_Z))
         self.rest = rest.to(device, dtype)
         self.half_turns = torch.linalg.cross(axis, rest).to(device, dtype)
 
 
-@lru_cache(maxsize=8)
-def _tree(dtype: torch.dtype, device: torch.device) -> _Tree:
-    return _Tree(dtype, device)
+class _Level:
+    """The joints that are equally many bones away from the pelvis."""
 
-
-@dataclass(frozen=True)
-class World:
-    """A world with Z up, by the axes (0, 1, 2) that its points have in the world with Y up, and their signs."""
-
-    axes: tuple[int, int, int]
-    signs: tuple[float, float, float]
-
-    def from_y_up(self, vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
-        """Points or directions given with Y up."""
-        return vectors[..., self.axes] * vectors.new_tensor(self.signs)
-
-    def to_y_up(self, vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
-        """The inverse of :meth:`from_y_up`."""
-        back = tuple(self.axes.index(axis) for axis in range(3))
-        return vectors[..., back] * vectors.new_tensor([self.signs[place] for place in back])
-
-
-DART = World(axes=(0, 2, 1), signs=(-1.0, 1.0, 1.0))
-"""docs/specification/dart.md#noise-optimisation: (x, y, z) with Y up is (-x, z, y) here, and the other way round."""
-WANDR = World(axes=(0, 2, 1), signs=(1.0, -1.0, 1.0))
-"""docs/specification/wandr.md#inference: (x, y, z) here is (x, z, -y) with Y up."""
+    def __init__(self, joints: list[int], above: list[int], device: torch.device) -> None:
+        self.joints = torch.tensor(joints, device=device)
+        self.parents = torch.tensor([above.index(PARENTS[joint]) for joint in joints], device=device)
+        """Their places in the level above."""

@@ -39,6 +39,7 @@ class Static:
             AdapterError: if the table has no training sequences.
         """
         checkpoint = run.folder / _CHECKPOINT
+        # A resumed run reads what the first one found, to the last digit.
         if not checkpoint.is_file():
             write_json(checkpoint, mean_pose(train).tolist())
         self._pose = _read_pose(checkpoint)
@@ -74,6 +75,7 @@ def mean_pose(train: SequenceTable) -> np.ndarray:
     total = np.zeros((N_JOINTS, 3))
     frames = 0
     for chunk in train.chunks(split="train", columns=["joints"]):
+        # Millions of float32 frames would lose the last digits of the mean.
         total += chunk.joints.sum(axis=0, dtype=np.float64)
         frames += len(chunk.joints)
     if not frames:

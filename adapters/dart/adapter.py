@@ -109,6 +109,7 @@ def parts_of_similar_cost(primitives: Int[np.ndarray, " batch"], largest: int) -
     order = np.argsort(-primitives, kind="stable")
     before = np.cumsum(primitives[order]) - primitives[order]
     total = int(primitives.sum())
+    # Each row goes to the part in which its first primitive falls if all primitives are cut into equal stretches.
     part = before * -(-total // largest) // total
     return [order[part == number] for number in np.unique(part)]
 
@@ -125,11 +126,13 @@ class _Part:
         assert batch.text is not None
         self.model, self.batch, self.settings = model, batch, settings
         targets = targets_of(batch, model.device)
+        # A body at rest: the frame before the first is taken to be the first.
         if settings.seeding == "repeat":
             targets = replace(targets, previous_joints=targets.initial_joints)
         self.targets = targets
         self.n_frames = int(batch.n_frames.max())
         primitives = _primitives(model, batch)
+        # Longest first, so that the sequences which have a primitive are always the first rows.
         self.going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
         previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
         frames, self.placement = first_history(previous, initial)
@@ -147,6 +150,7 @@ class _Part:
         if not self.settings.optimised:
             with torch.no_grad():
                 return self._joints(self._free()).cpu().numpy()
+        # Small noise: the start lies near the mean of what the model draws.
         start = self.settings.noise_scale * torch.stack([self._draw() for _ in self.going_on])
         lengths = torch.as_tensor(self.batch.n_frames, device=self.model.device)
         found = optimise(self._from_noise, start, self.targets, lengths, self.settings)
@@ -181,6 +185,7 @@ class _Part:
         The world that is rolled out in is the canonical frame with its axes exchanged, so nothing else has to be
         turned back.
         """
+        # Primitives of sequences that have ended have fewer rows; zeros keep the batch rectangular.
         rows = [pad(each.joints, (0, 0) * 3 + (0, len(self.batch) - len(each.joints))) for each in primitives]
         future = DART.to_y_up(torch.cat(rows, dim=1))
         return torch.cat((self.targets.initial_joints[:, None], future), dim=1)[:, : self.n_frames]

@@ -61,11 +61,13 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        # Skips join each layer in front of the middle one to a layer behind it.
         if self.vae_layers % 2 == 0:
             raise ValueError(f"'vae_layers' must be odd, found {self.vae_layers}")
         if self.future_frames < HISTORY_FRAMES:
             raise ValueError(f"'future_frames' must be at least {HISTORY_FRAMES}, found {self.future_frames}")
         for width, heads in (("vae_width", "vae_heads"), ("width", "heads")):
+            # Even, because the table of sinusoids pairs sines with cosines.
             if getattr(self, width) % getattr(self, heads) or getattr(self, width) % 2:
                 raise ValueError(f"'{width}' must be even and a multiple of '{heads}', found {getattr(self, width)}")
         if not 0 <= self.dropout < 1:
@@ -132,6 +134,7 @@ def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSe
     """
     default = DartSettings()
     optimised = choice(options, "optimise", ("on", "off")) == "on"
+    # An option that changes nothing is a mistake of the user, who must hear of it.
     idle = [] if optimised else [key for key in _OF_OPTIMISATION if key in options]
     if idle:
         raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=on.")

@@ -78,6 +78,7 @@ class Frames:
     @classmethod
     def unpack(cls, features: Float[Tensor, "batch frames 276"]) -> Frames:
         """Read features in metres; orientations that are no rotation become one (Gram-Schmidt)."""
+        # In the order of the fields, which is that of the original's 276 numbers.
         translation, orientation, body, step, turn, joints, moves = features.split(_SIZES, dim=-1)
         return cls(
             translation=translation,
@@ -122,6 +123,7 @@ class Frames:
             orientation=back[:, None] @ self.orientation,
             body=self.body,
             translation_delta=_turned(back, self.translation_delta),
+            # A turn between two world orientations is changed on both sides; an orientation on the left alone.
             orientation_delta=back[:, None] @ self.orientation_delta @ placement.rotation[:, None],
             joints=_turned(back, self.joints - _broadcast(origin, self.joints)),
             joints_delta=_turned(back, self.joints_delta),
@@ -138,6 +140,7 @@ def canonical_placement(joints: Float[Tensor, "batch 22 3"]) -> Placement:
     across = joints[:, Joint.RIGHT_HIP] - joints[:, Joint.LEFT_HIP]
     up = torch.zeros_like(across)
     up[:, 2] = 1.0
+    # Along the ground, so that the frame of reference stays upright however the body leans.
     right = unit(across * (1.0 - up))
     front = torch.linalg.cross(up, right)
     return Placement(torch.stack((right, front, up), dim=-1), joints[:, Joint.PELVIS])

@@ -54,11 +54,13 @@ class PreparedDenoiser:
         latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
         stream = _tokens(self.times[step], self.context, latent)
         projected = _tokens(self.projected_times[step], self.projected_context, self.project(latent))
+        # TransformerLayer written out without dropout: the layers' own forward would compute all tokens anew.
         for number, layer in enumerate(self.layers):
             if number:
                 projected = layer.self_attention.query_key_value(stream)
             of_heads = projected.view(rows, _LATENT + 1, 3, layer.self_attention.heads, -1)
             query, key, value = of_heads.permute(2, 0, 3, 1, 4).unbind()
+            # Nobody reads the other tokens behind the last layer.
             if number == len(self.layers) - 1:
                 query = query[:, :, -1:]
                 stream = stream.view(rows, _LATENT + 1, -1)[:, -1]
@@ -96,6 +98,7 @@ class GuidedDenoiser(Guidance):
 
         Where there are fewer histories than texts, they are those of the first motions.
         """
+        # Rows stand longest first, so the sequences that go on are always the first rows.
         text = self.text[: len(history)]
         texts = self.both(text, torch.zeros_like(text))
         prepared = PreparedDenoiser(self.denoiser, texts, self.both(history, history))

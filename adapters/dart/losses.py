@@ -96,6 +96,7 @@ def delta_loss(predicted: Frames, history: Frames) -> _PerMotion:
         predicted: Future frames.
         history: The frames before them, in the same frame of reference.
     """
+    # The last frame of the history announces the step to the first predicted frame.
     before = history.part(HISTORY_FRAMES - 1, HISTORY_FRAMES)
 
     def chain(name: str) -> Tensor:
@@ -127,6 +128,7 @@ class Totals:
 
     def result(self, **weights: float) -> dict[str, Tensor]:
         """The weighted sum ``loss`` and all parts."""
+        # Over all primitives together, so that each one inside its motion weighs the same.
         count = self.valid.sum().clamp_min(1)
         parts = {name: total / count for name, total in self.sums.items()}
         loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
@@ -153,6 +155,7 @@ def moment_of(step: int, calls: int, objective: Objective) -> Moment:
         calls: How many there are.
         objective: Shares of the phases, and of their stages.
     """
+    # Counted in calls, so that a resumed training is in the same phase.
     of_vae = round(objective.vae_share * calls)
     if step < of_vae:
         progress = step / of_vae

@@ -14,6 +14,7 @@ from prbench.training.weights import Weights, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
+from prbench_adapters.diffusion.denoiser import pooled
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
 
@@ -51,7 +52,6 @@ class DartModel:
         scaling: Of the features.
         latent_std: Standard deviation of all numbers of the latents of training primitives.
         texts: Vectors of captions.
-        digest: SHA-256 of the weights file, if there is one.
     """
 
     def __init__(
@@ -62,13 +62,13 @@ class DartModel:
         scaling: FeatureScaling,
         latent_std: float,
         texts: TextVectors,
-        digest: str | None = None,
     ) -> None:
         self.vae = vae.eval().requires_grad_(False)
         self.denoiser = denoiser.eval().requires_grad_(False)
         self.device = denoiser.head.weight.device
         self.scaling = FeatureScaling(scaling.mean.to(self.device), scaling.std.to(self.device))
-        self.latent_std, self.texts, self.digest = latent_std, texts, digest
+        self.latent_std = latent_std
+        self.texts = texts
         self.schedule = CosineSchedule(self.configuration.diffusion_steps)
 
     @property
@@ -104,7 +104,6 @@ class DartModel:
             scaling=scaling_of(weights),
             latent_std=_trained_latent_std(weights),
             texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
-            digest=weights.digest,
         )
 
     def text_vectors(self, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
@@ -114,11 +113,9 @@ class DartModel:
 
 def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
     """The mean of each text's token vectors; zeros for an empty text, which is how the networks are told of none."""
-    tokens, padding = vectors(texts)
-    counts = (~padding).sum(dim=1, keepdim=True).clamp_min(1)
-    pooled = tokens.masked_fill(padding[..., None], 0.0).sum(dim=1) / counts
+    # Text encoders give vectors for an empty text, too, and the networks know none by zeros.
     said = torch.tensor([bool(text.strip()) for text in texts])
-    return pooled * said[:, None]
+    return pooled(*vectors(texts))[:, 0] * said[:, None]
 
 
 def scaling_of(weights: Weights) -> FeatureScaling:

@@ -70,6 +70,7 @@ class PrimitiveVAE(nn.Module):
         """Mean and logarithm of the variance of the latent; features are standardised."""
         frames = self.frame_embedding(torch.cat((history, future), dim=1))
         tokens = torch.cat((self.distribution_tokens.expand(len(frames), -1, -1), frames), dim=1)
+        # The two tokens in front are read, one for the mean and one for the variance.
         found = self.encoder_head(self.encoder(tokens + self.encoder_positions)[:, :2])
         return found[:, :1], found[:, 1:].clamp(-_LARGEST_LOG_VARIANCE, _LARGEST_LOG_VARIANCE)
 
@@ -78,6 +79,7 @@ class PrimitiveVAE(nn.Module):
     ) -> Float[Tensor, "batch future 276"]:
         """Standardised features of the future frames; the latent as :meth:`encode` gives it, not divided by its std."""
         embedded = (self.latent_embedding(latent), self.frame_embedding(history))
+        # Frames to come have no content of their own: their position says which one each query asks for.
         queries = embedded[0].new_zeros(len(latent), self.configuration.future_frames, self.configuration.vae_width)
         stream = self.decoder(torch.cat((*embedded, queries), dim=1) + self.decoder_positions)
         return self.decoder_head(stream[:, -self.configuration.future_frames :])

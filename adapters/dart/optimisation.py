@@ -64,9 +64,11 @@ def optimise(
     losses = []
     for iteration in range(settings.iterations):
         for group in optimiser.param_groups:
+            # Linear to 0: the last steps settle, the first ones search.
             group["lr"] = settings.learning_rate * (1.0 - iteration / settings.iterations)
         with torch.enable_grad():
             loss = goal_loss(motion(noise), n_frames, targets, settings)
+            # Summed over sequences, none of which depends on another, so each gets its own gradient.
             (gradient,) = torch.autograd.grad(loss.sum(), noise)
         noise.grad = unit_gradient(gradient, settings.gradient_norm)
         optimiser.step()

@@ -74,6 +74,7 @@ def roll_out(
     done: list[Primitive] = []
     for number in range(primitives):
         if going_on is not None:
+            # Sequences that have ended cost nothing more.
             history = history[: going_on[number]]
             placement = placement.first(going_on[number])
         if checkpointing and torch.is_grad_enabled():
@@ -82,6 +83,7 @@ def roll_out(
             latent, features = _generate(model, sample, number, history)
         future = model.scaling.frames(features)
         done.append(Primitive(history, latent, features, placement, placement.points(future.joints)))
+        # Each primitive starts in a frame of reference of its own, as the networks have learnt it.
         frames, inner = next_history(future)
         history = model.scaling.standardised(frames)
         placement = placement.then(inner)

@@ -8,7 +8,7 @@ from typing import Any
 
 from prbench.errors import UsageError
 from prbench.training.task import TrainingData, split_model_table
-from prbench.training.weights import Weights, origin_of, read_weights
+from prbench.training.weights import origin_of, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.losses import Objective
 from prbench_adapters.dart.model import KIND, scaling_of
@@ -55,6 +55,7 @@ class DartTask:
                 f"frames per second of the tables: the model expects {configuration.fps:g}, found {data.fps:g}."
                 " Change one of the two."
             )
+        # A wrong size of text vectors shows before any statistics are computed.
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         if objective.vae_share == 0 and start is None:
@@ -72,7 +73,9 @@ class DartTask:
             texts=texts,
             objective=objective,
             data=data.train,
-            latent_std=_kept_latent_std(start) if start is not None and objective.vae_share == 0 else 0.0,
+            latent_std=float(start.require("latent.std", (1,)))
+            if start is not None and objective.vae_share == 0
+            else 0.0,
             origin=(texts.origin, *origin_of(start)),
         )
 
@@ -84,7 +87,3 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DartConfiguration, Objec
         UsageError: for an unknown key or an impossible value.
     """
     return split_model_table(model, DartConfiguration, Objective)
-
-
-def _kept_latent_std(start: Weights) -> float:
-    return float(start.require("latent.std", (1,)))

@@ -139,6 +139,7 @@ class DartTraining(TrainingModule):
         for number in range(self.objective.primitives):
             given = self._given(cut, number, own, moment, generator)
             mean, log_variance = self.vae.encode(given.history, given.future)
+            # Validation judges the mean latent, so that its numbers do not waver.
             noise = _normal(mean.shape, generator, mean.device) if self.training else torch.zeros_like(mean)
             features = self.vae.decode(mean + (0.5 * log_variance).exp() * noise, given.history)
             with torch.autocast(features.device.type, enabled=False):
@@ -152,6 +153,7 @@ class DartTraining(TrainingModule):
                     "deltas": delta_loss(predicted, self._scaling().frames(given.history)),
                 }
                 totals.add(number, losses)
+                # Gradients do not run through the history: each primitive learns for itself.
                 own = _detached(next_history(predicted)[0])
         weights = self.objective
         return totals.result(
@@ -170,6 +172,7 @@ class DartTraining(TrainingModule):
         own: Frames | None = None
         for number in range(self.objective.primitives):
             given = self._given(cut, number, own, moment, generator)
+            # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
             clean = self.vae.encode(given.history, given.future)[0].detach() / self.latent_std
             latent = self.denoiser(*self._noisy(clean, generator), text, given.history)
             features = self.vae.decode(latent * self.latent_std, given.history)
@@ -242,6 +245,7 @@ class DartTraining(TrainingModule):
             return
         n = len(self.data)
         few = min(len(self.data), _MEASURED_MOTIONS)
+        # Spread evenly over the split, so that no dataset decides alone.
         places = [place * n // few for place in range(few)]
         self.vae.eval()
         latents = []

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from prbench.errors import UsageError
@@ -53,13 +53,16 @@ def window(
         primitives: How many; those that reach over the end repeat the last frame and are marked.
         configuration: Frames of a primitive.
     """
+    # The frame before the first is recorded, too, and gives the first primitive its history.
     motions = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
     last = batch.n_frames[rows]  # its index in these
     length = HISTORY_FRAMES + primitives * configuration.future_frames + 1
     wanted = start[:, None] + torch.arange(length, device=motions.device)
     places = torch.minimum(wanted, last[:, None])
     joints = motions[rows[:, None], places]
-    ends = start[:, None] + _ends(primitives, configuration).to(motions.device)
+    # Where the last delta of each primitive leads to: one frame behind the primitive itself.
+    numbers = torch.arange(1, primitives + 1, device=motions.device)
+    ends = start[:, None] + HISTORY_FRAMES + configuration.future_frames * numbers
     return Window(Frames.of_joints(DART.from_y_up(joints)), ends <= last[:, None])
 
 
@@ -78,10 +81,12 @@ def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> 
     Raises:
         UsageError: if no motion is long enough for a primitive.
     """
+    # Sums of squares of a whole corpus lose their last digits in float32.
     total = torch.zeros(N_FEATURES).double()
     squares = torch.zeros(N_FEATURES).double()
     count = 0
-    for features in _all_primitives(data, configuration):
+    for primitives in primitives_of(data, range(len(data)), configuration):
+        features = primitives.pack().flatten(0, 1)
         total += features.double().sum(dim=0)
         squares += features.double().square().sum(dim=0)
         count += len(features)
@@ -94,11 +99,6 @@ def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> 
     floor = torch.cat([torch.full((n,), value) for n, value in _STD_FLOORS]).double()
     std = (squares / count - mean.square()).clamp_min(0.0).sqrt().maximum(floor)
     return FeatureScaling(mean.float(), std.float())
-
-
-def _all_primitives(data: SequenceDataset, configuration: DartConfiguration) -> Iterator[Float[Tensor, "frames 276"]]:
-    for primitives in primitives_of(data, range(len(data)), configuration):
-        yield primitives.pack().flatten(0, 1)
 
 
 def primitives_of(
@@ -119,8 +119,3 @@ def primitives_of(
             if bool(inside.any()):
                 frames = cut.primitive(number, configuration.future_frames)
                 yield Frames(**{name: value[inside] for name, value in vars(frames).items()})
-
-
-def _ends(primitives: int, configuration: DartConfiguration) -> Int[Tensor, " primitives"]:
-    """Index in a window of the frame that the last delta of each primitive leads to."""
-    return HISTORY_FRAMES + configuration.future_frames * torch.arange(1, primitives + 1)

@@ -38,6 +38,7 @@ def parts_of_similar_length(n_frames: Int[np.ndarray, " batch"], largest: int) -
     A part ends early where the next sequence would make the shortest one carry a quarter of its length as padding.
     """
     parts: list[list[int]] = []
+    # Stable, so that equal lengths keep their order and a run can be repeated.
     for row in np.argsort(n_frames, kind="stable").tolist():
         room = bool(parts) and len(parts[-1]) < largest
         if room and n_frames[row] <= (1 + _MOST_PADDING) * n_frames[parts[-1][0]]:
@@ -59,6 +60,7 @@ class SequenceNoise:
     def __init__(
         self, noise_seed: Sequence[int], n_frames: Int[np.ndarray, " batch"], device: torch.device | str = "cpu"
     ) -> None:
+        # One stream a sequence, drawn with NumPy: neither batch nor device changes a number.
         self._generators = [sequence_generator(seed) for seed in noise_seed]
         self._n_frames, self._device = n_frames, device
 
@@ -139,6 +141,7 @@ def with_bone_lengths(
     """
     bones = joints[..., _CHILDREN, :] - joints[..., _PARENTS, :]
     directions = bones / bones.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
+    # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
     offsets = directions * lengths[:, None, :, None]
     return joints[..., :1, :] + _ancestry(joints) @ offsets
 

@@ -54,6 +54,7 @@ def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -
         return weights
     if weights.is_dir():
         return _only_file(weights)
+    # A path with a folder or a suffix was meant as a path; only a bare word can be a bundled name.
     if len(weights.parts) > 1 or weights.suffix == _SUFFIX:
         raise AdapterError(f"weights {weights}: expected a file or folder, found neither.")
     return bundled_weights(weights.name, folder)

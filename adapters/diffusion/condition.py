@@ -72,6 +72,7 @@ def raw_condition(
         goal: The last frame, or the location to reach.
         fps: Frames per second.
     """
+    # Per second, so that tables of another frame rate mean the same by the same number.
     velocity = (initial_joints - previous_joints) * fps
     return torch.cat([part.flatten(1) for part in (initial_joints, velocity, goal)], dim=1).float()
 
@@ -121,6 +122,7 @@ class ConditionScaling:
         if configuration.condition_scaling == "none":
             mean = torch.zeros_like(mean)
             std = torch.ones_like(std)
+            # Dividing metres per second by frames per second gives metres per frame.
             std[parts["initial_velocity"]] = configuration.fps
         for name, part in parts.items():
             if name in configuration.dropped:

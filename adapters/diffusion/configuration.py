@@ -70,6 +70,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
         for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        # Even, because the table of sinusoids pairs sines with cosines.
         if self.width % self.heads or self.width % 2:
             raise ValueError(f"'width' must be even and a multiple of 'heads' ({self.heads}), found {self.width}")
         if not 0 <= self.dropout < 1:

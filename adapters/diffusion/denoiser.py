@@ -26,6 +26,7 @@ class _Addition(nn.Module):
     def __init__(self, configuration: DenoiserConfiguration) -> None:
         super().__init__()
         self.projection = nn.Linear(configuration.condition_size, configuration.width)
+        # Zero at the start: before the first step of fine-tuning the output is that of the pre-trained model.
         nn.init.zeros_(self.projection.weight)
         nn.init.zeros_(self.projection.bias)
 
@@ -106,6 +107,7 @@ class Denoiser(nn.Module):
             for _ in range(configuration.layers)
         )
         self.head = nn.Linear(width, N_FEATURES * configuration.frames_per_token)
+        # One table for both: frames count their places in it, with the token in front, and diffusion steps theirs.
         rows = max(configuration.max_frames + 1, configuration.diffusion_steps)
         self.register_buffer("sinusoid", sinusoid_table(rows, width), persistent=False)
         self.sinusoid: Tensor
@@ -141,6 +143,7 @@ class Denoiser(nn.Module):
         if prepared.front is not None:
             stream = torch.cat([prepared.front.to(stream.dtype), stream], dim=1)
         if visible is not None:
+            # The token in front belongs to every row and is never padding.
             visible = nn.functional.pad(visible, (in_front, 0), value=True)[:, None, None]
         stream = self.dropout(stream + self.sinusoid[: stream.shape[1]])
         for layer, memory in zip(self.layers, prepared.layers, strict=True):
@@ -219,5 +222,6 @@ def pooled(
     text: Float[Tensor, "batch tokens dimension"], padding: Bool[Tensor, "batch tokens"]
 ) -> Float[Tensor, "batch 1 dimension"]:
     """Mean over the word pieces of each row."""
+    # At least 1 below, so that a text without word pieces gives zeros and no NaN.
     weight = (~padding).to(text.dtype)[..., None]
     return (text * weight).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True).clamp_min(1.0)

@@ -58,6 +58,7 @@ class Guidance:
         if not self.doubled:
             return predicted
         conditional, unconditional = predicted.chunk(2)
+        # Extrapolation for scales above 1: lerp is u + s (c - u).
         return torch.lerp(unconditional, conditional, self.scale)
 
 
@@ -89,6 +90,7 @@ class Guided(Guidance):
         super().__init__(scale)
         self.denoiser, self.precision = denoiser, precision
         self.condition = condition.then(condition.without_text()) if self.doubled else condition
+        # On the CPU a batch without padding is recognised without waiting for the device, and then needs no mask.
         host = n_frames.cpu()
         self._n_frames = self.both(host, host)
         self._prepared: dict[int, PreparedCondition] | None = {} if reuse else None

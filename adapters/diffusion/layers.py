@@ -53,6 +53,7 @@ class CrossAttention(nn.Module):
     def of_one_token(self, memory: Float[Tensor, "batch 1 width"]) -> Float[Tensor, "batch 1 width"]:
         """The result for a memory of one token, equal for every query: softmax over one key is 1."""
         width = memory.shape[-1]
+        # The second half of the joint projection makes the values.
         value = functional.linear(memory, self.key_value.weight[width:], self.key_value.bias[width:])
         return self.output(value)
 

@@ -40,6 +40,7 @@ def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
     goal = batch.goal_location if batch.goal_joints is None else batch.goal_joints[:, Joint.PELVIS]
     assert goal is not None
     distance = np.linalg.norm(goal - batch.initial_joints[:, Joint.PELVIS], axis=1)
+    # All joints of a goal pose, not the pelvis alone: one NaN is enough to spoil the motion.
     finite = np.isfinite(goal if batch.goal_joints is None else batch.goal_joints.reshape(len(batch), -1)).all(axis=1)
     bad = np.flatnonzero(~finite | ~(distance <= _FARTHEST_GOAL) | (np.abs(goal[:, 1]) > _HIGHEST_GOAL))
     if bad.size:

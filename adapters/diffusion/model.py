@@ -60,6 +60,7 @@ class TextVectors:
         self, texts: Sequence[str]
     ) -> tuple[Float[torch.Tensor, "texts tokens dimension"], Bool[torch.Tensor, "texts tokens"]]:
         """Token vectors, zero where there is padding, and the padding itself (True = no token), on the CPU."""
+        # Sorted, so that the encoder sees the same batch whatever the order of the rows.
         self._learn(sorted({text for text in texts if text not in self._known}), texts)
         vectors = [self._known[text] for text in texts]
         lengths = np.array([len(tokens) for tokens in vectors])
@@ -136,7 +137,7 @@ class MotionModel:
             denoiser.to(where),
             mean=weights.require("statistics.mean", (N_FEATURES,)),
             std=weights.require("statistics.std", (N_FEATURES,)),
-            scaling=_scaling(weights, configuration),
+            scaling=stored_scaling(weights, configuration),
             texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
             digest=weights.digest,
         )
@@ -161,6 +162,7 @@ class MotionModel:
 
     def joints(self, normalised: Float[torch.Tensor, "batch frames 263"]) -> Float[torch.Tensor, "batch frames 22 3"]:
         """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least."""
+        # Decoding sums up over frames, for which half precision is too coarse.
         features = normalised if normalised.dtype == torch.float64 else normalised.float()
         return decode(features * self.std.to(features.dtype) + self.mean.to(features.dtype))
 
@@ -188,6 +190,7 @@ def torch_device(name: str) -> torch.device:
         device = torch.device(name)
         if device.type == "cuda" and not torch.cuda.is_available():
             raise AdapterError(f"--device {name}: there is no usable GPU here. Use --device cpu.")
+        # Naming a device does not touch it; only this fails where it is missing.
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
@@ -195,7 +198,12 @@ def torch_device(name: str) -> torch.device:
     return device
 
 
-def _scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:
+def stored_scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:
+    """The scaling of the condition vector in a weights file; None for a model without a goal.
+
+    Raises:
+        InputFileError: if it is missing or misshaped.
+    """
     if configuration.goal == "none":
         return None
     size = (configuration.condition_size,)

@@ -53,18 +53,19 @@ def whole_number(options: Mapping[str, str], key: str, *, most: int) -> int | No
     text = options.get(key)
     if text is None:
         return None
+    # int() alone would also take ` 5`, `1_000` and digits of other scripts.
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= most):
         raise ValueError(f"option '{key}': expected a whole number from 1 to {most}, found '{text}'.")
     return int(text)
 
 
-def choice(options: Mapping[str, str], key: str, values: tuple[str, ...]) -> str:
-    """Return one of ``values``; the first if the option is not given.
+def choice(options: Mapping[str, str], key: str, values: tuple[str, ...], default: str | None = None) -> str:
+    """Return one of ``values``; if the option is not given the default, which is the first unless another is named.
 
     Raises:
         ValueError: naming the option.
     """
-    value = options.get(key, values[0])
+    value = options.get(key, values[0] if default is None else default)
     if value not in values:
         raise ValueError(f"option '{key}': expected {' or '.join(values)}, found '{value}'.")
     return value

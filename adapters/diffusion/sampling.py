@@ -80,6 +80,7 @@ class CosineSchedule(Chain):
     """
 
     def __init__(self, n_steps: int) -> None:
+        # The offset keeps the first betas from vanishing (Nichol and Dhariwal's schedule).
         level = [math.cos((i / n_steps + _OFFSET) / (1.0 + _OFFSET) * math.pi / 2.0) ** 2 for i in range(n_steps + 1)]
         self._betas = np.minimum(1.0 - np.array(level[1:]) / np.array(level[:-1]), _LARGEST_BETA)
         super().__init__(np.arange(n_steps), np.cumprod(1.0 - self._betas))
@@ -178,6 +179,7 @@ def _ddim_moves(schedule: CosineSchedule, steps: int, spacing: Spacing) -> Itera
     """√ᾱ' x0 + √(1 - ᾱ') ε with ε = (x - √ᾱ x0) / √(1 - ᾱ), collected by x0 and x; noisiest first."""
     chain = schedule.chain(steps, spacing)
     for i in range(len(chain) - 1, -1, -1):
+        # Factors are computed in float64 before the walk, so that no step rounds or waits for the device.
         here = chain.alphas_cumprod[i]
         cleaner = chain.alphas_cumprod_previous[i]
         of_state = math.sqrt((1.0 - cleaner) / (1.0 - here))

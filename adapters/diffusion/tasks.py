@@ -17,7 +17,7 @@ from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors
+from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, stored_scaling
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
@@ -105,10 +105,12 @@ def _continue_from(denoiser: Denoiser, start: Weights) -> None:
         InputFileError: if the weights are of another architecture, or were trained for another goal.
     """
     old = start.configuration(DenoiserConfiguration)
+    # Pre-training without a goal leaves the kind of goal open; afterwards the condition's layers are sized for it.
     fixed_by_goal = frozenset() if old.goal == "none" else {"goal", "injection"}
     start.require_same(denoiser.configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
     trained = Denoiser(old)
     start.load_into(trained, "denoiser")
+    # Layers of a new condition are missing in the file and keep their start at zero.
     denoiser.load_state_dict(trained.state_dict(), strict=False)
 
 
@@ -138,10 +140,6 @@ def _scaling(
     if configuration.goal == "none":
         return None
     found = data.train.condition_statistics(configuration.goal)  # refuses data without goals, whatever we start from
-    mean = torch.as_tensor(found.mean)
-    std = torch.as_tensor(found.std)
     if start is not None and start.part("condition"):
-        size = (configuration.condition_size,)
-        mean = start.require("condition.mean", size)
-        std = start.require("condition.std", size)
-    return ConditionScaling.of(configuration, mean, std)
+        return stored_scaling(start, configuration)
+    return ConditionScaling.of(configuration, torch.as_tensor(found.mean), torch.as_tensor(found.std))

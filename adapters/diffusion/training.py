@@ -100,6 +100,7 @@ def _squared(
 def _average(
     objective: Objective, summed: Float[torch.Tensor, " batch"], valid: Bool[torch.Tensor, "batch frames"]
 ) -> Float[torch.Tensor, ""]:
+    # Divided by 263 for joints as well, which keeps the study's ratio of the two losses.
     frames = valid.sum(dim=1)
     if objective.loss_average == "sequences":
         return (summed / (N_FEATURES * frames)).mean()
@@ -108,13 +109,14 @@ def _average(
 
 @dataclass(frozen=True)
 class Draw:
-    """Random numbers of one training step."""
+    """Random numbers of one training step of one network."""
 
     step: Int[torch.Tensor, " batch"]
     """Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise."""
     without_text: Bool[torch.Tensor, " batch"]
     """True where the text is hidden, so that guidance has an unconditional model; the condition vector never is."""
-    noise: Float[torch.Tensor, "batch frames 263"]
+    noise: Float[torch.Tensor, "batch frames columns"]
+    """Standard normal, as many columns as the network sees."""
 
 
 class DiffusionTraining(TrainingModule):
@@ -184,6 +186,7 @@ class DiffusionTraining(TrainingModule):
         t = torch.randint(len(self.signal), (n,), generator=generator)
         without_text = torch.rand(n, generator=generator) < self.objective.text_drop
         noise = torch.randn(batch.features.shape, generator=generator)
+        # Drawn last, so that the numbers above are the same with and without it.
         if self.objective.noisiest_share:
             noisiest = len(self.signal) - 1 - torch.randint(-(-len(self.signal) // 6), (n,), generator=generator)
             t = torch.where(torch.rand(n, generator=generator) < self.objective.noisiest_share, noisiest, t)

@@ -35,6 +35,7 @@ def with_absolute_root(
 ) -> Float[Tensor, "*batch frames 263"]:
     """Replace the steps of the root, columns 0 to 2, by where they lead from the origin."""
     steps = pad(features[..., :-1, : ROOT_XZ.stop].movedim(-1, 0), (1, 0))  # each frame's step from the one before
+    # The column holds half of each frame's turn, and sums of halves are half of the sum.
     half_turn = steps[0].cumsum(-1)
     cos = (2 * half_turn).cos()
     sin = (2 * half_turn).sin()
@@ -62,6 +63,7 @@ def pose_columns(joints: Float[Tensor, "batch 22 3"], half_turn: Float[Tensor, "
         half_turn: Half the turn of the heading, radians; 0 for the first frame of a motion.
     """
     pelvis = joints[:, Joint.PELVIS]
+    # Heights stay: only x and z are relative to the pelvis.
     local = joints[:, 1:] - pelvis[:, None] * pelvis.new_tensor((1.0, 0.0, 1.0))
     cos = (2 * half_turn).cos()[:, None]
     sin = (2 * half_turn).sin()[:, None]
@@ -127,6 +129,7 @@ def emphasis_projection(emphasis: float) -> Float[Tensor, "263 263"]:
 
     The numbers are rounded to half precision, in which weights may be stored.
     """
+    # Fixed for ever: weights hold what was learnt in this very projection.
     drawn = named_generator("gmd-emphasis-projection", _DRAW).standard_normal((N_FEATURES, N_FEATURES))
     drawn[:_EMPHASISED] *= emphasis
     drawn /= (N_FEATURES - _EMPHASISED + _EMPHASISED * emphasis**2) ** 0.5

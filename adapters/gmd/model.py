@@ -13,9 +13,8 @@ from prbench.training.weights import Weights, read_weights
 from prbench_adapters.diffusion.denoiser import pooled
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.features import N_ROOT, FeatureSpace
-from prbench_adapters.gmd.unet import TemporalUNet
+from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
 
 KIND = "gmd"
 

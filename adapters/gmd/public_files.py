@@ -89,6 +89,7 @@ def _require_deviations(path: Path, deviations: Float[np.ndarray, " 263"]) -> No
     if deviations[least] <= 0:
         found = f"{deviations[least]:g}"
         raise InputFileError(path, f"column {least}", expected="a positive deviation", found=found, remedy=remedy)
+    # HumanML3D's own statistics, which are those of relative features, have the same shape.
     if deviations[ROOT_XZ].max() < _LEAST_DEVIATION_OF_PLACES:
         raise InputFileError(
             path,
@@ -101,6 +102,7 @@ def _require_deviations(path: Path, deviations: Float[np.ndarray, " 263"]) -> No
 
 def _require_projection(path: Path, matrix: Float[np.ndarray, "263 263"]) -> None:
     size = float((matrix.astype(np.float64) ** 2).sum()) / N_FEATURES
+    # The repository also holds the inverse, which is as square and as large.
     if not 1 / _MOST_OFF < size < _MOST_OFF or np.linalg.matrix_rank(matrix.astype(np.float64)) < N_FEATURES:
         raise InputFileError(
             path,
@@ -208,6 +210,7 @@ def _content(path: Path) -> object:
     if not zipfile.is_zipfile(path):
         raise _no_checkpoint(path, "another format, or a truncated file")
     try:
+        # Mapped and not read: a checkpoint holds both copies of the network, of which one is taken.
         return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
     except pickle.UnpicklingError as error:
         wanted = _REFUSED.search(str(error))

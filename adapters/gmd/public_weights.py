@@ -21,7 +21,6 @@ from prbench.representation.features import N_FEATURES
 from prbench.storage import file_digest
 from prbench.text.pretrained import CLIP
 from prbench.training.weights import representation_entry, weights_header, write_weights
-from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.features import N_ROOT
 from prbench_adapters.gmd.model import KIND
 from prbench_adapters.gmd.public_files import (
@@ -32,7 +31,7 @@ from prbench_adapters.gmd.public_files import (
     read_checkpoint,
     read_space,
 )
-from prbench_adapters.gmd.unet import TemporalUNet
+from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
 
 _RENAMED = (
     (r"^time_embedding", "embed_timestep.time_embed"),
@@ -64,93 +63,6 @@ _LICENCE = (
     "that of the imported files: the original's repository is under the MIT licence (copyright Korrawe Karunratanakul"
     " and Guy Tevet); CLIP and HumanML3D, on which the networks were trained, have their own terms"
 )
-
-
-def original_name(name: str) -> str:
-    """The original's name of a parameter of :class:`prbench_adapters.gmd.unet.TemporalUNet`."""
-    for pattern, replacement in _RENAMED:
-        name = re.sub(pattern, replacement, name)
-    return name
-
-
-def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
-    """Describe the released networks: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
-
-    Raises:
-        InputFileError: if the files hold no such networks.
-    """
-    size, text_dimension = motion.require("embed_text.weight", (None, None)).shape
-    motion_widths = widths_of(motion)
-    trajectory_widths = widths_of(trajectory)
-    levels = max(len(motion_widths), len(trajectory_widths))
-    try:
-        return GMDConfiguration(
-            motion_widths=motion_widths,
-            trajectory_widths=trajectory_widths,
-            condition_width=size,
-            emphasis=emphasis,
-            text_encoder=CLIP,
-            text_dimension=text_dimension,
-            diffusion_steps=1000,
-            representation="reference",  # the original's own heading
-            padded_frames=_PADDED_FRAMES,
-            padding_step=max(_PADDING_STEP, 2 ** (levels - 1)),
-            uniform_skeleton=True,  # HumanML3D's people share one
-        )
-    except ValueError as error:
-        expected = "networks of GMD"
-        raise InputFileError(motion.path, "sizes", expected=expected, found=f"others: {error}") from error
-
-
-def widths_of(checkpoint: Checkpoint) -> tuple[int, ...]:
-    """Channels of each level, the finest first; at least one.
-
-    Raises:
-        InputFileError: if the first level is missing, as it is in other networks.
-    """
-    widths: list[int] = []
-    while not widths or _of_level(len(widths)) in checkpoint.tensors:
-        widths.append(len(checkpoint.require(_of_level(len(widths)), (None,))))
-    return tuple(widths)
-
-
-def _of_level(level: int) -> str:
-    return f"unet.downs.{level}.1.blocks.0.block1.0.bias"
-
-
-def _networks_of(motion: Checkpoint, trajectory: Checkpoint, configuration: GMDConfiguration) -> dict[str, Tensor]:
-    """The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
-
-    Raises:
-        InputFileError: naming what a checkpoint lacks, has in another shape, or has beyond them.
-    """
-    with torch.device("meta"):  # names and shapes alone
-        unets = (
-            TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
-            TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
-        )
-    found = {}
-    for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
-        found |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
-    return found
-
-
-def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tensor]:
-    """The parameters of one network by our names.
-
-    Args:
-        checkpoint: Of the original.
-        unet: Of the sizes that it should have.
-
-    Raises:
-        InputFileError: as :func:`_networks_of`.
-    """
-    wanted = {original_name(name): (name, tuple(tensor.shape)) for name, tensor in unet.state_dict().items()}
-    found = {name: checkpoint.require(original, shape) for original, (name, shape) in wanted.items()}
-    unknown = sorted(set(checkpoint.tensors) - set(wanted))
-    if unknown:
-        raise checkpoint.misfit(unknown[0], "only parameters of the network", "one more")
-    return found
 
 
 @dataclass(frozen=True)
@@ -203,10 +115,100 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
     copies = {"motion": motion.copy, "trajectory": trajectory.copy}
+    # After everything was checked: a wrong file leaves no weights behind.
     write_weights(out, tensors, metadata, _card(files, configuration, copies, networks))
     others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
     parameters = sum(tensor.numel() for tensor in networks.values())
     return Imported(configuration, copies, parameters, others)
+
+
+def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
+    """Describe the released networks: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
+
+    Raises:
+        InputFileError: if the files hold no such networks.
+    """
+    size, text_dimension = motion.require("embed_text.weight", (None, None)).shape
+    motion_widths = widths_of(motion)
+    trajectory_widths = widths_of(trajectory)
+    levels = max(len(motion_widths), len(trajectory_widths))
+    try:
+        return GMDConfiguration(
+            motion_widths=motion_widths,
+            trajectory_widths=trajectory_widths,
+            condition_width=size,
+            emphasis=emphasis,
+            text_encoder=CLIP,
+            text_dimension=text_dimension,
+            diffusion_steps=1000,
+            representation="reference",  # the original's own heading
+            padded_frames=_PADDED_FRAMES,
+            padding_step=max(_PADDING_STEP, 2 ** (levels - 1)),
+            uniform_skeleton=True,  # HumanML3D's people share one
+        )
+    except ValueError as error:
+        expected = "networks of GMD"
+        raise InputFileError(motion.path, "sizes", expected=expected, found=f"others: {error}") from error
+
+
+def widths_of(checkpoint: Checkpoint) -> tuple[int, ...]:
+    """Channels of each level, the finest first; at least one.
+
+    Raises:
+        InputFileError: if the first level is missing, as it is in other networks.
+    """
+    widths: list[int] = []
+    # The first level is required, so that a file of something else fails with its name.
+    while not widths or _of_level(len(widths)) in checkpoint.tensors:
+        widths.append(len(checkpoint.require(_of_level(len(widths)), (None,))))
+    return tuple(widths)
+
+
+def _of_level(level: int) -> str:
+    return f"unet.downs.{level}.1.blocks.0.block1.0.bias"
+
+
+def _networks_of(motion: Checkpoint, trajectory: Checkpoint, configuration: GMDConfiguration) -> dict[str, Tensor]:
+    """The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
+
+    Raises:
+        InputFileError: naming what a checkpoint lacks, has in another shape, or has beyond them.
+    """
+    with torch.device("meta"):  # names and shapes alone
+        unets = (
+            TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
+            TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
+        )
+    found = {}
+    for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
+        found |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
+    return found
+
+
+def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tensor]:
+    """The parameters of one network by our names.
+
+    Args:
+        checkpoint: Of the original.
+        unet: Of the sizes that it should have.
+
+    Raises:
+        InputFileError: as :func:`_networks_of`.
+    """
+    wanted = {original_name(name): (name, tuple(tensor.shape)) for name, tensor in unet.state_dict().items()}
+    found = {name: checkpoint.require(original, shape) for original, (name, shape) in wanted.items()}
+    # A tensor too many means another architecture, even where all of ours are there.
+    unknown = sorted(set(checkpoint.tensors) - set(wanted))
+    if unknown:
+        raise checkpoint.misfit(unknown[0], "only parameters of the network", "one more")
+    return found
+
+
+def original_name(name: str) -> str:
+    """The original's name of a parameter of :class:`prbench_adapters.gmd.unet.TemporalUNet`."""
+    for pattern, replacement in _RENAMED:
+        name = re.sub(pattern, replacement, name)
+    return name
 
 
 def _card(

@@ -64,6 +64,7 @@ class RootGoal:
         frames = self.wanted.shape[1]
         frame = torch.arange(frames, device=self.wanted.device).expand_as(self.wanted)
         anchored = self.wanted | (frame == 0)
+        # For each frame the last anchor before it and the next wanted frame after it, without a loop over keyframes.
         before = torch.where(anchored, frame, 0).cummax(dim=1).values
         after = torch.where(self.wanted, frame, frames).flip(1).cummin(dim=1).values.flip(1)
         reached = after.clamp_max(frames - 1)
@@ -117,6 +118,7 @@ def guided_mean(
     if loss is None:
         with torch.no_grad():
             return of_clean * clean_estimate(state, index) + of_noisy * state
+    # Sampling itself runs without gradients; here the goal needs one, through the network.
     with torch.enable_grad():
         leaf = state.detach().requires_grad_()
         clean = clean_estimate(leaf, index)
@@ -135,6 +137,7 @@ def imputed_by_noising(
 ) -> Float[Tensor, "batch frames columns"]:
     """Overwrite x_{t-1} by the values, noised to its level: for a network that estimates the noise."""
     level = float(chain.alphas_cumprod_previous[i])
+    # Values are clean, the state is noisy: they are noised to the state's level before they enter it.
     return torch.where(imputed.where, math.sqrt(level) * imputed.values + math.sqrt(1 - level) * noise, state)
 
 
@@ -184,6 +187,7 @@ class Ends:
         where = imputed.where.clone()
         row = torch.arange(len(self.first), device=self.first.device)
         for pose, half_turn, frame in (
+            # The first pose comes last and wins, should a motion have a single frame.
             (self.last, half_turn_of(self.last), self.n_frames - 1),
             (self.first, unturned, torch.zeros_like(self.n_frames)),
         ):

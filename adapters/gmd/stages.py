@@ -127,8 +127,11 @@ def sample_trajectory(
             _root_loss(keyframes, settings, space.restored) if index >= guided_from else None,
             settings.goal_scale,
         )
+        # No noise is drawn for the last step; the order of draws is part of the result.
         state = noised(chain, i, mean, noise.draw(N_ROOT)) if i else mean
         if index >= imputed_from:
+            # Early on the whole straight line is imputed, which leads the trajectory; later its keyframes alone, so
+            # that it may bend.
             imputed = on_line if index >= line_from else at_keyframes
             state = imputed_by_noising(chain, i, state, imputed, noise.draw(N_ROOT))
     return space.restored(state)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import nn
 
 from prbench.contract import Adapter
@@ -20,12 +19,12 @@ from prbench.training.task import TrainingData, TrainingModule, split_model_tabl
 from prbench.training.weights import origin_of, read_weights, representation_entry, weights_header
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.diffusion.training import Draw
 from prbench_adapters.gmd.adapter import GMD
-from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, emphasis_projection, with_absolute_root
 from prbench_adapters.gmd.model import KIND, GMDModel, GMDNetworks, caption_vectors, stored_space
 from prbench_adapters.gmd.stages import GMDSettings
-from prbench_adapters.gmd.unet import TemporalUNet
+from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
 
 FREE_TO_CHANGE = frozenset({"max_frames", "uniform_skeleton"})
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
@@ -36,15 +35,6 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     text_drop: float = 0.1
     """Share of sequences whose text is hidden, so that guidance has an unconditional model."""
-
-
-@dataclass(frozen=True)
-class Draw:
-    """Random numbers of one training step of one network."""
-
-    step: Int[torch.Tensor, " batch"]
-    without_text: Bool[torch.Tensor, " batch"]
-    noise: Float[torch.Tensor, "batch frames columns"]
 
 
 class GMDTraining(TrainingModule):
@@ -86,10 +76,12 @@ class GMDTraining(TrainingModule):
         with torch.autocast(batch.features.device.type, enabled=False):
             space = self.space(batch.features.device)
             raw = with_absolute_root(batch.features)
+            # Before the projection, which mixes columns and would spread what stands in padding.
             standardised = space.standardised(raw).masked_fill(batch.padding[..., None], 0.0)
             projected = space.projected(standardised)
         text = caption_vectors(self.texts, batch.text).to(batch.features.device, non_blocking=True)
         generator = self.generator(step)
+        # Two draws: the networks learn from different steps and noise, as if they were trained apart.
         motion = self.draw(projected, generator)
         trajectory = self.draw(standardised[..., :N_ROOT], generator)
         clean = self._predicted(self.networks.motion, projected, motion, text, batch)

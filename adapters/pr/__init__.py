@@ -63,6 +63,7 @@ class PR:
     def __init__(self, models: Mapping[Condition, TrainedFor], generation: Generation) -> None:
         self.models, self.generation = dict(models), generation
         configurations = [trained.model.configuration for trained in self.models.values()]
+        # One limit for the method: the harness asks for it before it knows the condition.
         self.max_frames = min(configuration.max_frames for configuration in configurations)
         self.native_fps = configurations[0].fps
 
@@ -134,6 +135,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         trained = _load(resolve(weights, ""), device, text_path, tuple(GOALS))
         goal = trained.model.configuration.goal
         models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
+    # Options hold for both models, so they have to be possible for both.
     fewest = min(trained.model.configuration.diffusion_steps for trained in models.values())
     return PR(models, _generation(options, diffusion_steps=fewest))
 
@@ -187,6 +189,7 @@ def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generati
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         return Generation(sampling, None, own_bones=choice(options, "bones", _BONES) == "initial")
+    # ddpm is also the default of plain sampling, so only a user's own word is refused.
     if sampling.sampler == "ddpm" and "sampler" in options:
         raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
     if "steps" in options and "ddim-steps" in options:

@@ -17,10 +17,11 @@ from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
+from prbench.metrics import METRICS
+
 _Pretraining = Literal["none", "nymeria", "humanml3d"]
 
 _ONLY_IN_FINE_TUNING = frozenset({"goal", "dropped", "injection", "joint_loss_weight"})
-_RATES = ("prime_success", "reach_success", "location_error")
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Ablation:
     @property
     def pretrained_model(self) -> dict[str, Any]:
         """Keys of ``[model]`` that pre-training shares, because fine-tuning cannot change them."""
+        # Rows that differ only in fine-tuning share one pre-training, which is most of the time.
         shared = {key: value for key, value in self.model.items() if key not in _ONLY_IN_FINE_TUNING}
         return shared | ({"uniform_skeleton": True} if self.pretraining == "humanml3d" else {})
 
@@ -95,7 +97,7 @@ def _published() -> dict[tuple[str, str, str], dict[str, dict[str, float]]]:
     found: dict[tuple[str, str, str], dict[str, dict[str, float]]] = {}
     lines = _read("prbench_benchmarks.prime_and_reach.published", "ablations.csv").splitlines()
     for row in csv.DictReader(lines):
-        numbers = {key: float(row[key]) / (100.0 if key in _RATES else 1.0) for key in (*_RATES, "mpjpe")}
+        numbers = {info.id: float(row[info.id]) / info.scale for info in METRICS if info.id in row}
         found.setdefault((row["table"], row["condition"], row["variant"]), {})[row["dataset"]] = numbers
     return found
 
@@ -126,6 +128,7 @@ def _toml(value: Any) -> str:
 
 
 def _line(words: Sequence[str]) -> str:
+    # The shell has to expand this one, so it stands without quotes.
     return " ".join(word if word == "tables/*" else shlex.quote(word) for word in words)
 
 

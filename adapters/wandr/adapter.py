@@ -46,6 +46,22 @@ class Generation:
     """Standard deviation of the latent of every step."""
 
 
+@dataclass(frozen=True)
+class Start:
+    """Start of B sequences, before the first step. World with Z up, metres; one precision throughout."""
+
+    state: BodyState
+    """The first frame."""
+    delta: Float[torch.Tensor, "batch 135"]
+    """The change that led to it."""
+    offsets: Float[torch.Tensor, "batch 22 3"]
+    """The skeletons at rest."""
+    goal: Float[torch.Tensor, "batch 3"]
+    """Place of the right wrist in the last frame."""
+    n_frames: Int[torch.Tensor, " batch"]
+    """Frames of each sequence, the first among them."""
+
+
 class WANDR:
     """Moves a body frame by frame, so that its wrist is at the goal in the last one.
 
@@ -79,6 +95,7 @@ class WANDR:
         start, noise = self._start(_mirrored_where(left, batch))
         joints = WORLD.to_y_up(roll_out(self.network, start, noise)).float().cpu().numpy()
         joints[left] = mirror(joints[left])
+        # Fitting rotations and mirroring round; the first frame is given, to the bit.
         joints[:, 0] = batch.initial_joints
         return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
 
@@ -104,15 +121,20 @@ class WANDR:
             for points in (batch.initial_joints, batch.previous_joints, batch.goal_location)
         )
         state = BodyState.fitted(initial)
-        noise = self._noise(batch)
+        first_noise, latents = self._noise(batch)
         delta = BodyState.fitted(previous).delta_to(state)
         if self.generation.first_change == "random":
-            delta = self.network.delta.undone(noise.first)
+            delta = self.network.delta.undone(first_noise)
         n_frames = torch.as_tensor(batch.n_frames, device=goal.device)
-        return Start(state, delta, rest_offsets(initial), goal, n_frames), noise.latents
+        return Start(state, delta, rest_offsets(initial), goal, n_frames), latents
 
-    def _noise(self, batch: ConditionBatch) -> _Noise:
-        """Draw the noise of each row from its own seed; its length and the other rows leave no trace in it."""
+    def _noise(
+        self, batch: ConditionBatch
+    ) -> tuple[Float[torch.Tensor, "batch 135"], Float[torch.Tensor, "batch steps latent"]]:
+        """Draw the noise of the first change and of all latents, each row from its own seed.
+
+        A row's length and the other rows leave no trace in it.
+        """
         size = self.network.configuration.latent
         steps = int(batch.n_frames.max()) - 1
         first = np.zeros((len(batch), len(self.network.delta.mean)))
@@ -120,12 +142,24 @@ class WANDR:
         for row, (seed, n) in enumerate(zip(batch.noise_seed, batch.n_frames, strict=True)):
             generator = sequence_generator(seed)
             first[row] = generator.standard_normal(first.shape[1])
+            # As many as the row needs: the noise of one sequence must not depend on the longest of its batch.
             latents[row, : n - 1] = generator.standard_normal((n - 1, size))
-        return _Noise(self._tensor(first), self.generation.deviation * self._tensor(latents))
+        return self._tensor(first), self.generation.deviation * self._tensor(latents)
 
     def _tensor(self, values: np.ndarray | None) -> torch.Tensor:
         mean = self.network.delta.mean
         return torch.as_tensor(values, dtype=mean.dtype, device=mean.device)
+
+
+def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
+    """The batch with the rows of left hands as a mirror shows them."""
+    assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
+    assert batch.goal_location is not None
+    initial = batch.initial_joints.copy()
+    previous = batch.previous_joints.copy()
+    goal = batch.goal_location.copy()
+    initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
+    return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WANDR:
@@ -152,39 +186,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     )
     path = own_weights(WANDR.name, weights)
     return WANDR(load_network(path, device), path, generation)
-
-
-@dataclass(frozen=True)
-class _Noise:
-    first: Float[torch.Tensor, "batch 135"]
-    latents: Float[torch.Tensor, "batch steps latent"]
-
-
-def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
-    """The batch with the rows of left hands as a mirror shows them."""
-    assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
-    assert batch.goal_location is not None
-    initial = batch.initial_joints.copy()
-    previous = batch.previous_joints.copy()
-    goal = batch.goal_location.copy()
-    initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
-    return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
-
-
-@dataclass(frozen=True)
-class Start:
-    """Start of B sequences, before the first step. World with Z up, metres; one precision throughout."""
-
-    state: BodyState
-    """The first frame."""
-    delta: Float[torch.Tensor, "batch 135"]
-    """The change that led to it."""
-    offsets: Float[torch.Tensor, "batch 22 3"]
-    """The skeletons at rest."""
-    goal: Float[torch.Tensor, "batch 3"]
-    """Place of the right wrist in the last frame."""
-    n_frames: Int[torch.Tensor, " batch"]
-    """Frames of each sequence, the first among them."""
 
 
 @torch.no_grad()

@@ -112,6 +112,7 @@ class WandrNetwork(nn.Module):
 
 def hidden_widths(inputs: int, outputs: int, layers: int, widest: int) -> list[int]:
     """Widths between input and output: on the straight line between both, rounded up to powers of two."""
+    # As the original sizes its layers (docs/specification/wandr.md#network).
     line = [inputs + (outputs - inputs) * place / layers for place in range(1, layers)]
     return [min(widest, 1 << (math.ceil(width) - 1).bit_length()) for width in line]
 

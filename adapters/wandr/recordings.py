@@ -112,6 +112,7 @@ def goal_frames(recordings: Recordings, places: Places, generator: torch.Generat
     frames = torch.arange(pelvis.shape[1], device=pelvis.device)
     far = (pelvis[places.row] - pelvis[places.index][:, None]).norm(dim=-1) >= _FAR
     possible = far & (frames > places.frame[:, None]) & (frames <= last[:, None])
+    # The largest of uniform numbers is uniform among the possible frames; the others get -1 and are never chosen.
     drawn = torch.rand(possible.shape, generator=generator).to(pelvis.device).masked_fill(~possible, -1.0).argmax(1)
     pseudo = torch.where(possible.any(dim=1), drawn, places.frame)
     return torch.where(recordings.has_goal[places.row], last, pseudo)
@@ -121,6 +122,7 @@ def _resampled(batch: MotionBatch, fps: float) -> tuple[torch.Tensor, torch.Tens
     """Joints at another rate, on a grid that ends on the last frame and begins before the first; and lengths."""
     whole = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
     last = batch.n_frames  # the number of the last frame in ``whole``
+    # The grid ends on the last frame, because that one reaches the goal; what is left over is cut off in front.
     n_frames = torch.floor(last * (fps / batch.fps) + _ROUNDING).long() + 1
     frames = torch.arange(int(n_frames.max()), device=whole.device)
     place = last[:, None] - (n_frames[:, None] - 1 - frames) * (batch.fps / fps)

@@ -99,6 +99,7 @@ def yaw_rotation(root: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor,
     """
     left = root[..., :2, 0].detach()
     front = root[..., :2, 2].detach()
+    # A left axis that points up or down has no direction on the floor.
     lying = left.norm(dim=-1, keepdim=True) < _LYING
     across = torch.where(lying, torch.stack((-front[..., 1], front[..., 0]), -1), left)
     zero = torch.zeros_like(across[..., :1])
@@ -137,9 +138,11 @@ def intentions(
         to_goal = (goal - pelvis) * goal.new_tensor((1.0, 1.0, 0.0))
         above = to_goal.norm(dim=-1, keepdim=True) < _ABOVE
         goal_heading = torch.where(above, heading, unit(to_goal))
+    # The velocity that would bring the wrist to the goal just in time.
     velocity = _turned(yaw, goal - wrist) / (frames_left / fps + _SECONDS)
     approach = _turned(yaw, goal - pelvis)
     distance = approach.norm(dim=-1, keepdim=True)
+    # Saturates with the distance: a goal ten metres away asks for no faster walk than one four metres away.
     approach = _PELVIS_MOST * (1 - torch.exp(-distance)) * unit(approach) * goal.new_tensor((1.0, 1.0, 0.0))
     return torch.cat((velocity, approach, _turned(yaw, goal_heading - heading)), -1)
 

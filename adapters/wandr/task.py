@@ -97,6 +97,7 @@ def _take_statistics(network: WandrNetwork, data: TrainingData) -> None:
 def _batches(data: TrainingData) -> Iterator[MotionBatch]:
     train = data.train
     chosen = range(0, len(train), -(-len(train) // _MOST_MOTIONS))
+    # Similar lengths together, so that little is computed for padding.
     order = sorted(chosen, key=lambda place: int(train.lengths[place]))
     for first in range(0, len(order), _TOGETHER):
         yield collate([train[place] for place in order[first : first + _TOGETHER]])
@@ -116,5 +117,6 @@ def _continued(configuration: WandrConfiguration, start: Weights) -> WandrNetwor
     """
     start.require_same(configuration, apart_from=FREE_TO_CHANGE)
     network = WandrNetwork(configuration)
+    # Through a network of the file's own configuration, which checks every shape.
     network.load_state_dict(network_of(start).state_dict())
     return network

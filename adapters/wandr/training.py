@@ -106,6 +106,7 @@ class WandrTraining(TrainingModule):
 
     def chunk_length(self, step: int, generator: torch.Generator) -> int:
         """Frames that the network runs on its own output in a step: from 0 to a number that grows; 0 in validation."""
+        # Chunks grow with the training: an untrained network would stray within a few frames.
         longest = min(self.objective.longest_chunk, max(step, 0) // self.objective.steps_per_chunk_frame)
         return int(torch.randint(longest + 1, (), generator=generator))
 
@@ -147,6 +148,7 @@ class WandrTraining(TrainingModule):
         positions = []
         for step in range(length):
             here = places.later(step)
+            # From the network's own state, so that it learns to come back from where it strayed.
             condition = self._condition(recordings, here, goals, state, delta=delta, joints=joints)
             wanted = self.network.delta(state.delta_to(recorded[:, step]))
             decoded = self._own_change(wanted, condition, generator)

@@ -113,7 +113,7 @@ def _checker(arguments: argparse.Namespace) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
     from prbench.submitted.verification import RunChecker
-    from prbench.workflows.tables_of_runs import table_finder
+    from prbench.workflows.first_run import table_finder
 
     return RunChecker(table_finder(arguments.data), engine_for(arguments.workers))
 

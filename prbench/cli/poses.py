@@ -91,7 +91,7 @@ def _make(states: tuple[PoseState, ...], arguments: argparse.Namespace) -> int:
 
 
 def _prepare(lacking: list[PoseState], arguments: argparse.Namespace) -> int:
-    from prbench.workflows.poses.prepare_by_hand import prepare_by_hand
+    from prbench.workflows.poses.make import prepare_by_hand
 
     failed = 0
     for name, text, well in prepare_by_hand(lacking, arguments.root, arguments.poses_root):

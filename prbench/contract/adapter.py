@@ -18,6 +18,8 @@ from jaxtyping import Float, Int, Shaped
 from prbench.contract.conditions import Condition, ConditionBatch
 from prbench.sequences.table import SequenceTable
 
+ENTRY_POINT_GROUP = "prbench.adapters"
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -51,9 +53,6 @@ class TrainingRun:
     """Folder for checkpoints and logs; kept per table identity, so that a fit is done once."""
     seed: int
     device: str
-
-
-ENTRY_POINT_GROUP = "prbench.adapters"
 
 
 @runtime_checkable

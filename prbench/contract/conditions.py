@@ -8,6 +8,8 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, Int
 
+_INITIAL_STATE = frozenset({"initial_joints", "previous_joints"})
+
 
 class Condition(StrEnum):
     """The four conditions of the protocol (*Prime and Reach*, table 2)."""
@@ -17,8 +19,6 @@ class Condition(StrEnum):
     GOAL_POSE = "goal-pose"
     GOAL_LOCATION = "goal-loc"
 
-
-_INITIAL_STATE = frozenset({"initial_joints", "previous_joints"})
 
 GIVEN: dict[Condition, frozenset[str]] = {
     Condition.NONE: frozenset(),

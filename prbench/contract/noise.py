@@ -32,6 +32,7 @@ def sequence_noise(noise_seed: int) -> Iterator[None]:
     with ExitStack() as stack:
         if torch is not None:
             devices = range(torch.cuda.device_count()) if torch.cuda.is_available() else ()
+            # fork_rng puts the states back, so that a method leaves no trace in the generators of others.
             stack.enter_context(torch.random.fork_rng(devices=list(devices)))
             torch.manual_seed(noise_seed)
         random.seed(noise_seed)
@@ -72,6 +73,7 @@ def batch_noise(noise_seeds: Sequence[int]) -> Iterator[None]:
                 f"expected a draw for the {len(generators)} sequences of the batch, one a row, found one of the shape"
                 f" {tuple(shape)}. Call the sampler for one sequence at a time, in sequence_noise(noise_seed)."
             )
+        # On the CPU whatever the device is: generators of a GPU draw other numbers from the same seed.
         rows = [randn(tuple(shape[1:]), generator=generator, dtype=dtype) for generator in generators]
         drawn = torch.stack(rows).to(device if device is not None else torch.empty(0).device)
         return drawn.requires_grad_() if settings.get("requires_grad") else drawn

@@ -12,17 +12,17 @@ from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.curation.job import CurationJob, read_batches
+from prbench.curation.job import CurationJob
 from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.curation.provenance import describe
-from prbench.curation.sources import NativeSource, RecordingSource, native_sources
+from prbench.curation.sources import RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, StorageError, TableError
 from prbench.locks import sole_writer
 from prbench.manifests import BuildEstimate, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.parts import work_folder, working_in_parts
+from prbench.sequences.parts import read_batches, work_folder, working_in_parts
 from prbench.sequences.sequence import RecordingRecord
 from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
@@ -80,9 +80,7 @@ def build_dataset(
         RecordingsWouldBeLost: if the dataset that stands there holds more, and the options do not say to replace it;
             finished parts are kept.
     """
-    root = Path(root)
-    out = Path(out)
-    sources: tuple[NativeSource, ...] = native_sources(dataset, root, options)
+    sources = native_sources(dataset, root, options)
     return build_from_sources(sources, out, options=options, engine=engine, progress=progress)
 
 
@@ -105,9 +103,9 @@ def build_from_sources(
         progress: See :func:`build_dataset`.
         extra_options: Further entries for the options in ``dataset.json``.
     """
-    out = Path(out)
-    out = out.expanduser().absolute()
+    out = Path(out).expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="dataset")
+    # With the slash, because sequence ids go on with one: the table comes out sorted by id.
     sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
     _require_distinct(sources)
     dataset = sources[0].dataset
@@ -123,12 +121,13 @@ def build_from_sources(
             if progress is not None:
                 progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
         info = describe(dataset, manifest, protocol, options, receipts, extra_options or {})
+        folders = [receipt.folder for receipt in receipts]
         info = write_dataset(
             out,
             info,
-            sequences=read_batches(receipts, "sequences"),
-            events=read_batches(receipts, "events"),
-            recordings=read_batches(receipts, "recordings"),
+            sequences=read_batches(folders, "sequences"),
+            events=read_batches(folders, "events"),
+            recordings=read_batches(folders, "recordings"),
             replace=options.replace,
             incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
         )

@@ -103,6 +103,7 @@ def _relative_speed(
     """Speed of a wrist seen from the pelvis, m/s, smoothed."""
     relative = joints[:, wrist] - joints[:, Joint.PELVIS]
     speed = np.linalg.norm(np.gradient(relative, times, axis=0), axis=1)
+    # An odd width keeps the smoothed speed centred on its frame.
     width = max(round(_SMOOTHING / float(np.median(np.diff(times)))), 1) | 1
     padded = np.pad(speed, width // 2, mode="edge")
     return np.convolve(padded, np.full(width, 1 / width), mode="valid")

@@ -62,6 +62,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     joints = _joints_at(recording.body, times)
     if not _has_heading(joints[0]):
         return Decision("no_body", "body")
+    # One frame beyond either end: the initial velocity and the last feature row need them.
     around = np.array([grid.start_time - step, event_time + step])
     recorded = covered(recording.body.times, recording.body.valid, around, max_gap=max_gap)
     neighbours = _joints_at(recording.body, around)

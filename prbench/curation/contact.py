@@ -58,6 +58,7 @@ def held_segments(
     pieces = runs(held)
     pieces = _joined(pieces, times[pieces[1:, 0]] - times[pieces[:-1, 1] - 1] <= join_gap + _SLACK)
     pieces = pieces[times[pieces[:, 1] - 1] - times[pieces[:, 0]] >= minimum_duration - _SLACK]
+    # Counts of samples that end a holding; equal counts on both sides of a gap mean none in it.
     left_before = np.concatenate(([0], np.cumsum(~staying)))
     return _joined(pieces, left_before[pieces[1:, 0]] == left_before[pieces[:-1, 1]])
 
@@ -177,6 +178,7 @@ def _nearest(
     local = np.einsum("nij,nkj->nki", object_from_world, offset)
     distance = np.linalg.norm(np.maximum(np.maximum(track.box_min - local, local - track.box_max), 0.0), axis=-1)
     if surface is not None:
+        # The box holds the surface, so a point outside its reach needs no look at triangles.
         near = distance < rule.distance
         distance[near] = surface.distance(local[near])
     return distance.min(axis=1)

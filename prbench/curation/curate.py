@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,14 +14,16 @@ from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
 from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
-from prbench.curation.split import split_of
 from prbench.errors import RecordingUnusable
-from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest
+from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
+from prbench.randomness import hash_fraction
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
 from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
 from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+
+Split = Literal["train", "validation", "test"]
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,34 @@ def curate_recording(
     )
 
 
+def split_of(recording_id: str, split_group: str, manifest: Manifest, rule: SplitRule) -> Split:
+    """The manifest's lists where they name the recording or its group, else the hash of the group.
+
+    Its own name decides, so a partial copy of a dataset never moves a recording to another split
+    (docs/specification/curation.md#splits).
+
+    Args:
+        recording_id: The recording.
+        split_group: Shared by recordings that must not be separated (concurrent twins: the smaller id).
+        manifest: The dataset's manifest, for its lists and its name.
+        rule: Shares of the hash range.
+    """
+    listed: dict[Split, tuple[str, ...]] = {
+        "test": manifest.test_recordings,
+        "validation": manifest.validation_recordings,
+        "train": manifest.train_recordings,
+    }
+    # A recording may be listed itself or through its concurrent twin.
+    for name in (recording_id, split_group):
+        for split, recordings in listed.items():
+            if name in recordings:
+                return split
+    fraction = hash_fraction(manifest.name, split_group)
+    if fraction >= rule.test_from:
+        return "test"
+    return "validation" if fraction < rule.validation_below else "train"
+
+
 def _follow(
     recording: Recording,
     event: PickPutEvent,
@@ -134,16 +165,6 @@ def _sequence(
     """One row of the table: the clip in its canonical frame."""
     grid = piece.grid
     preroll = prime.time - grid.start_time
-    world_from_canonical = canonical_frame(piece.joints)
-    canonical_from_world = invert_rigid(world_from_canonical)
-    turned = Rotation.from_matrix(canonical_from_world[:3, :3])
-    head_position = piece.head_position
-    head_rotation = piece.head_rotation
-    if head_position is not None and head_rotation is not None:
-        head_position = transform_points(canonical_from_world, head_position)
-        head_rotation = (turned * Rotation.from_quat(head_rotation, scalar_first=True)).as_quat(
-            canonical=True, scalar_first=True
-        )
     return Sequence(
         sequence_id=sequence_id(event.event_id, recording.pose_source),
         dataset=recording.dataset,
@@ -166,26 +187,43 @@ def _sequence(
         preroll=preroll,
         prime_kind=prime.kind,
         prime_time_uncertainty=prime.uncertainty,
-        goal_location=transform_points(canonical_from_world, place.location),
         goal_box_world_min=place.box_min,
         goal_box_world_max=place.box_max,
         body_movement=body_movement(piece.joints),
         hand_movement=hand_movement(piece.joints, _reaching_wrist(event, place, piece)),
         pose_source=recording.pose_source,
         head_tilt_deg=recording.head_tilt_deg,
-        joints=transform_points(canonical_from_world, piece.joints),
-        previous_joints=transform_points(canonical_from_world, piece.previous_joints),
         previous_source=piece.previous_source,
-        next_joints=transform_points(canonical_from_world, piece.next_joints),
         next_source=piece.next_source,
-        head_position=head_position,
-        head_rotation=head_rotation,
-        gaze_origin=transform_points(canonical_from_world, piece.gaze_origin),
-        gaze_direction=turned.apply(piece.gaze_direction),
         gaze_valid=piece.gaze_valid,
-        world_from_canonical=world_from_canonical,
         extra=_extra(event, prime),
+        **_in_canonical_frame(piece, place),
     )
+
+
+def _in_canonical_frame(piece: Clip, place: Place) -> dict[str, Any]:
+    """The columns that change with the frame, by name: the canonical one is that of the clip's first frame."""
+    world_from_canonical = canonical_frame(piece.joints)
+    canonical_from_world = invert_rigid(world_from_canonical)
+    turn = Rotation.from_matrix(canonical_from_world[:3, :3])
+    head_position = piece.head_position
+    head_rotation = piece.head_rotation
+    if head_position is not None and head_rotation is not None:
+        head_position = transform_points(canonical_from_world, head_position)
+        turned = turn * Rotation.from_quat(head_rotation, scalar_first=True)
+        # A quaternion and its negative are the same rotation; the canonical one keeps the bytes of tables equal.
+        head_rotation = turned.as_quat(canonical=True, scalar_first=True)
+    return {
+        "world_from_canonical": world_from_canonical,
+        "goal_location": transform_points(canonical_from_world, place.location),
+        "joints": transform_points(canonical_from_world, piece.joints),
+        "previous_joints": transform_points(canonical_from_world, piece.previous_joints),
+        "next_joints": transform_points(canonical_from_world, piece.next_joints),
+        "head_position": head_position,
+        "head_rotation": head_rotation,
+        "gaze_origin": transform_points(canonical_from_world, piece.gaze_origin),
+        "gaze_direction": turn.apply(piece.gaze_direction),  # a direction turns, but does not move
+    }
 
 
 def _extra(event: PickPutEvent, prime: Prime) -> dict[str, str]:

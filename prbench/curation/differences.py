@@ -23,9 +23,7 @@ from prbench.sequences.schema import KEY_VALUES, OUTCOMES, SEQUENCES
 
 Row = Mapping[str, Any]
 """Values by column; in place of per-frame values and poses their digest."""
-
 _WITHIN = 1e-5
-_DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
 _LARGEST_SHIFT = 1.0
 """Seconds between two events that may be the same one."""
 Kind = Literal["gained", "lost", "appeared", "vanished", "moved", "outcome", "values"]
@@ -43,49 +41,7 @@ _SAME_TIME = 1e-6  # s, m
 _SAME_PLACE = 1e-5
 Event = dict[str, Any]
 """One row of ``events``."""
-
-
-def _sequence_rows(table: SequenceTable) -> dict[str, Row]:
-    """Every column of every sequence, by ``sequence_id``."""
-    found: dict[str, Row] = {}
-    short = [name for name in SEQUENCES.names if name not in _DIGESTED]
-    for chunk in table.chunks():
-        rows = chunk.batch.select(short).to_pylist()
-        for index, row in enumerate(rows):
-            digests = {name: _digest(chunk.batch.column(name).slice(index, 1)) for name in _DIGESTED}
-            found[row["sequence_id"]] = row | digests
-    return found
-
-
-def _differing_columns(one: Row, other: Row, *, besides: Collection[str] = ()) -> list[str]:
-    """Names of the columns whose values differ, in the order of the first row.
-
-    Args:
-        one: A row.
-        other: One of the same columns.
-        besides: Columns that are not compared.
-    """
-    return [name for name in one if name not in besides and not _same(one[name], other[name])]
-
-
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, float) and isinstance(other, float):
-        return abs(one - other) <= _WITHIN or one == other or (math.isnan(one) and math.isnan(other))
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(_same(*pair) for pair in zip(one, other, strict=True))
-    return one == other
-
-
-def _digest(column: pa.Array) -> bytes:
-    """Digest of one row's numbers, rounded to 10 µm."""
-    if column.null_count:
-        return b""
-    while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-        column = column.flatten()
-    values = column.to_numpy(zero_copy_only=False)
-    if values.dtype != bool:
-        values = np.rint(values.astype(np.float64) / _WITHIN).astype(np.int64)
-    return hashlib.sha256(values.tobytes()).digest()
+_DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
 
 
 @dataclass(frozen=True)
@@ -174,6 +130,30 @@ def _pairs(before: list[Event], after: list[Event]) -> Iterator[tuple[Event | No
         yield from _pair_group(*groups[key])
 
 
+def _sequence_rows(table: SequenceTable) -> dict[str, Row]:
+    """Every column of every sequence, by ``sequence_id``."""
+    found: dict[str, Row] = {}
+    short = [name for name in SEQUENCES.names if name not in _DIGESTED]
+    for chunk in table.chunks():
+        rows = chunk.batch.select(short).to_pylist()
+        for index, row in enumerate(rows):
+            digests = {name: _digest(chunk.batch.column(name).slice(index, 1)) for name in _DIGESTED}
+            found[row["sequence_id"]] = row | digests
+    return found
+
+
+def _digest(column: pa.Array) -> bytes:
+    """Digest of one row's numbers, rounded to 10 µm."""
+    if column.null_count:
+        return b""
+    while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+        column = column.flatten()
+    values = column.to_numpy(zero_copy_only=False)
+    if values.dtype != bool:
+        values = np.rint(values.astype(np.float64) / _WITHIN).astype(np.int64)
+    return hashlib.sha256(values.tobytes()).digest()
+
+
 def _pair_group(ours: list[Event], theirs: list[Event]) -> Iterator[tuple[Event | None, Event | None]]:
     gaps = np.abs(np.subtract.outer([e["event_time"] for e in ours], [e["event_time"] for e in theirs]))
     rows, columns = np.nonzero(gaps.reshape(len(ours), len(theirs)) <= _LARGEST_SHIFT)
@@ -214,6 +194,25 @@ def _change(
     if was:
         columns += _differing_of_sequence(sequences[0].get(one["sequence_id"]), sequences[1].get(other["sequence_id"]))
     return _described("values", one, other, ", ".join(dict.fromkeys(columns))) if columns else None
+
+
+def _differing_columns(one: Row, other: Row, *, besides: Collection[str] = ()) -> list[str]:
+    """Names of the columns whose values differ, in the order of the first row.
+
+    Args:
+        one: A row.
+        other: One of the same columns.
+        besides: Columns that are not compared.
+    """
+    return [name for name in one if name not in besides and not _same(one[name], other[name])]
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return abs(one - other) <= _WITHIN or one == other or (math.isnan(one) and math.isnan(other))
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(_same(*pair) for pair in zip(one, other, strict=True))
+    return one == other
 
 
 def _differing_of_sequence(one: Row | None, other: Row | None) -> list[str]:

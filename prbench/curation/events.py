@@ -126,6 +126,7 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
     hand, distance = nearest_hand(wearer, holding.track, rule, rest.time, rest)
     _, other_distance = nearest_hand(others, holding.track, rule, rest.time, rest)
     rejected = None
+    # An unmeasured hand counts as just touching: another's has to be nearer than that to take the event.
     if other_distance < (distance if np.isfinite(distance) else rule.distance):
         rejected = Decision("other_wearer", "in_hand", distance if np.isfinite(distance) else None, other_distance)
     elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:

@@ -85,6 +85,7 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         join_gap=rule.join_gap,
     )
     n = len(samples.times)
+    # A put is a pick seen backwards in time, so one search serves both.
     backwards = samples.reversed()
     floors = np.concatenate(([0], segments[:-1, 1])) if len(segments) else segments[:, 0]
     ceilings = np.concatenate((segments[1:, 0], [n])) if len(segments) else segments[:, 0]
@@ -123,6 +124,7 @@ def _samples(track: ObjectTrack, rule: InHandRule) -> Track:
 
 def _displacement(centre: Float[np.ndarray, "n 3"], rest: Departure | None) -> float:
     """Largest distance of the held object, smoothed over three samples, from its rest; metres."""
+    # One jump of the tracker must not make a nudge look like a displacement.
     if len(centre) >= 3:
         centre = (centre[:-2] + centre[1:-1] + centre[2:]) / 3
     origin = centre[0] if rest is None else rest.centre

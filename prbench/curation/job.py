@@ -5,37 +5,21 @@ Parts are described in :mod:`prbench.sequences.parts`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import pyarrow as pa
 
-from prbench.curation.curate import CuratedRecording, curate_recording
+from prbench.curation.curate import CuratedRecording, curate_recording, split_of
 from prbench.curation.options import CurationOptions
 from prbench.curation.sources import RecordingSource
-from prbench.curation.split import split_of
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences import parts
-from prbench.sequences.parts import part_folder
-from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.sequence import RecordingRecord, event_batch, recording_batch, sequence_batch
 from prbench.shown import quoted
 from prbench.storage import text_digest
-
-__all__ = [
-    "TABLES",
-    "PartReceipt",
-    "part_folder",
-    "read_batches",
-    "read_receipt",
-    "write_part",
-]
-
-TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
 
 
 @dataclass(frozen=True)
@@ -47,31 +31,6 @@ class PartReceipt:
     record: RecordingRecord
     reused: bool
     """True if an earlier, interrupted build had made it."""
-
-
-def write_part(folder: Path, curated: CuratedRecording, input_digest: str) -> PartReceipt:
-    """Write one part, whole or not at all."""
-    batches = {
-        "sequences": sequence_batch(curated.sequences),
-        "events": event_batch(curated.events),
-        "recordings": recording_batch([curated.record]),
-    }
-    parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
-    return PartReceipt(folder, input_digest, curated.record, reused=False)
-
-
-def read_receipt(folder: Path) -> PartReceipt | None:
-    """The receipt of a finished part, or None if there is no such part."""
-    entries = parts.read_receipt(folder)
-    if entries is None:
-        return None
-    record = msgspec.convert(entries["record"], RecordingRecord)
-    return PartReceipt(folder, entries["input_digest"], record, reused=True)
-
-
-def read_batches(receipts: list[PartReceipt], table: str) -> Iterator[pa.RecordBatch]:
-    """The rows of one table from all parts, in the order of the receipts."""
-    return parts.read_batches((receipt.folder for receipt in receipts), table)
 
 
 @dataclass(frozen=True)
@@ -89,11 +48,14 @@ class CurationJob:
         try:
             digest = "" if source.skip_reason is not None else source.input_digest()
         except (OSError, InputFileError) as error:
+            # No digest exists of what cannot be read; the part is tried again by the next build.
             return self._write(source, self._failed(source, error), "unreadable")
         folder = self._folder(source, digest)
-        receipt = read_receipt(folder)
-        if receipt is not None and receipt.record.status != "failed":  # a failure may have passed: try again
-            return receipt
+        entries = parts.read_receipt(folder)
+        if entries is not None:
+            record = msgspec.convert(entries["record"], RecordingRecord)
+            if record.status != "failed":  # a failure may have passed: try again
+                return PartReceipt(folder, entries["input_digest"], record, reused=True)
         return self._write(source, self._curated(source), digest)
 
     def if_full(self, source: RecordingSource, error: PrbenchError) -> PartReceipt:
@@ -130,7 +92,14 @@ class CurationJob:
         settings = text_digest(
             digest_of(self.manifest), self.protocol.digest, msgspec.json.encode(self.options).decode()
         )
-        return part_folder(self.work, source.recording_id, input_digest, settings)
+        return parts.part_folder(self.work, source.recording_id, input_digest, settings)
 
     def _write(self, source: RecordingSource, curated: CuratedRecording, input_digest: str) -> PartReceipt:
-        return write_part(self._folder(source, input_digest), curated, input_digest)
+        folder = self._folder(source, input_digest)
+        batches = {
+            "sequences": sequence_batch(curated.sequences),
+            "events": event_batch(curated.events),
+            "recordings": recording_batch([curated.record]),
+        }
+        parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
+        return PartReceipt(folder, input_digest, curated.record, reused=False)

@@ -77,6 +77,7 @@ def find_prime(
         the wearer (None if there was no valid gaze at all); at the stage ``occlusion`` the number of looks, all of
         which something obstructed.
     """
+    # Equation 1: only looks in the window before the event can prime it; both ends belong to it.
     first = int(np.searchsorted(times, event_time - constants.priming_window, side="left"))
     stop = int(np.searchsorted(times, event_time, side="right"))
     window = slice(first, stop)
@@ -85,6 +86,7 @@ def find_prime(
     slabs = slab_test(*rays, *box)
     hit = slabs.hit[:, 0]
     misses = near_miss(*rays, *box)
+    # A ray that points away passes the box behind the eye, which is no look at it.
     distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
     primed = np.flatnonzero(hit | misses.within(constants.near_miss_distance)[:, 0])
     if len(primed) == 0:
@@ -103,6 +105,7 @@ def find_prime(
         index = int(looks[chosen])
         through = obstacles[chosen]
     sample = first + index
+    # The look began somewhere between the sample before and this one.
     before = max(sample - 1, 0)
     after = min(sample + 1, len(times) - 1)
     spacing = times[sample] - times[before] if sample > 0 else times[after] - times[sample]

@@ -18,10 +18,13 @@ from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, Quarantine
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.storage import text_digest
 
-_NOT_OF_THIS_RECORDING = ("other_wearer", "excluded_category")
-_UNLOCATED = (*_NOT_OF_THIS_RECORDING, "no_location", "tracking_lost")
-_UNPRIMED = ("not_primed", "excluded_by_dataset", "not_published")
-_TOO_SHORT = ("too_short", "no_body")
+_STAGES = {
+    "located": ("other_wearer", "excluded_category", "no_location", "tracking_lost"),
+    "primed": ("not_primed", "excluded_by_dataset", "not_published"),
+    "long_enough": ("too_short", "no_body"),
+    "moved_enough": ("minimum_movement",),
+}
+"""Outcomes that end an event at each stage, in the order of the stages."""
 _REASONS = {
     "other_wearer": "somebody else's hand was nearer",
     "excluded_category": "doors, drawers and the like",
@@ -88,25 +91,19 @@ def _citation(manifest: Manifest, options: BuildOptions) -> str:
 
 def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
     """Count the candidates that each stage left, from recordings by status and events by outcome."""
-
-    def without(left: int, names: tuple[str, ...]) -> int:
-        return left - sum(outcomes.get(name, 0) for name in names)
-
     events = sum(outcomes.values())
-    located = without(events, _UNLOCATED)
-    primed = without(located, _UNPRIMED)
-    long_enough = without(primed, _TOO_SHORT)
-    moved_enough = without(long_enough, ("minimum_movement",))
+    left = events
+    by_stage = {}
+    for stage, ending in _STAGES.items():
+        left -= sum(outcomes.get(name, 0) for name in ending)
+        by_stage[stage] = left
     return FunnelCounts(
         recordings_found=sum(statuses.values()),
         recordings_read=statuses.get("read", 0),
         recordings_failed=statuses.get("failed", 0),
         recordings_skipped=statuses.get("skipped", 0),
         events=events,
-        located=located,
-        primed=primed,
-        long_enough=long_enough,
-        moved_enough=moved_enough,
+        **by_stage,
         sequences=outcomes.get("sequence", 0),
     )
 
@@ -147,15 +144,10 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
         FunnelRow("recordings read", counts.recordings_read, left_out, read_reason),
         FunnelRow("candidate events", counts.events, 0, ""),
     ]
-    stages = (
-        ("located", counts.located, ("other_wearer", "excluded_category", "no_location", "tracking_lost")),
-        ("primed", counts.primed, ("not_primed", "excluded_by_dataset", "not_published")),
-        ("long enough", counts.long_enough, ("too_short", "no_body")),
-        ("moved enough", counts.moved_enough, ("minimum_movement",)),
-    )
     before = counts.events
-    for stage, kept, names in stages:
+    for stage, names in _STAGES.items():
+        kept = getattr(counts, stage)
         reasons = "; ".join(f"{outcomes[name]} {name}: {_REASONS[name]}" for name in names if outcomes.get(name))
-        rows.append(FunnelRow(stage, kept, before - kept, reasons))
+        rows.append(FunnelRow(stage.replace("_", " "), kept, before - kept, reasons))
         before = kept
     return [*rows, FunnelRow("sequences", counts.sequences, before - counts.sequences, "")]

@@ -126,6 +126,7 @@ def find_departure(
     moving_before = np.flatnonzero(~still[floor:last])
     first = floor if len(moving_before) == 0 else floor + int(moving_before[-1]) + 1
     quiet = _quiet_part(track, first, last)
+    # Medians, because trackers jump now and then even while an object lies still.
     rest = np.median(track.centre[quiet], axis=0)
     distance = np.linalg.norm(track.centre[:stop] - rest, axis=1)
     away = np.flatnonzero(distance[last:] > 2 * tolerance) + last

@@ -60,6 +60,7 @@ class RecordingTotals:
         def missing(bound: float) -> float:
             return self.probability_below(bound) - probability
 
+        # A bracket around the normal guess first: each evaluation costs a sum over all frequencies.
         for low, high in ((max(guess - error, lowest), min(guess + error, highest)), (lowest, highest)):
             if missing(low) < 0 < missing(high):
                 return cast(float, optimize.brentq(missing, low, high, xtol=_ACCURACY * error))

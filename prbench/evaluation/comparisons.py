@@ -85,11 +85,13 @@ def sign_flip_p_value(differences: Float[np.ndarray, " sequences"], recording_id
     totals = data.totals
     if len(totals) < _FEWEST_FOR_P_VALUE:
         return None
+    # The tolerance makes ties of differences that rounding alone tells apart.
     reached = abs(float(totals.sum())) - EQUAL_WITHIN * len(data.samples)
     if reached <= 0:
         return 1.0
     if len(totals) <= LARGEST_ENUMERATION:
         return _patterns_that_reach(reached, totals) / 2 ** len(totals)
+    # One is added to both: the observed pattern is itself one of the draws, so p is never 0.
     return (1 + _random_patterns_that_reach(reached, totals, data.recordings)) / (1 + _PERMUTATIONS)
 
 

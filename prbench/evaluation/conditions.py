@@ -127,8 +127,10 @@ def derangement(selection: Selection, *, seed: int) -> Int[np.ndarray, " n"]:
             f"shuffled goals need two sequences or more, found {n} in split '{selection.split}' of"
             f" {selection.table.folder}. Raise --limit or choose another split."
         )
+    # The digest of the choice is part of the seed: with another --limit the goals are dealt anew.
     generator = named_generator("shuffled-goal", seed, text_digest(selection.table.identity, selection.digest))
     order = np.arange(n)
+    # integers(last) never gives `last` itself, so no sequence keeps its own goal (Sattolo).
     for last in range(n - 1, 0, -1):
         chosen = int(generator.integers(last))
         order[last], order[chosen] = order[chosen], order[last]

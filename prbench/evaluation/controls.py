@@ -69,6 +69,7 @@ def control_motions(
 
 def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:
     """Recorded joints; a batch never crosses a window, so one window at a time is in memory."""
+    # plan_batches forms batches within windows, so no batch ever needs two of them.
     waiting = iter(plan)
     for place, chunk in selection.windows(["joints", "next_joints"]):
         joints = chunk.joints

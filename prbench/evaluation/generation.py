@@ -6,6 +6,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import psutil
@@ -78,6 +79,7 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
             halvings += halved
             peak = max(peak, psutil.Process().memory_info().rss)
     seconds = _synchronised_time() - started
+    # A program's memory is not in the resident size of this process.
     peak += method.program_bytes()
     method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
@@ -114,20 +116,23 @@ def _cost(
 
 
 def _synchronised_time() -> float:
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized():
-        torch.cuda.synchronize()
+    if cuda := _used_cuda():
+        cuda.synchronize()  # the GPU works on after a call has returned
     return time.perf_counter()
 
 
 def _reset_device_peak() -> None:
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized():
-        torch.cuda.reset_peak_memory_stats()
+    if cuda := _used_cuda():
+        cuda.reset_peak_memory_stats()
 
 
 def _device_peak() -> int | None:
+    cuda = _used_cuda()
+    return None if cuda is None else int(cuda.max_memory_allocated())
+
+
+def _used_cuda() -> Any:
+    """Return ``torch.cuda`` where the method has used it; asking torch itself would import and start it."""
     torch = sys.modules.get("torch")
-    if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
-        return None
-    return int(torch.cuda.max_memory_allocated())
+    used = torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized()
+    return torch.cuda if torch is not None and used else None

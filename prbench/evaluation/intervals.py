@@ -34,12 +34,10 @@ from prbench.metrics import MetricInfo
 
 Ids = Sequence[str] | np.ndarray
 """One name a row."""
-
 CONFIDENCE = 0.95
 _FEWEST_FOR_BOOTSTRAP = 10
 EQUAL_WITHIN = 1e-5
 """Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
-
 _FEW_RECORDINGS = "few_recordings"
 _ONE_RECORDING = "one_recording"
 _ALL_EQUAL = "all_equal"
@@ -133,6 +131,7 @@ def clustered(
         raise ValueError("values, recording ids and sequence ids differ in number")
     names, recording = np.unique(np.asarray(recording_ids), return_inverse=True)
     sequence = np.unique(sequences, return_inverse=True)[1]
+    # Sorted by values last, so that the order of rows leaves no trace in rounded sums.
     order = np.lexsort((values, sequence, recording) if sequence_ids is not None else (values, recording))
     pairs = np.stack([recording, sequence])[:, order]
     first = np.flatnonzero(np.concatenate([[True], (np.diff(pairs) != 0).any(axis=0)]))
@@ -163,6 +162,7 @@ def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequen
     if ((values < 0) | (values > 1)).any():
         raise ValueError("a rate has values from 0 to 1")
     data = clustered(values, recording_ids, sequence_ids)
+    # All values are equal: their spread says nothing about how alike sequences of one recording are.
     if min(data.mean, 1 - data.mean) <= EQUAL_WITHIN:
         low, high = _clopper_pearson_of_recordings(float(round(data.mean)), len(data.sequences))
         return data.estimate(low, high, "clopper-pearson-recordings")
@@ -221,6 +221,7 @@ def effective_sample_size(data: ClusteredValues) -> float:
 
 
 def _wilson(rate: float, n: float) -> tuple[float, float]:
+    # Wilson (1927): the interval of all rates whose score test does not reject the observed one.
     z = special.ndtri(0.5 + CONFIDENCE / 2)
     centre = (rate + z**2 / (2 * n)) / (1 + z**2 / n)
     reach = z / (1 + z**2 / n) * np.sqrt(rate * (1 - rate) / n + z**2 / (4 * n**2))
@@ -232,11 +233,6 @@ def _clopper_pearson_of_recordings(rate: float, count: int) -> tuple[float, floa
     return (0.0, 1 - bound) if rate == 0 else (bound, 1.0)
 
 
-def _expanded_tail(count: int) -> float:
-    reach = special.stdtrit(count - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(count / (count - 1))
-    return float(special.ndtr(-reach))
-
-
 def _bootstrap(data: ClusteredValues) -> tuple[float, float]:
     drawn = RecordingTotals(data.totals, data.sequences, data.inner_variances)
     lowest = float(data.values.min())
@@ -245,6 +241,12 @@ def _bootstrap(data: ClusteredValues) -> tuple[float, float]:
     low = drawn.percentile(tail, lowest=lowest, highest=highest)
     high = drawn.percentile(1 - tail, lowest=lowest, highest=highest)
     return low, high
+
+
+def _expanded_tail(count: int) -> float:
+    # Hesterberg (2015): percentiles as far out as Student's interval is wider than the normal one.
+    reach = special.stdtrit(count - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(count / (count - 1))
+    return float(special.ndtr(-reach))
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:

@@ -38,6 +38,7 @@ def likely_cause(expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], 
     """A sentence that explains all the lengths that are wrong, or nothing."""
     wrong = found != expected
     off = (found - expected)[wrong]
+    # Off by one comes first: such lengths also fit a frame rate within the rounding of a frame.
     if (off == 1).all():
         return (
             "There is one frame too many: the frame before the first (previous_joints) is no part of the motion, and"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +23,7 @@ WINDOW = 1024
 """Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
 enough for memory, large enough that little is padded."""
 
+Table = TypeVar("Table")
 _FEWEST_FRAMES = 2  # below which there is no motion
 
 
@@ -44,15 +48,7 @@ class Selection:
 
     def chosen(self, keep: np.ndarray) -> Selection:
         """The rows where ``keep`` is true."""
-        rows = np.flatnonzero(keep)
-        return Selection(
-            self.table,
-            self.split,
-            tuple(self.sequence_ids[i] for i in rows),
-            self.n_frames[rows],
-            tuple(self.recording_ids[i] for i in rows),
-            self.fps,
-        )
+        return rows_of(self, np.flatnonzero(keep))
 
     def windows(self, columns: list[str]) -> Iterator[tuple[slice, SequenceChunk]]:
         """Stream the chosen rows, :data:`WINDOW` at a time, with their places in the selection."""
@@ -61,6 +57,7 @@ class Selection:
         for chunk in self.table.chunks(split=self.split, columns=columns, ids=frozenset(self.sequence_ids)):
             pending.append(chunk.batch)
             rows += len(chunk)
+            # Windows count chosen rows, not rows of the file, so the layout of the table leaves no trace.
             while rows >= WINDOW:
                 joined = _joined(pending)
                 yield slice(start, start + WINDOW), SequenceChunk(joined.slice(0, WINDOW))
@@ -69,6 +66,34 @@ class Selection:
                 pending = [joined.slice(WINDOW)]
         if rows:
             yield slice(start, start + rows), SequenceChunk(_joined(pending))
+
+
+def rows_of(table: Table, rows: SequenceOf[int] | np.ndarray) -> Table:
+    """Return some rows of a data class whose tuples and arrays hold one entry a row, in the order given."""
+    chosen = np.asarray(rows, dtype=np.int64)
+    changed: dict[str, Any] = {}
+    for field in dataclasses.fields(cast(Any, table)):
+        values = getattr(table, field.name)
+        if isinstance(values, tuple):
+            changed[field.name] = tuple(values[row] for row in chosen)
+        elif isinstance(values, np.ndarray):
+            changed[field.name] = values[chosen]
+    return dataclasses.replace(cast(Any, table), **changed)
+
+
+def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:
+    """Open the tables that are asked for.
+
+    Raises:
+        TableError: if one is missing, empty or of an unknown version.
+        UsageError: if two are of one dataset.
+    """
+    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
+    names = [table.info.dataset for table in tables]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
+    return tables
 
 
 def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
@@ -93,6 +118,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
             " Build more recordings, or choose another split with --split."
         )
     ids = rows["sequence_id"].to_pylist()
+    # Sorted ids make batches, and so the bytes of a run, independent of how the table was built.
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")
     n_frames = rows["n_frames"].to_numpy().astype(np.int64)
@@ -159,6 +185,7 @@ def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[n
         raise UsageError(f"--batch-size: expected 1 or more, found {batch_size}.")
     batches = []
     for start in range(0, len(n_frames), WINDOW):
+        # A stable sort leaves ties in the order of the table, so the plan is the same on every machine.
         order = start + np.argsort(n_frames[start : start + WINDOW], kind="stable")
         batches += [order[i : i + batch_size] for i in range(0, len(order), batch_size)]
     return batches

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -13,10 +14,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import prbench
-from prbench.errors import AdapterError, UsageError
+from prbench.errors import AdapterError
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
-from prbench.evaluation.planning import Selection, plan_batches, plan_digest, select, select_sequences
+from prbench.evaluation.planning import (
+    Selection,
+    open_tables,
+    plan_batches,
+    plan_digest,
+    select,
+    select_sequences,
+)
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import load_protocol
@@ -24,7 +32,7 @@ from prbench.methods.adapters import find_adapter, require_condition, require_we
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
 from prbench.methods.methods import fitted_to, method_spec
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import native_frames
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.runs.record import (
     BUILT_IN,
@@ -89,12 +97,9 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         TableError: if a table is missing, empty, changed or of an unknown version.
         UsageError: if datasets repeat, or a path or split does not exist.
     """
+    # A method that an earlier run of this process has loaded may hold its state.
     forget_loaded_methods()
-    tables = [SequenceTable.open(folder).with_sequences() for folder in request.data]
-    names = [table.info.dataset for table in tables]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
+    tables = open_tables(request.data)
     spec = None if request.is_control else _spec(request)
     method = _control(request) if spec is None else _method(request, spec)
     datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
@@ -235,13 +240,29 @@ def _record(request: RunRequest, method: MethodRecord, datasets: tuple[PreparedD
         samples=request.samples,
         device=request.device,
         threads=request.threads,
-        packages=_packages(),
-        tables=tuple(_table_record(dataset, request) for dataset in datasets),
+        packages=package_versions(_RECORDED_PACKAGES),
+        tables=tuple(
+            table_record(dataset.chosen, dataset.selection, _plan_record(dataset, request)) for dataset in datasets
+        ),
     )
 
 
-def _table_record(dataset: PreparedDataset, request: RunRequest) -> TableRecord:
-    selection = dataset.selection
+def _plan_record(dataset: PreparedDataset, request: RunRequest) -> BatchPlanRecord:
+    return BatchPlanRecord(
+        batch_size=request.batch_size,
+        batches=len(dataset.plan),
+        digest=plan_digest(dataset.selection.sequence_ids, dataset.plan),
+    )
+
+
+def table_record(chosen: Selection, selection: Selection, plan: BatchPlanRecord) -> TableRecord:
+    """Return what a run's record says about a table.
+
+    Args:
+        chosen: The sequences of split and limit.
+        selection: Those of them that the method can generate.
+        plan: Its batches.
+    """
     info = selection.table.info
     return TableRecord(
         dataset=info.dataset,
@@ -250,20 +271,17 @@ def _table_record(dataset: PreparedDataset, request: RunRequest) -> TableRecord:
         redistribution=info.redistribution,
         identity_digest=selection.table.identity,
         content_digest=selection.table.content,
-        sequences=len(dataset.chosen),
-        unsupported=len(dataset.chosen) - len(selection),
-        selection_digest=dataset.chosen.digest,
-        batch_plan=BatchPlanRecord(
-            batch_size=request.batch_size,
-            batches=len(dataset.plan),
-            digest=plan_digest(selection.sequence_ids, dataset.plan),
-        ),
+        sequences=len(chosen),
+        unsupported=len(chosen) - len(selection),
+        selection_digest=chosen.digest,
+        batch_plan=plan,
     )
 
 
-def _packages() -> dict[str, str]:
+def package_versions(names: Iterable[str]) -> dict[str, str]:
+    """Map Python and those of some packages that are installed to their versions."""
     found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for name in _RECORDED_PACKAGES:
+    for name in names:
         try:
             found[name] = version(name)
         except PackageNotFoundError:

@@ -65,6 +65,7 @@ def _extremes(motions: MotionBatch) -> Float[np.ndarray, "pairs_and_ends sequenc
 def _is_copy(motion: np.ndarray, original: np.ndarray) -> bool:
     """Compare two motions, (frames, 22, 3) float64."""
     tolerance = min(_FARTHEST, _SHARE * _distance(original, original[[0, -1]]))
+    # A recording in which nothing happens is followed by any motion that stands still.
     if tolerance < _LEAST_TOLERANCE:
         return False
     return any(
@@ -87,6 +88,7 @@ def _moved(motion: np.ndarray, points: np.ndarray, targets: np.ndarray, *, scale
     source_middle = source.mean(axis=0)
     target_middle = target.mean(axis=0)
     left, singular, right = np.linalg.svd((target - target_middle).T @ (source - source_middle))
+    # Without the sign the best fit may be a reflection (Umeyama 1991, equation 43).
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation = (left * signs) @ right
     scale = 1.0

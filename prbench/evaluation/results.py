@@ -55,6 +55,7 @@ def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> No
     Raises:
         RunError: naming the first row that differs.
     """
+    # Keys first: values can only be compared where both tables hold the same rows.
     if not stored.select(_KEYS).equals(made.select(_KEYS)):
         pairs = zip(*(zip(*table.select(_KEYS).to_pydict().values()) for table in (stored, made)))
         common = min(stored.num_rows, made.num_rows)
@@ -65,6 +66,7 @@ def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> No
         )
     expected = made["value"].to_numpy()
     found = stored["value"].to_numpy()
+    # Written as "not within", so that NaN counts as different.
     wrong = np.flatnonzero(~(np.abs(found - expected) <= _VALUES_WITHIN * np.maximum(np.abs(expected), 1.0)))
     if wrong.size:
         row = int(wrong[0])

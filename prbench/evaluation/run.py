@@ -22,7 +22,7 @@ from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
-from prbench.evaluation.scoring import ScoringRules, score_selection
+from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
@@ -69,16 +69,17 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
             prepared = prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
             folder = RunFolder.prepare(prepared.out, prepared.record)
-            made = _generate_all(prepared, folder, engine, progress)
+            parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+            made = _generate_all(parts, folder, engine)
         except Exception:
             if request.isolate:
                 _remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
             raise
         finally:
             forget_loaded_methods()  # no program outlives the run, however it ends
-        for dataset in prepared.datasets:
-            _write_notice(prepared, dataset, folder)
-        summaries = tuple(_scored(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets)
+        for part in parts:
+            part.write_notice()
+        summaries = tuple(part.scored() for part in parts)
     total = sum(len(dataset.plan) for dataset in prepared.datasets)
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
 
@@ -98,16 +99,16 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     for dataset in prepared.datasets:
-        files = folder.dataset(dataset.name)
-        yield from _tasks(prepared, dataset, files, frozenset(_missing(prepared, dataset, files)))
+        part = _Part(prepared, dataset, folder.dataset(dataset.name), engine, silent)
+        yield from part.tasks(frozenset(part.missing()))
 
 
-def _generate_all(prepared: PreparedRun, folder: RunFolder, engine: Engine, progress: ProgressCallback) -> list[int]:
+def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list[int]:
     """Make what is missing of every dataset; returns how many batches each took."""
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     try:
-        return [_generate(prepared, dataset, folder, engine, progress) for dataset in prepared.datasets]
+        return [part.generate() for part in parts]
     except Exception:
         folder.discard_if_empty()
         raise
@@ -118,144 +119,127 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _write_notice(prepared: PreparedRun, dataset: PreparedDataset, folder: RunFolder) -> None:
-    """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
-    files = folder.dataset(dataset.name)
-    recorded = prepared.request.method in RECORDED_MOTION
-    text = run_notice(dataset.selection.table.info, recorded_motion=recorded)
-    if text and not files.notice.is_file():
-        write_text(files.notice, text)
+@dataclass(frozen=True)
+class _Part:
+    """The work of a run on one of its datasets."""
 
+    prepared: PreparedRun
+    dataset: PreparedDataset
+    files: DatasetFolder
+    engine: Engine
+    progress: ProgressCallback
 
-def _generate(
-    prepared: PreparedRun,
-    dataset: PreparedDataset,
-    folder: RunFolder,
-    engine: Engine,
-    progress: ProgressCallback,
-) -> int:
-    """Make the batches that are not there yet; returns how many."""
-    files = folder.dataset(dataset.name)
-    missing = _missing(prepared, dataset, files)
-    done = len(dataset.plan) - len(missing)
-    if not missing:
-        return 0
-    progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
-    try:
-        for _ in engine.map(run_batch, _tasks(prepared, dataset, files, frozenset(missing))):
-            done += 1
-            progress(Progress(dataset.name, "generate", done, len(dataset.plan)))
-    except MemoryFullError as error:  # or a worker that ended without an answer
-        if prepared.record.method.kind != PACKAGE:
-            raise
-        name = prepared.record.method.name
-        raise AdapterError(
-            f"method '{name}': {error} If the method itself ends the process, --isolate shows what it wrote last."
-        ) from error
-    return len(missing)
+    def generate(self) -> int:
+        """Make the batches that are not there yet; returns how many."""
+        missing = self.missing()
+        total = len(self.dataset.plan)
+        done = total - len(missing)
+        if not missing:
+            return 0
+        self.progress(Progress(self.dataset.name, "generate", done, total))
+        try:
+            for _ in self.engine.map(run_batch, self.tasks(frozenset(missing))):
+                done += 1
+                self.progress(Progress(self.dataset.name, "generate", done, total))
+        except MemoryFullError as error:  # or a worker that ended without an answer
+            method = self.prepared.record.method
+            if method.kind != PACKAGE:
+                raise
+            raise AdapterError(
+                f"method '{method.name}': {error} If the method itself ends the process, --isolate shows what it wrote"
+                " last."
+            ) from error
+        return len(missing)
 
+    def missing(self) -> list[int]:
+        """Batches that no earlier call has made."""
+        self.files.require_no_other_parts(len(self.dataset.plan))
+        samples = self.prepared.request.samples
+        return [
+            index
+            for index, rows in enumerate(self.dataset.plan)
+            if not self.files.has_part(index, self.dataset.ids(rows), samples)
+        ]
 
-def _missing(prepared: PreparedRun, dataset: PreparedDataset, files: DatasetFolder) -> list[int]:
-    """Batches that no earlier call has made."""
-    files.require_no_other_parts(len(dataset.plan))
-    return [
-        index
-        for index, rows in enumerate(dataset.plan)
-        if not files.has_part(index, dataset.ids(rows), prepared.request.samples)
-    ]
+    def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
+        """The work on some batches, in the order of the plan."""
+        request = self.prepared.request
+        dataset = self.dataset
+        protocol = load_protocol()
+        salt = run_salt(request.seed, dataset.selection.table.identity)
+        given = None
+        if request.is_control:
+            given = control_motions(request.method, dataset.selection, dataset.source, dataset.plan)
+        for index, rows in enumerate(dataset.plan):
+            # Controls come in order: those of finished batches are made and passed over.
+            motions = next(given) if given is not None else None
+            if index not in wanted:
+                continue
+            first = dataset.source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
+            yield BatchTask(
+                index=index,
+                sequence_ids=dataset.ids(rows),
+                conditions=tuple(
+                    dataset.source.redrawn(first, rows, seed=request.seed, sample=sample)
+                    for sample in range(request.samples)
+                ),
+                method=dataset.method,
+                seed=request.seed,
+                given=motions,
+                part=self.files.part(index),
+                cost=self.files.batch_cost(index),
+                protocol_version=protocol.version,
+            )
 
+    def write_notice(self) -> None:
+        """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
+        recorded = self.prepared.request.method in RECORDED_MOTION
+        text = run_notice(self.dataset.selection.table.info, recorded_motion=recorded)
+        if text and not self.files.notice.is_file():
+            write_text(self.files.notice, text)
 
-def _tasks(
-    prepared: PreparedRun, dataset: PreparedDataset, files: DatasetFolder, wanted: frozenset[int]
-) -> Iterator[BatchTask]:
-    request = prepared.request
-    protocol = load_protocol()
-    salt = run_salt(request.seed, dataset.selection.table.identity)
-    given = None
-    if request.is_control:
-        given = control_motions(request.method, dataset.selection, dataset.source, dataset.plan)
-    for index, rows in enumerate(dataset.plan):
-        motions = next(given) if given is not None else None
-        if index not in wanted:
-            continue
-        first = dataset.source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
-        yield BatchTask(
-            index=index,
-            sequence_ids=dataset.ids(rows),
-            conditions=tuple(
-                dataset.source.redrawn(first, rows, seed=request.seed, sample=sample)
-                for sample in range(request.samples)
-            ),
-            method=dataset.method,
-            seed=request.seed,
-            given=motions,
-            part=files.part(index),
-            cost=files.batch_cost(index),
-            protocol_version=protocol.version,
+    def scored(self) -> DatasetSummary:
+        """Score what was generated; what an earlier call wrote has to follow from the motions and the table."""
+        files = self.files
+        if files.finished and files.has_scores():
+            stored = read_scores(files.scores)
+            require_scores(files, stored, pa.concat_tables(self._windows()))
+            require_summary(files, summarise(stored, self._scored_set()))
+        else:
+            write_scores(files.scores, self._windows())
+            measured = files.batch_costs()
+            if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
+                total_cost(read_batch_costs(measured), batches=len(self.dataset.plan)).write(files.cost)
+            # The summary comes last: where it stands, everything else does.
+            summarise(read_scores(files.scores), self._scored_set()).write(files.path)
+        files.forget_batch_costs()
+        return DatasetSummary.read(files.path)
+
+    def _scored_set(self) -> ScoredSet:
+        request = self.prepared.request
+        selection = self.dataset.selection
+        return ScoredSet(
+            info=selection.table.info,
+            recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
+            chosen=len(self.dataset.chosen),
+            method=self.prepared.record.method.name,
+            condition=request.condition.value,
+            control=request.control,
+            split=request.split,
+            samples=request.samples,
         )
 
-
-def _scored(
-    prepared: PreparedRun,
-    dataset: PreparedDataset,
-    folder: RunFolder,
-    engine: Engine,
-    progress: ProgressCallback,
-) -> DatasetSummary:
-    """Score what was generated; what an earlier call wrote has to be what follows from the motions and the table."""
-    files = folder.dataset(dataset.name)
-    if files.finished and files.has_scores():
-        stored = read_scores(files.scores)
-        require_scores(files, stored, pa.concat_tables(_windows(prepared, dataset, files, engine, progress)))
-        require_summary(files, summarise(stored, _scored_set(prepared, dataset)))
-    else:
-        write_scores(files.scores, _windows(prepared, dataset, files, engine, progress))
-        measured = files.batch_costs()
-        if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
-            total_cost(read_batch_costs(measured), batches=len(dataset.plan)).write(files.cost)
-        summarise(read_scores(files.scores), _scored_set(prepared, dataset)).write(files.path)
-    files.forget_batch_costs()
-    return DatasetSummary.read(files.path)
-
-
-def _scored_set(prepared: PreparedRun, dataset: PreparedDataset) -> ScoredSet:
-    request = prepared.request
-    selection = dataset.selection
-    return ScoredSet(
-        info=selection.table.info,
-        recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
-        chosen=len(dataset.chosen),
-        method=prepared.record.method.name,
-        condition=request.condition.value,
-        control=request.control,
-        split=request.split,
-        samples=request.samples,
-    )
-
-
-def _windows(
-    prepared: PreparedRun,
-    dataset: PreparedDataset,
-    files: DatasetFolder,
-    engine: Engine,
-    progress: ProgressCallback,
-) -> Iterator[pa.Table]:
-    """The scores of what was generated, a window of sequences at a time."""
-    rules = ScoringRules(
-        load_protocol().metrics,
-        recorded_motion=prepared.request.method in RECORDED_MOTION,
-        other_goals=dataset.scored_goals,
-        run_of=prepared.record.method.name,
-    )
-    samples = range(prepared.request.samples)
-    windows = score_selection(dataset.selection, files.predictions, samples=samples, rules=rules, engine=engine)
-    return _counted(windows, dataset, progress)
-
-
-def _counted(windows: Iterator[pa.Table], dataset: PreparedDataset, progress: ProgressCallback) -> Iterator[pa.Table]:
-    done = 0
-    total = len(dataset.selection)
-    for window in windows:
-        yield window
-        done += len(window["sequence_id"].unique())
-        progress(Progress(dataset.name, "score", done, total))
+    def _windows(self) -> Iterator[pa.Table]:
+        """The scores of what was generated, a window of sequences at a time."""
+        request = self.prepared.request
+        rules = ScoringRules(
+            load_protocol().metrics,
+            recorded_motion=request.method in RECORDED_MOTION,
+            other_goals=self.dataset.scored_goals,
+            run_of=self.prepared.record.method.name,
+        )
+        selection = self.dataset.selection
+        windows = score_selection(
+            selection, self.files.predictions, samples=range(request.samples), rules=rules, engine=self.engine
+        )
+        return reported(windows, selection, self.progress)

@@ -17,10 +17,11 @@ from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.lengths import length_problem
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
+from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
-from prbench.methods.native_rate import at_table_rate, native_frames
+from prbench.methods.motions import at_table_rate, native_frames
 from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions
@@ -101,6 +102,15 @@ def score_selection(
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
     opened.make_ready()
     yield from engine.map(_score_window, _windows(selection, opened, tuple(samples), rules))
+
+
+def reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
+    """Pass the scores of windows on, and report after each how many sequences are done."""
+    done = 0
+    for window in windows:
+        yield window
+        done += len(window["sequence_id"].unique())
+        progress(Progress(selection.table.info.dataset, "score", done, len(selection)))
 
 
 def _windows(
@@ -199,6 +209,7 @@ def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample
     short = np.flatnonzero(predicted.n_frames < 2)
     if short.size:
         raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
+    # Checked before resampling: an interpolated NaN would name the wrong frame.
     impossible = np.flatnonzero(impossible_frames(predicted.values, window.rules.farthest))
     if impossible.size:
         row = int(predicted.sequence_of_row[impossible[0]])

@@ -56,16 +56,17 @@ def scripted_motions(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], 
     return Motions(_reaching(body, goal, reached).astype(np.float32), n_frames)
 
 
+def _turned_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
+    time = np.arange(int(n_frames.max())) / fps
+    # The turn ends at the arrival, so the ray is on the goal from 2.0 s on.
+    turned = _minimum_jerk((time - (_ARRIVAL - _TURN_DURATION)) / _TURN_DURATION)
+    return np.broadcast_to(turned, (len(n_frames), len(time)))
+
+
 def _minimum_jerk(phase: np.ndarray) -> np.ndarray:
     """0 to 1 with speed and acceleration zero at both ends."""
     x = np.clip(phase, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x**2)
-
-
-def _turned_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
-    time = np.arange(int(n_frames.max())) / fps
-    turned = _minimum_jerk((time - (_ARRIVAL - _TURN_DURATION)) / _TURN_DURATION)
-    return np.broadcast_to(turned, (len(n_frames), len(time)))
 
 
 def _reach_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
@@ -134,6 +135,7 @@ def _along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
 def _glide(joints: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Horizontal way of the body, (batch, 3)."""
     to_goal = goal - joints[:, Joint.PELVIS]
+    # Over the ground only: the body keeps its height above the floor.
     to_goal[:, 1] = 0.0
     distance = np.linalg.norm(to_goal, axis=1, keepdims=True)
     return to_goal * np.clip(1 - _STAND_OFF / np.maximum(distance, 1e-9), 0.0, None)

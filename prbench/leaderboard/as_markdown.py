@@ -39,6 +39,7 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
     title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
     if shared_name:
+        # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Kind"]
@@ -89,6 +90,7 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     elif any(row.ranks for row in table.rows):
         yield "Bold: the best of two or more methods under one condition; controls are not ranked."
     for row in table.rows:
+        # Remarks stand under the table, because a cell has no room for a sentence.
         if row.entry.mark:
             yield f"{markdown(row.entry.method)} {row.entry.mark}."
         if row.entry.summary.unsupported:

@@ -36,8 +36,9 @@ class LeaderboardRow:
 
     @property
     def origin(self) -> str:
-        """Whose method it is, in words; a record that claims for prbench what prbench does not have is not believed."""
+        """Origin of the method, in words; a record that claims a method for prbench without right is not believed."""
         method = self.record.method
+        # run.json is a user's file: a method may claim to be built in without being so.
         ours = {run_record.BUILT_IN: BUILT_IN_METHODS, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
         return "unknown kind" if ours is not None and method.name not in ours else method.origin
 
@@ -101,11 +102,13 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             raise RunError(
                 f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
             )
+        # By real path, so that a run that is named twice, or through a link, counts once.
         folders |= {Path(os.path.realpath(folder)): None for folder in found}
     rows: list[LeaderboardRow] = []
     left_out: list[str] = []
     for folder in sorted(folders):
         run = RunFolder.open(folder)
+        # A foreign method under the name of ours would stand in the study's own row.
         if problem := _false_name(run.record.method):
             left_out.append(f"{folder.name}: {problem}; run or score it again under another name")
             continue

@@ -13,6 +13,7 @@ from prbench.errors import RunError
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
+from prbench.runs.record import TableRecord
 from prbench.runs.scores import read_scores
 from prbench.submitted.verification import RunChecker, recording_key
 
@@ -56,6 +57,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
         raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")
     names = [table.dataset for table in runs[0].record.tables]
+    # In the order of the second run; every dataset of both is compared, and all p-values are corrected together.
     shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
@@ -74,8 +76,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
 
 def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
     """Return why the scores of a run are unverified, or an empty text."""
-    record = next(table for table in run.record.tables if table.dataset == dataset)
-    why = checker.check(run, record).unverified
+    why = checker.check(run, _table_of(run, dataset)).unverified
     return f"{run.path}: {why}" if why else ""
 
 
@@ -86,8 +87,7 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
         RunError: if they were run on different tables, or scored on different sequences.
     """
     tables = [_sequence_means(read_scores(run.dataset(dataset).scores)) for run in (first, second)]
-    digests = {next(t.content_digest for t in run.record.tables if t.dataset == dataset) for run in (first, second)}
-    if len(digests) > 1:
+    if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
         raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
     pairs = {}
     for metric in (info.id for info in METRICS if info.main):
@@ -100,10 +100,16 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
                 f" ({rows[0].num_rows} and {rows[1].num_rows}). Run both with the same --split and --limit."
             )
         values = [np.asarray(row["value_mean"]) for row in rows]
+        # Sequences of one recording are not independent, so signs are flipped for a whole recording at once.
         recordings = [recording_key(name) for name in rows[0]["sequence_id"].to_pylist()]
         pairs[f"{dataset}\n{metric}"] = PairedValues(values[0], values[1], recordings)
     return pairs
 
 
+def _table_of(run: RunFolder, dataset: str) -> TableRecord:
+    return next(table for table in run.record.tables if table.dataset == dataset)
+
+
 def _sequence_means(scores: pa.Table) -> pa.Table:
+    # Several samples of a sequence are averaged first: they are no further sequences.
     return scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])

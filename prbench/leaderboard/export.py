@@ -89,6 +89,7 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 "method": row.entry.method,
                 "variant": row.variant,
                 "metric": metric.metric,
+                # Empty where Markdown prints a dash, so that nobody averages a number that means nothing.
                 "value": "" if hidden else _csv_number(scale * metric.mean),
                 "unit": exported_unit(metric.unit),
                 "higher_is_better": _csv_direction(metric.metric),

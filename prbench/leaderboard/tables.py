@@ -62,7 +62,7 @@ class MacroRow:
 
     method: str
     origin: str
-    """Whose method it is, in words."""
+    """Origin of the method, in words."""
     mark: str
     """See :attr:`LeaderboardRow.mark`; of the first dataset that has one."""
     is_control: bool
@@ -143,33 +143,6 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
     )
 
 
-def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
-    """Return True where a metric says nothing of a motionless method, for which the study prints a dash."""
-    return entry.record.method.motionless and info.irrelevant_if_motionless
-
-
-def _is_ranked(entry: LeaderboardRow) -> bool:
-    return (
-        not entry.is_control
-        and not entry.summary.hands_in_recordings
-        and not entry.summary.unsupported
-        and entry.scored >= FEWEST_RANKED
-    )
-
-
-def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
-    """Rank each value, from 1; equal values share the better place. A single value has none."""
-    if len(values) < 2 or info.higher_is_better is None:
-        return {}
-    sign = -1 if info.higher_is_better else 1
-    return {i: 1 + sum(sign * other < sign * value for other in values.values()) for i, value in values.items()}
-
-
-def _place(entry: LeaderboardRow) -> tuple:
-    condition = _CONDITIONS.index(entry.record.condition) if entry.record.condition in _CONDITIONS else len(_CONDITIONS)
-    return (entry.record.method.kind == CONTROL, condition, entry.method, entry.variant, entry.record.seed, entry.run)
-
-
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
     """Return variants, made unique by seed or by the run folder's name where method, condition and variant agree.
 
@@ -198,11 +171,41 @@ def _joined(*parts: str) -> str:
     return "; ".join(part for part in parts if part)
 
 
+def _place(entry: LeaderboardRow) -> tuple:
+    condition = _CONDITIONS.index(entry.record.condition) if entry.record.condition in _CONDITIONS else len(_CONDITIONS)
+    return (entry.record.method.kind == CONTROL, condition, entry.method, entry.variant, entry.record.seed, entry.run)
+
+
+def _is_ranked(entry: LeaderboardRow) -> bool:
+    return (
+        not entry.is_control
+        and not entry.summary.hands_in_recordings
+        and not entry.summary.unsupported
+        and entry.scored >= FEWEST_RANKED
+    )
+
+
+def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
+    """Return True where a metric says nothing of a motionless method, for which the study prints a dash."""
+    return entry.record.method.motionless and info.irrelevant_if_motionless
+
+
+def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
+    """Rank each value, from 1; equal values share the better place. A single value has none."""
+    # Being first of one is no distinction.
+    if len(values) < 2 or info.higher_is_better is None:
+        return {}
+    sign = -1 if info.higher_is_better else 1
+    # Competition ranking: two firsts are followed by a third.
+    return {i: 1 + sum(sign * other < sign * value for other in values.values()) for i, value in values.items()}
+
+
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
     """Yield a table for each protocol with two datasets or more, if each dataset has one table under it."""
     for protocol in sorted({table.protocol_digest for table in tables}):
         under = [table for table in tables if table.protocol_digest == protocol]
         datasets = tuple(table.dataset for table in under)
+        # A mean over one dataset is that dataset's table; two tables of one dataset would count it twice.
         if len(datasets) < 2 or len(set(datasets)) < len(datasets):
             continue
         yield MacroTable(datasets, any(table.synthetic for table in under), tuple(_macro_rows(under)))
@@ -236,6 +239,7 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
 
 
 def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, float]:
+    # A mean over the easier datasets alone would look like a better method.
     if any(name not in entries for name in datasets):
         return {}
     means = {}

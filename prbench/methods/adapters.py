@@ -128,6 +128,7 @@ def weights_digest(weights: Path | None) -> str | None:
     if not weights.is_dir():
         raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
     total = hashlib.sha256()
+    # Sorted, so that the digest does not depend on the file system.
     for path in sorted(path for path in weights.rglob("*") if path.is_file()):
         total.update(f"{path.relative_to(weights).as_posix()}\t{file_digest(path)}\n".encode())
     return total.hexdigest()

@@ -33,12 +33,6 @@ def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarr
     return motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_PER_MOTION)).astype(int)]
 
 
-def _body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
-    """Return the median over poses of the largest distance between two joints, in the unit of the poses."""
-    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
-    return float(np.median(apart.max(axis=(1, 2))))
-
-
 def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
     """Return the unit that bodies seem to be in, or None where they are of human size in metres or have no size.
 
@@ -48,6 +42,7 @@ def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
     if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
         return None
     evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"
+    # Several units may fit; the one that makes the body most usual wins.
     fits = [unit for unit in _UNITS if _SMALLEST <= size * unit[1] <= _LARGEST]
     if fits:
         name, factor = min(fits, key=lambda unit: abs(np.log(size * unit[1] / _TYPICAL)))
@@ -58,6 +53,12 @@ def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
         cause = "positions were divided by a height or a standard deviation, or are in a unit of their own"
         remedy = f"Undo the scaling before the motions are handed over; a factor near {factor:.3g} gives people's size."
     return WrongUnit(evidence, cause, remedy, factor)
+
+
+def _body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
+    """Return the median over poses of the largest distance between two joints, in the unit of the poses."""
+    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
+    return float(np.median(apart.max(axis=(1, 2))))
 
 
 def impossible_frames(

@@ -62,6 +62,7 @@ class Declared:
 def _conditions(value: object, origin: str) -> frozenset[Condition]:
     known = [condition.value for condition in Condition]
     if isinstance(value, Iterable) and not isinstance(value, str):
+        # A one-shot iterator may be all that a method gives.
         found = list(value)
         if found and all(item in known for item in found):
             return frozenset(Condition(item) for item in found)

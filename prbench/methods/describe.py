@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from prbench.methods.installed import InstalledAdapter, list_adapters, offered_twice
 from prbench.methods.users_environment import python_words, users_environment
@@ -104,23 +104,12 @@ def describe_adapter(
     if said.get("error"):
         return Description(method, import_seconds=said.get("import_seconds"), error=_line(said["error"]))
     if "conditions" in said:
-        return _described(method, said, child.printed)
+        declared: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in said.items()
+        }
+        del declared["stage"]
+        return Description(method, printed=child.printed, **declared)
     return Description(method, printed=child.printed, error=_line(_ending(said, status, time_limit, child.tail)))
-
-
-def _described(method: InstalledAdapter, said: dict, printed: int) -> Description:
-    return Description(
-        method,
-        conditions=tuple(said["conditions"]),
-        fitted=said["fitted"],
-        max_frames=said["max_frames"],
-        native_fps=said["native_fps"],
-        motionless=said["motionless"],
-        weights=tuple(said["weights"]),
-        import_seconds=said["import_seconds"],
-        load_seconds=said["load_seconds"],
-        printed=printed,
-    )
 
 
 def _said(report: Path) -> dict:

@@ -82,5 +82,6 @@ def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> Install
     if ours and adapter.name in BUILT_IN_METHODS:
         return replace(adapter, built_in=True)
     problem = adapter.problem or name_problem(adapter.name) or ""
+    # A name that cannot be shown safely is quoted, so that a list stays readable.
     name = adapter.name if has_form(adapter.name) else quoted(adapter.name)
     return replace(adapter, name=name, problem=problem)

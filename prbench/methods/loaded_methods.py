@@ -89,6 +89,7 @@ class _HeldMethods:
 
     def method(self, spec: MethodSpec) -> LoadedMethod:
         """Return the method, made anew unless it was the last one; an earlier one's program is ended."""
+        # One method at a time: two networks may not fit in the memory of a GPU.
         if self.loaded is None or self.spec != spec:
             self.unload()
             self.loaded = _loaded_program(spec, spec.program) if spec.program is not None else _loaded_here(spec)

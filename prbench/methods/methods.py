@@ -86,6 +86,7 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     folder = cache_folder() / "fits" / f"{spec.name}-{key[:16]}"
     if spec.program is None:
         return replace(spec, fit_folder=folder, table_folder=table.folder)
+    # Behind the fence the table itself is hidden, as it holds the test rows.
     copy = HELD.training_copy(table)
     program = _worker(spec, installed, Fit(copy, folder.absolute()))
     return replace(spec, fit_folder=folder, table_folder=copy, program=program)

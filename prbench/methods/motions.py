@@ -1,4 +1,4 @@
-"""Ask a method for motions and check every one of them before it is kept."""
+"""Ask a method for motions, at its own frame rate if it has one, and check every one before it is kept."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from prbench.contract import Adapter, ConditionBatch, Cost, Motions
 from prbench.engine import is_out_of_memory
@@ -20,7 +21,6 @@ from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
 from prbench.methods.declared import Declared
-from prbench.methods.native_rate import at_native_rate, at_table_rate
 from prbench.skeleton import N_JOINTS
 
 
@@ -58,6 +58,45 @@ def generate_checked(
     return motions, halvings
 
 
+def native_frames(n_frames: Int[np.ndarray, " n"], *, fps: float, native_fps: float) -> Int[np.ndarray, " n"]:
+    """Count the frames at the native rate that cover ``n_frames`` at the table's: the last one at or after the end."""
+    return np.ceil((n_frames - 1) * (native_fps / fps) - 1e-9).astype(np.int64) + 1
+
+
+def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
+    """Return the batch as the method is to see it.
+
+    The frame before the first lies one native frame before it: its offset, a velocity, is scaled with the rate.
+    """
+    changed: dict[str, object] = {
+        "fps": native_fps,
+        "n_frames": native_frames(batch.n_frames, fps=batch.fps, native_fps=native_fps),
+    }
+    if batch.initial_joints is not None and batch.previous_joints is not None:
+        step = (batch.previous_joints - batch.initial_joints) * (batch.fps / native_fps)
+        changed["previous_joints"] = (batch.initial_joints + step).astype(batch.previous_joints.dtype)
+    return dataclasses.replace(batch, **changed)
+
+
+def at_table_rate(motions: Motions, batch: ConditionBatch, *, native_fps: float) -> Motions:
+    """Interpolate native motions linearly at the times of the table's frames.
+
+    Args:
+        motions: At ``native_fps``, of the lengths of :func:`native_frames`.
+        batch: At the table's rate.
+        native_fps: Frames per second of ``motions``.
+    """
+    # The last native frame lies at or after the end, so nothing is extrapolated.
+    place = np.arange(int(batch.n_frames.max())) * (native_fps / batch.fps)  # in native frames
+    last = motions.n_frames[:, None] - 1
+    left = np.minimum(np.floor(place + 1e-9).astype(np.int64), last)  # (batch, frames)
+    right = np.minimum(left + 1, last)
+    weight = np.clip(place - left, 0.0, 1.0)[..., None, None]
+    row = np.arange(len(batch))[:, None]
+    joints = motions.joints[row, left] * (1 - weight) + motions.joints[row, right] * weight
+    return Motions(joints.astype(np.float32), batch.n_frames, motions.cost)
+
+
 def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
 ) -> tuple[Motions, int]:
@@ -68,12 +107,12 @@ def _generate(
         raise AdapterError(_with_names(str(error), batch, ids)) from error
     except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
         told_of = _with_names(str(error), batch, ids)
-        raise AdapterError(f"method '{method}' failed: {told_of}{_asked_for(ids)}") from error
+        raise AdapterError(f"method '{method}' failed: {told_of}{asked_for(ids)}") from error
     except PrbenchError:
         raise
     except (Exception, SystemExit) as error:
         if not is_out_of_memory(error):
-            raise AdapterError(f"method '{method}' failed: {told(error)}.{_asked_for(ids)}") from error
+            raise AdapterError(f"method '{method}' failed: {told(error)}.{asked_for(ids)}") from error
         if len(batch) == 1:
             raise AdapterError(
                 f"method '{method}' ran out of memory on the single sequence {ids[0]}"
@@ -81,6 +120,7 @@ def _generate(
             ) from error
     else:
         return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
+    # Outside of the handler: its traceback would hold the tensors of the failed batch.
     release_memory()
     middle = len(batch) // 2
     first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle], farthest)
@@ -112,24 +152,24 @@ def well_formed(
     origin = f"method '{method}'"
     if not isinstance(motions, Motions):
         raise AdapterError(
-            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{_asked_for(ids)}"
+            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{asked_for(ids)}"
         )
     joints = motions.joints
     n_frames = _as_array(motions.n_frames)
     if not isinstance(joints, np.ndarray):
         remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
         found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
-        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{_asked_for(ids)}")
+        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{asked_for(ids)}")
     if motions.cost is not None and not isinstance(motions.cost, Cost):
         raise AdapterError(
-            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{_asked_for(ids)}"
+            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{asked_for(ids)}"
         )
     longest = int(batch.n_frames.max())
     fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
     if not fits or not np.issubdtype(joints.dtype, np.floating):
         raise AdapterError(
             f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
-            f" found {joints.shape} of {joints.dtype}.{_asked_for(ids)}"
+            f" found {joints.shape} of {joints.dtype}.{asked_for(ids)}"
         )
     if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
         row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
@@ -221,7 +261,7 @@ def release_memory() -> None:
         torch.cuda.empty_cache()
 
 
-def _asked_for(ids: Sequence[str]) -> str:
+def asked_for(ids: Sequence[str]) -> str:
     """Say what was asked for; names are long, so it comes behind the reason."""
     batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
     return f" It was asked for {batch}."

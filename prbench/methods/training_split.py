@@ -17,12 +17,13 @@ import pyarrow.compute as pc
 from prbench.errors import AdapterError
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
+from prbench.sequences.schema import DATASET_TABLES, SEQUENCES
 from prbench.sequences.write import write_table
 
 FIT_SEED = 0
 """Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
 _SPLIT = "train"
+_PREFIX = "prbench-train-"
 
 
 class TrainingSplit(SequenceTable):
@@ -71,13 +72,9 @@ class TrainingSplit(SequenceTable):
         """That of the whole table."""
         return self._whole.content
 
-    @property
+    @cached_property
     def _whole(self) -> SequenceTable:
         return SequenceTable(self.folder, self.info)
-
-
-_TRAIN = "train"
-_PREFIX = "prbench-train-"
 
 
 class TrainingCopy(TrainingSplit):
@@ -129,20 +126,15 @@ def write_training_copy(table: SequenceTable, folder: Path) -> None:
         StorageError: if the folder cannot be written.
     """
     version = table.info.protocol_version
+    # Its digests stay those of the whole table, by which a method names its fit.
     table.info.write(folder)
-    portions = ([chunk.batch] for chunk in table.chunks(split=_TRAIN))
+    shown = TrainingSplit(table.folder, table.info)
+    portions = ([chunk.batch] for chunk in shown.chunks())
     for index, rows in enumerate(itertools.chain([[]], portions)):  # the first part is empty, so that there is one
         write_table(folder / "sequences" / f"part-{index:05d}.parquet", rows, SEQUENCES, protocol_version=version)
-    recordings = table.recordings().filter(pc.field("split") == _TRAIN)
-    events = table.events()
-    of_training = pc.call_function(
-        "is_in", [events["recording_id"]], pc.SetLookupOptions(recordings["recording_id"].combine_chunks())
-    )
-    for name, rows, schema in (
-        ("recordings", recordings, RECORDINGS),
-        ("events", events.filter(of_training), EVENTS),
-    ):
-        write_table(folder / f"{name}.parquet", _batches(rows), schema, protocol_version=version)
+    for name, rows in (("recordings", shown.recordings()), ("events", shown.events())):
+        batches = rows.combine_chunks().to_batches()
+        write_table(folder / f"{name}.parquet", batches, DATASET_TABLES[name], protocol_version=version)
 
 
 def _of_training(split: str | None) -> str:
@@ -157,7 +149,3 @@ def _remove_orphans() -> None:
         owner = left.name.removeprefix(_PREFIX).partition("-")[0]
         if owner.isdecimal() and not psutil.pid_exists(int(owner)):
             shutil.rmtree(left, ignore_errors=True)
-
-
-def _batches(rows: pa.Table) -> list[pa.RecordBatch]:
-    return rows.combine_chunks().to_batches()

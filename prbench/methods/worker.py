@@ -66,6 +66,7 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
     """Keep stdin and stdout for the protocol; whatever else reads finds nothing, and prints appear on stderr."""
     requests = os.fdopen(os.dup(0), "rb")
     answers = os.fdopen(os.dup(1), "wb")
+    # A method that reads stdin would take bytes of the protocol.
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)

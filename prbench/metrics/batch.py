@@ -99,6 +99,7 @@ class MotionBatch:
         """Consecutive runs of whole sequences with at most ``max_frames`` frames (or one sequence) each."""
         start = 0
         while start < self.n_sequences:
+            # A sequence longer than a chunk still makes one of its own.
             stop = int(np.searchsorted(self.offsets, self.offsets[start] + max_frames, side="right")) - 1
             stop = max(stop, start + 1)
             yield start, stop
@@ -167,6 +168,7 @@ def odd_window(seconds: float, fps: float) -> int:
 
 def moving_sum(values: Float[np.ndarray, "k frames"], batch: MotionBatch, window: int) -> Float[np.ndarray, "k frames"]:
     """Sum over a centred window of frames, with zeros beyond both ends of each sequence."""
+    # Shifted sums instead of a cumulative one: their rounding does not depend on the rest of the batch.
     half = window // 2
     spaced_row = np.arange(values.shape[1]) + half * (batch.sequence_of_row + 1)  # zeros keep the sequences apart
     spaced = np.zeros((len(values), values.shape[1] + half * (batch.n_sequences + 1)))

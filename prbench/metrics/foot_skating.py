@@ -59,6 +59,7 @@ def toe_steps(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> ToeS
     speed = np.zeros((len(TOES), len(motion.values)))
     for toe, track in zip(speed, motion.columns[list(TOES)], strict=True):
         toe[:-1] = np.sqrt(np.diff(track[0]) ** 2 + np.diff(track[2]) ** 2)
+    # One difference over the whole array is fast; the steps from one sequence to the next are set to 0 below.
     speed *= fps_of_sequence[motion.sequence_of_row]
     speed[:, motion.last] = 0.0
     return ToeSteps(speed, _averaged(speed, motion, fps_of_sequence, constants), _contact(motion, constants))
@@ -76,6 +77,7 @@ def _averaged(speed: np.ndarray, motion: MotionBatch, fps: np.ndarray, constants
 
 def _contact(motion: MotionBatch, constants: MetricConstants) -> np.ndarray:
     low = motion.columns[list(TOES), 1] < constants.foot_height - constants.foot_tolerance
+    # A step is a contact only if the toe is low before and after it.
     contact = np.zeros_like(low)
     contact[:, :-1] = low[:, :-1] & low[:, 1:]
     contact[:, motion.last] = False

@@ -20,6 +20,7 @@ def goal_mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarra
         predicted: Canonical frame, metres.
         recorded: Same frame and unit.
     """
+    # float64, because the mean of 22 float32 norms would depend on the order of the sum.
     predicted_goal = predicted.values[predicted.last].astype(np.float64)
     recorded_goal = recorded.values[recorded.last].astype(np.float64)
     return np.linalg.norm(predicted_goal - recorded_goal, axis=-1).mean(axis=-1)

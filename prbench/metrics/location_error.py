@@ -29,6 +29,7 @@ def location_error(
     predicted_end = predicted.values[predicted.last, Joint.PELVIS].astype(np.float64)
     recorded_end = recorded.values[recorded.last, Joint.PELVIS].astype(np.float64)
     distance = np.linalg.norm((predicted_end - recorded_end)[:, axes], axis=-1)
+    # An error begins at the threshold itself, so the tolerance is subtracted here and added in Reach Success.
     return (distance >= constants.location_error_distance - constants.threshold_tolerance).astype(np.float64)
 
 

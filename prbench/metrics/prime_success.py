@@ -42,18 +42,21 @@ def primed(
     track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant
 ) -> Float[np.ndarray, " n"]:
     """Apply the conditions of :func:`prime_success` to the track of any ray."""
+    # The tolerance puts a distance on the threshold inside: tables hold positions as float32.
     on_target = track.usable & (track.distance <= constants.prime_distance + constants.threshold_tolerance)
     sequence = np.repeat(np.arange(len(candidates.count)), candidates.count)
     frame = ranges(candidates.first, candidates.count)
     row = track.row_of_frame_0[sequence] + frame
     hold = candidates.hold[sequence]
     chosen = _stays(on_target, row, hold)
+    # Turning speed has no value in frame 0, so the mean of K speeds up to t needs t >= max(2, K).
     if variant == "onset":
         chosen &= (frame >= np.maximum(2, hold)) & ~on_target[row - 1]
     row = row[chosen]
     hold = hold[chosen]
     sequence = sequence[chosen]
     change = _change_at_onset(track.speed, row, hold) if variant == "onset" else track.speed[row] - track.speed[row - 1]
+    # A head that turns at constant speed changes it by rounding alone, which the tolerance keeps from counting.
     success = np.zeros(len(candidates.count))
     success[sequence[change < -constants.deceleration_tolerance]] = 1.0
     return success
@@ -71,6 +74,7 @@ def _change_at_onset(speed: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Fl
     """Mean of the ``hold`` speeds after each row minus that of the ``hold`` speeds up to it."""
     change = np.zeros(len(row))
     for k in range(_largest(hold)):
+        # Sequences hold for different numbers of frames: beyond its own K, a sequence adds nothing.
         last = hold - 1
         step = speed[row + 1 + np.minimum(k, last)] - speed[row - np.minimum(k, last)]
         change += np.where(k < hold, step, 0.0)

@@ -42,6 +42,7 @@ def candidate_frames(
     constants: MetricConstants,
 ) -> CandidateFrames:
     """Frames t with t / fps in ``[prime_time - prime_window, prime_time + prime_window]`` and room for the stay."""
+    # K = ceil(tau f): 0.1 s at 20 fps are 2 frames, and 2 + 1e-16 must not become 3.
     hold = np.ceil(constants.prime_duration * fps - 1e-9).astype(np.int64)
     begin = np.ceil((prime_time - constants.prime_window - _TIME_TOLERANCE) * fps).astype(np.int64)
     end = np.floor((prime_time + constants.prime_window + _TIME_TOLERANCE) * fps).astype(np.int64)
@@ -114,6 +115,7 @@ def gaze_track(
     valid = gaze.valid[rows]
     distance = ray_distance(origin, direction, goal_location[sequence])
     speed = _turning_speed(direction, sequence, fps)
+    # A turn has two ends: both the one into an invalid sample and the one out of it are unknown.
     speed[~valid] = np.nan
     speed[1:][~valid[:-1]] = np.nan
     return RayTrack(distance, speed, valid, sequence, row_of_frame_0)
@@ -123,6 +125,7 @@ def ray_distance(
     origin: Float[np.ndarray, "rows 3"], direction: Float[np.ndarray, "rows 3"], point: Float[np.ndarray, "_ 3"]
 ) -> Float[np.ndarray, " rows"]:
     """Distance between points and rays, pair by pair or one point for all; behind a ray's origin, from that origin."""
+    # A ray, not a line: for a target behind the origin a line would call looking away a success.
     to_point = point - origin
     along = np.maximum((to_point * direction).sum(axis=-1, keepdims=True), 0.0)
     return np.linalg.norm(to_point - along * direction, axis=-1)
@@ -133,6 +136,7 @@ def _turning_speed(direction: np.ndarray, sequence: np.ndarray, fps: np.ndarray)
     after = direction[1:]
     sine = np.linalg.norm(np.cross(before, after), axis=-1)
     cosine = (before * after).sum(axis=-1)
+    # atan2 of sine and cosine is exact for small turns, where arccos loses half of the digits.
     speed = np.full(len(direction), np.nan)
     speed[1:] = fps[sequence[1:]] * np.arctan2(sine, cosine)
     speed[1:][sequence[1:] != sequence[:-1]] = np.nan

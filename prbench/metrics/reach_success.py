@@ -52,6 +52,7 @@ def reach_wrist(
 def _squared_wrist_distance(motion: MotionBatch, goal: np.ndarray) -> np.ndarray:
     """Squared distance of the nearer wrist in each frame."""
     goal_of_row = np.repeat(goal.T, motion.n_frames, axis=1)
+    # Squared distances: the root is taken of one value a sequence instead of two a frame.
     nearer = np.full(len(motion.values), np.inf)
     for wrist in WRISTS:
         offset = motion.columns[wrist] - goal_of_row

@@ -33,6 +33,7 @@ def score_pair(
         part.predicted.require_finite("predicted", counted_from=start)
         part.recorded.require_finite("recorded", counted_from=start)
         chunks.append({values.metric: values for family in wanted for values in family.compute(part, constants)})
+    # The whole batch is known here; a chunk would flag only its own sequences.
     mismatch = pair.predicted.n_frames != pair.recorded.n_frames
     ids = [info.id for info in _infos(wanted, metrics)]
     return {metric: _joined(metric, [chunk[metric] for chunk in chunks], mismatch) for metric in ids}

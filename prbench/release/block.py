@@ -13,7 +13,6 @@ import math
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -66,20 +65,10 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
     extra: dict[str, str]
 
     def __post_init__(self) -> None:
+        # The block is a user's file like any other: JSON of our exporter may have been edited.
         numbers = (self.start_time, self.prime_time, self.event_time, *self.world_from_canonical)
         if len(self.world_from_canonical) != 16 or not all(map(math.isfinite, numbers)):
             raise ValueError("world_from_canonical must hold 16 finite numbers, and times be finite")
-
-
-def parse_block(value: Any) -> Block | None:
-    """Read the block of an entry; None if there is none.
-
-    Raises:
-        ValueError: if the block has another form.
-    """
-    if value is None:
-        return None
-    return msgspec.convert(value, Block)
 
 
 def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -89,6 +78,7 @@ def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
         for name, values in arrays.items():
             content = io.BytesIO()
             np.lib.format.write_array(content, np.ascontiguousarray(values), allow_pickle=False)
+            # A fresh ZipInfo holds a fixed date, so that equal arrays give equal bytes.
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
     return stream.getvalue()
 
@@ -100,6 +90,7 @@ def unpack_arrays(path: Path, content: bytes) -> dict[str, np.ndarray]:
         InputFileError: if it is damaged, compressed, or holds objects.
     """
     archive = Archive(path, content)
+    # Our exporter never compresses; a compressed member may unpack to any size.
     if not all(map(archive.stored_as_is, archive.members)):
         raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
     return archive.load((*_REQUIRED, *_HEAD))
@@ -118,28 +109,11 @@ def fits(arrays: Mapping[str, np.ndarray], n_frames: int) -> bool:
     }
     return (
         set(_REQUIRED) <= set(arrays)
+        # Position and rotation of the head come together or not at all.
         and len(set(_HEAD) & set(arrays)) != 1
         and all(values.shape == shapes[name] and values.dtype.kind in "fb" for name, values in arrays.items())
         and all(np.isfinite(values).all() for values in arrays.values())
     )
-
-
-def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
-    """Read the header and check that the file is as long as it claims.
-
-    Args:
-        path: File, for messages.
-        content: The beginning of the file.
-        size: Size of the whole file, bytes.
-
-    Raises:
-        InputFileError: if this is no ``.npy`` file, holds objects, or is truncated.
-    """
-    header = read_header(io.BytesIO(content), path, "", remedy=_REMEDY)
-    expected = header.offset + header.nbytes
-    if size != expected:
-        raise _no_array(path, f"{expected} bytes for shape {header.shape}", f"{size}")
-    return header
 
 
 def scan_header(path: Path) -> ArrayHeader:
@@ -165,12 +139,31 @@ def parse_array(path: Path, content: bytes) -> np.ndarray:
     return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset))
 
 
+def _parse_header(path: Path, content: bytes, size: int) -> ArrayHeader:
+    """Read the header and check that the file is as long as it claims.
+
+    Args:
+        path: File, for messages.
+        content: The beginning of the file.
+        size: Size of the whole file, bytes.
+
+    Raises:
+        InputFileError: if this is no ``.npy`` file, holds objects, or is truncated.
+    """
+    header = read_header(io.BytesIO(content), path, "", remedy=_REMEDY)
+    expected = header.offset + header.nbytes
+    if size != expected:
+        raise _no_array(path, f"{expected} bytes for shape {header.shape}", f"{size}")
+    return header
+
+
 def require_frames(path: Path, header: ArrayHeader, per_frame: tuple[int, ...]) -> int:
     """Return the number of frames of an array of shape (N, *per_frame) in single or double precision.
 
     Raises:
         InputFileError: for another shape or kind of number.
     """
+    # Either byte order is accepted, so the comparison must not see it.
     native = header.dtype.newbyteorder("=")
     if native not in _ACCEPTED:
         raise _no_array(path, "float32 or float64", str(header.dtype))

@@ -28,7 +28,7 @@ class Candidate:
     goal: Goal
     subset: str
     primed: float
-    """As written: a frame from 0 or 1, or seconds."""
+    """The value as the release writes it: a frame counted from 0 or from 1, or seconds."""
 
 
 @dataclass
@@ -80,6 +80,7 @@ def _numbers(entries: Entries, files: DatasetFiles, found: Found) -> dict[str, i
     numbers = {entry.key: entry.index for entry in entries.entries if entry.index is not None}
     unnumbered = [entry.key for entry in entries.entries if entry.index is None]
     free = sorted(set(files.motions) - set(numbers.values()))
+    # Only where they pair up without remainder; otherwise nothing says which file is whose.
     if len(unnumbered) == len(free):
         numbers |= dict(zip(unnumbered, free))
         for key in unnumbered:
@@ -90,6 +91,7 @@ def _numbers(entries: Entries, files: DatasetFiles, found: Found) -> dict[str, i
 def _candidate(
     entry: Entry, index: int, files: DatasetFiles, mapping: Mapping[str, str], found: Found
 ) -> Candidate | None:
+    # All checks run, so that a user sees every problem of a sequence at once; whether one was fatal shows afterwards.
     before = len(found.left_out)
     n_frames = _length_of_motion(entry.key, files.motions.get(index), found)
     goal, subset, primed = _targets(entry, mapping, found)
@@ -126,6 +128,7 @@ def _gaze_file(key: str, path: Path | None, n_frames: int | None, found: Found) 
         return None
     if n_frames is None or rows == n_frames:
         return path
+    # Whether a sequence includes its event frame is not stated; gaze and motion may have been cut differently.
     if abs(rows - n_frames) == 1:
         found.report(key, f"gaze: one frame {'more' if rows > n_frames else 'less'} than the motion", left_out=False)
         return path

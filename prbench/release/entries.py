@@ -14,7 +14,8 @@ from typing import Any
 from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_JSON
-from prbench.release.fields import letters, names_a_field
+from prbench.release.fields import names_a_field
+from prbench.release.known import letters
 from prbench.release.layout import index_of
 from prbench.release.values import SUBSETS
 
@@ -31,7 +32,7 @@ class Entry:
     """One sequence as the file describes it."""
 
     key: str
-    """As written."""
+    """The key as the file writes it."""
     index: int | None
     """Its number; None for a key without one."""
     fields: Mapping[str, Any]
@@ -96,10 +97,12 @@ def _unfold(path: Path, content: Any, *, depth: int) -> tuple[list[tuple[str, di
     """Return keys with their fields, and the nested shapes from outside to inside."""
     if isinstance(content, list):
         return _from_list(path, content), ["list of entries"]
+    # A bound on the depth, because a file that nests for ever is damaged or hostile.
     if not isinstance(content, dict) or depth > _DEEPEST:
         raise _unknown(path, f"a {type(content).__name__}" if depth == 0 else "something else inside its wrapper")
     wrapper = _wrapper(content)
     if wrapper is not None:
+        # Fields beside a wrapper, such as one frame rate for all, belong to every sequence in it.
         defaults = {name: value for name, value in content.items() if name != wrapper and names_a_field(name)}
         keyed, shape = _unfold(path, content[wrapper], depth=depth + 1)
         return [(key, defaults | fields) for key, fields in keyed], [f"wrapper '{wrapper}'", *shape]
@@ -156,6 +159,7 @@ def _is_by_field(content: dict[str, Any]) -> bool:
         return False
     if any(isinstance(part, list) for part in content.values()):
         return True
+    # Objects by field and by sequence look alike; the level that has more names of fields is that of the fields.
     outer = sum(names_a_field(name) for name in content)
     inner = sum(names_a_field(name) for part in list(content.values())[:1] for name in part)
     return outer > inner
@@ -186,6 +190,7 @@ def _key_field(content: dict[str, Any]) -> str | None:
 def _require_distinct(path: Path, entries: Iterable[Entry]) -> None:
     first: dict[int | str, str] = {}
     for entry in entries:
+        # `seq_12` and `12` name one motion file and would overwrite each other.
         name = entry.key if entry.index is None else entry.index
         if name in first:
             raise InputFileError(

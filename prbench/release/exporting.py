@@ -5,7 +5,6 @@ Beyond the layout it writes the ``prbench`` block of each entry and the arrays o
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -65,6 +64,7 @@ def export_release(
         if names.count(name) > 1:
             raise UsageError(f"two tables are of {name}; a release has one folder a dataset.")
     for table, folder in zip(opened, folders):
+        # All tables are checked before the first is written: a refusal leaves nothing behind.
         require_may_pass_on(table.info, "a release", permitted)
         require_replaceable(folder, EXPORT_RECORD, kind="export")
     return tuple(_export(table, folder, permitted, frame) for table, folder in zip(opened, folders))
@@ -78,6 +78,7 @@ def _export(table: SequenceTable, folder: Path, permitted: Collection[str], fram
         count = 0
         with open(temporary / TARGETS, "w", encoding="utf-8", newline="\n") as file:
             for count, (key, entry) in enumerate(_written(table, temporary, frame), 1):
+                # One entry a line, written as it comes: the file of a large table never stands in memory.
                 line = json.dumps(entry, ensure_ascii=False, allow_nan=False)
                 file.write(f"{'{' if count == 1 else ','}\n{json.dumps(key)}: {line}")
             file.write("\n}\n")
@@ -129,14 +130,18 @@ class _Row:
         joints = self.chunk.joints
         gaze = self.chunk.frames("gaze_direction")
         valid = np.asarray(self.chunk.frames("gaze_valid"), dtype=bool)
+        # The layout has no column of validity, so NaN has to say it.
         directions = np.where(valid[:, None], gaze, np.float32(np.nan))
         if self.frame == "world":
+            # Directions turn with the frame and do not move with it.
             turn = self.world_from_canonical.copy()
             turn[:3, 3] = 0.0
+            # In float64 and rounded once at the end: far from the origin float32 is coarse.
             joints = transform_points(self.world_from_canonical, joints.astype(np.float64))
             directions = transform_points(turn, directions.astype(np.float64))
-        _write_npy(folder / MOTIONS / f"{key}.npy", joints)
-        _write_npy(folder / GAZES / f"{key}.npy", directions)
+        for name, values in ((MOTIONS, joints), (GAZES, directions)):
+            single = np.ascontiguousarray(values, dtype=np.float32)
+            np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
         further = {
             "previous_joints": self.chunk.poses("previous_joints")[0],
             "next_joints": self.chunk.poses("next_joints")[0],
@@ -193,12 +198,6 @@ class _Row:
             goal_frame="known" if self.info.why_not_scored is None else "unknown",
             extra={pair["key"]: pair["value"] for pair in pairs},
         )
-
-
-def _write_npy(path: Path, values: np.ndarray) -> None:
-    content = io.BytesIO()
-    np.lib.format.write_array(content, np.ascontiguousarray(values, dtype=np.float32), allow_pickle=False)
-    path.write_bytes(content.getvalue())
 
 
 def _record(table: SequenceTable, permitted: Collection[str], frame: Frame) -> dict[str, Any]:

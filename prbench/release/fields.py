@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from prbench.errors import InputFileError, UsageError
+from prbench.release.known import letters
 from prbench.release.report import Certainty, FieldChoice
 from prbench.release.values import (
     parse_action,
@@ -112,16 +113,6 @@ FIELDS: tuple[_FieldRule, ...] = (
 """The canonical fields in the order in which they choose; a field of the release gets one meaning only."""
 
 
-def letters(name: str) -> str:
-    """Return a name in lower case, letters and digits only."""
-    return re.sub(r"[^a-z0-9]", "", str(name).lower())
-
-
-def names_a_field(name: str) -> bool:
-    """Return True if a name is an exact alias of some canonical field."""
-    return any(letters(name) in rule.aliases for rule in FIELDS)
-
-
 def choose_fields(
     where: str, names: Sequence[str], values: Callable[[str], Sequence[Any]], given: Mapping[str, str]
 ) -> tuple[FieldChoice, ...]:
@@ -137,6 +128,7 @@ def choose_fields(
         UsageError: if the user names a field that does not exist.
         InputFileError: if two fields fit equally well, or a field that is needed is not found; lists the names.
     """
+    # A sample decides: the parsers are slow, and releases have tens of thousands of entries.
     some = {name: _some(values(name)) for name in names}
     chosen = [_given(where, canonical, field, names) for canonical, field in given.items()]
     for rule in FIELDS:
@@ -178,8 +170,10 @@ def _choose(
     )
     for names, certainty, evidence in steps:
         found = [name for name in names if _fits(rule, name, values[name])]
+        # Fields like the frame count only confirm; the first alias is as good as any.
         if len(found) > 1 and rule.part is None:  # no number depends on it
             found = sorted(found, key=lambda name: rule.aliases.index(letters(name)))[:1]
+        # Guessing between two goals or two splits would silently give a wrong benchmark.
         if len(found) > 1 and (rule.required or certainty == "certain"):
             raise InputFileError(
                 where,
@@ -200,6 +194,11 @@ def _some(values: Sequence[Any]) -> Sequence[Any]:
 
 def _fits(rule: _FieldRule, name: str, values: Sequence[Any]) -> bool:
     return bool(values) and sum(rule.fits(value, name) for value in values) >= _FITTING * len(values)
+
+
+def names_a_field(name: str) -> bool:
+    """Return True if a name is an exact alias of some canonical field."""
+    return any(letters(name) in rule.aliases for rule in FIELDS)
 
 
 def _is_box(value: Any) -> bool:

@@ -14,16 +14,15 @@ from typing import Any
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.locks import sole_writer
-from prbench.manifests import load_manifest, load_protocol
+from prbench.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
 from prbench.release.layout import DatasetFiles, find_datasets
-from prbench.release.provenance import describe, read_export_record, terms_of
 from prbench.release.report import ImportReport, Inference, count_rows, count_warnings
 from prbench.release.rows import Reading
 from prbench.release.survey import Measured, survey
-from prbench.release.writing import ImportedRows
+from prbench.release.writing import ImportedRows, describe, read_export_record, terms_of
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
@@ -86,6 +85,7 @@ def import_release(
     found = find_datasets(root, dataset)
     targets = {name: out if dataset is not None else out / name for name, _ in found}
     for target in targets.values():
+        # Before anything is read: a folder that holds something else must not be noticed after an hour.
         require_replaceable(target, FILE_NAME, kind="dataset")
     reports = list[ImportReport]()
     failed = list[FailedDataset]()
@@ -108,19 +108,7 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
     interpreted = interpret(dataset, folder, options)
     progress(dataset, f"measuring {len(interpreted.found.candidates)} sequences")
     measured = _measure(interpreted, options)
-    conclusions = _conclude(interpreted, measured, options)
-    reading = Reading(
-        dataset=dataset,
-        head_tilt_deg=manifest.body.head_tilt_deg,
-        texts=load_protocol().text,
-        mapping=interpreted.mapping,
-        unmapped=interpreted.unmapped,
-        fps=interpreted.fps,
-        primed=interpreted.primed,
-        conclusions=conclusions,
-        first_frame_is_previous=options.first_frame_is_previous,
-    )
-    reading = _as_exported(reading, measured)
+    reading = _reading(manifest, dataset, interpreted, measured, options)
     inferences = (*interpreted.inferences, *reading.conclusions.inferences)
     progress(dataset, f"writing {len(measured)} sequences")
     rows = ImportedRows(reading, measured, interpreted.found)
@@ -133,6 +121,7 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
         replace=options.replace,
         incomplete=[each.recording_id for each in rows.records] if interpreted.found.left_out else (),
     )
+    # Counts of the study say nothing about synthetic people.
     of_study = None if dataset.startswith(SYNTHETIC_PREFIX) else interpreted.known
     counts = count_rows((each.candidate.subset for each in measured), of_study)
     report = ImportReport(
@@ -168,6 +157,7 @@ def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]
             primed_frame[candidate.index] = round(primed)
     found.candidates = [each for each in found.candidates if each.index in primed_frame]
     measured = survey(found, primed_frame, first_frame=shift)
+    # Surveying may have dropped the further arrays of a candidate, so its own copy counts from here on.
     found.candidates = [each.candidate for each in measured]
     if options.on_error == "fail" and found.left_out:
         key, reason = next(iter(found.left_out.items()))
@@ -177,6 +167,24 @@ def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]
         )
     require_some(found, interpreted.files)
     return measured
+
+
+def _reading(
+    manifest: Manifest, dataset: str, interpreted: Interpreted, measured: list[Measured], options: ImportOptions
+) -> Reading:
+    """Put together everything that rows depend on: from the JSON, the measurements and our own blocks."""
+    reading = Reading(
+        dataset=dataset,
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        texts=load_protocol().text,
+        mapping=interpreted.mapping,
+        unmapped=interpreted.unmapped,
+        fps=interpreted.fps,
+        primed=interpreted.primed,
+        conclusions=_conclude(interpreted, measured, options),
+        first_frame_is_previous=options.first_frame_is_previous,
+    )
+    return _as_exported(reading, measured)
 
 
 def _conclude(interpreted: Interpreted, measured: list[Measured], options: ImportOptions) -> Conclusions:
@@ -195,6 +203,7 @@ def _as_exported(reading: Reading, measured: list[Measured]) -> Reading:
     """Replace the inferences of frames by the statements of our own blocks, where every entry has one."""
     blocks = [reading.block(each.candidate) for each in measured]
     stated = [block for block in blocks if block is not None]
+    # One entry without a block was written or changed by somebody else; then nothing is taken on trust.
     if len(stated) < len(blocks):
         return reading
     is_known = all(block.goal_frame != UNKNOWN for block in stated)

@@ -96,6 +96,7 @@ def _frame_rate(
         n_frames=_lengths(found),
         primed=_primes(found),
         stated=_field_values(found, mapping, "fps"),
+        # Durations are compared with the lengths row by row, so they count only where all have one.
         durations=durations if len(durations) == len(found.candidates) else None,
         known=known,
     )
@@ -124,6 +125,7 @@ def _field_values(found: Found, mapping: Mapping[str, str], canonical: str) -> n
 def _check_lengths(found: Found, mapping: Mapping[str, str]) -> None:
     """Report stated lengths that differ from the arrays', which are used."""
     for canonical, expected in (("num_frames", 0), ("event_frame", -1)):
+        # The event is the last frame, so its number is one less than the length.
         for candidate in found.candidates if canonical in mapping else ():
             stated = parse_number(candidate.entry.fields.get(mapping[canonical]))
             if stated is not None and stated != candidate.n_frames + expected:

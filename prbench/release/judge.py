@@ -54,6 +54,7 @@ def conclude(where: str, measured: Sequence[Measured], *, stated_unit: str | Non
 
 def _unit(where: str, measured: Sequence[Measured], stated: str | None) -> tuple[float, Inference]:
     bounds = load_known().pelvis_to_head
+    # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
     median = float(np.median([each.pelvis_to_head for each in measured]))
     word = (stated or "").strip().lower()
     said = _UNIT_NAMES.get(word, word)
@@ -74,15 +75,6 @@ def _unit(where: str, measured: Sequence[Measured], stated: str | None) -> tuple
     )
 
 
-def is_canonical_already(measured: Measured, metres: float) -> bool:
-    """Return True where a motion is given in its own canonical frame."""
-    rules = load_known().canonical
-    world_from_canonical = measured.world_from_canonical
-    yaw = np.degrees(np.arctan2(world_from_canonical[0, 2], world_from_canonical[0, 0]))
-    offset = np.abs(world_from_canonical[:3, 3]).max() * metres
-    return bool(offset <= rules.position and abs(yaw) <= rules.yaw_deg)
-
-
 def _canonical(measured: Sequence[Measured], metres: float) -> tuple[bool, Inference]:
     share = float(np.mean([is_canonical_already(each, metres) for each in measured]))
     evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
@@ -92,11 +84,22 @@ def _canonical(measured: Sequence[Measured], metres: float) -> tuple[bool, Infer
     return False, Inference("motion_frame", "world (canonicalised here)", certainty, evidence)
 
 
+def is_canonical_already(measured: Measured, metres: float) -> bool:
+    """Return True where a motion is given in its own canonical frame."""
+    rules = load_known().canonical
+    world_from_canonical = measured.world_from_canonical
+    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
+    yaw = np.degrees(np.arctan2(world_from_canonical[0, 2], world_from_canonical[0, 0]))
+    offset = np.abs(world_from_canonical[:3, 3]).max() * metres
+    return bool(offset <= rules.position and abs(yaw) <= rules.yaw_deg)
+
+
 def _goal_frame(measured: Sequence[Measured], metres: float) -> tuple[str, Inference]:
     limit = load_known().goal.wrist_distance
     medians = np.median([each.goal_to_wrist for each in measured], axis=0) * metres
     tried = ", ".join(f"{name} {median:.2f} m" for name, median in zip(GOAL_FRAMES, medians))
     evidence = f"median distance of goal and nearer wrist in the last frame: {tried}"
+    # The frame of the motions is the plain reading; another one has to be needed, not only slightly nearer.
     best = 0 if medians[0] < limit else int(medians.argmin())
     if medians[best] >= limit:
         return UNKNOWN, Inference("goal_frame", UNKNOWN, "unknown", f"{evidence}; none below {limit:g} m")
@@ -111,6 +114,7 @@ def _skeleton(measured: Sequence[Measured], metres: float) -> Inference:
         f"largest standard deviation of a bone: {spread * 1000:.2f} mm over the sequences,"
         f" {change * 1000:.2f} mm within one (median)"
     )
+    # One sequence has no spread over sequences.
     if len(measured) < 2:
         return Inference("skeleton", UNKNOWN, "unknown", "a single sequence cannot tell")
     uniform = spread <= load_known().skeleton.uniform

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import msgspec
@@ -81,11 +82,12 @@ def load_known() -> KnownRelease:
 
 def dataset_of(folder: str) -> str | None:
     """Return the dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
+    # The prefix is cut off before hyphens go, so that a synthetic copy keeps its own name.
     name = folder.lower()
     prefix = SYNTHETIC_PREFIX if name.startswith(SYNTHETIC_PREFIX) else ""
-    wanted = _letters(name.removeprefix(prefix))
+    wanted = letters(name.removeprefix(prefix))
     for dataset in load_known().datasets:
-        if _letters(dataset) == wanted:
+        if letters(dataset) == wanted:
             return prefix + dataset
     return None
 
@@ -96,5 +98,6 @@ def folder_of(dataset: str) -> str:
     return dataset if known is None else known.folder
 
 
-def _letters(name: str) -> str:
-    return "".join(letter for letter in name.lower() if letter.isalnum())
+def letters(name: str) -> str:
+    """Return a name in lower case, letters and digits only: ``HD-EPIC`` and ``hd_epic`` become equal."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())

@@ -41,13 +41,6 @@ class DatasetFiles:
         return self.folder / TARGETS
 
 
-def index_of(key: str) -> int | None:
-    """Return the number of a sequence key or file name (``motions/0000000012.npy``, ``seq_12``, ``12``), or None."""
-    name = re.split(r"[/\\]", key.strip())[-1].removesuffix(".npy")
-    digits = _ENDS.sub("", name)
-    return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
-
-
 @foreign_input()
 def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Path]]:
     """Find the dataset folders of a release, sorted by name.
@@ -91,6 +84,7 @@ def list_files(folder: Path, dataset: str) -> DatasetFiles:
     Raises:
         InputFileError: if two files have one number, or a file leads out of the folder.
     """
+    # A link to a file outside could make us print or copy what the user never meant to share.
     for name in (TARGETS, EXPORT_RECORD):
         _require_inside(folder, folder / name)
     unused_names: list[str] = []
@@ -115,6 +109,7 @@ def _numbered(root: Path, name: str, suffix: str, unused_names: list[str]) -> di
     for entry in entries:
         path = Path(entry.path)
         index = index_of(path.stem)
+        # Only links can lead out of the release, so no other path has to be resolved.
         if entry.is_symlink():
             _require_inside(root, path)
         if path.suffix != suffix or index is None or not entry.is_file():
@@ -126,6 +121,14 @@ def _numbered(root: Path, name: str, suffix: str, unused_names: list[str]) -> di
             )
         found[index] = path
     return found
+
+
+def index_of(key: str) -> int | None:
+    """Return the number of a sequence key or file name (``motions/0000000012.npy``, ``seq_12``, ``12``), or None."""
+    name = re.split(r"[/\\]", key.strip())[-1].removesuffix(".npy")
+    digits = _ENDS.sub("", name)
+    # isdigit alone also accepts superscripts and other scripts; 18 digits still fit into 64 bits.
+    return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
 
 
 def _require_inside(root: Path, path: Path) -> None:

@@ -45,6 +45,7 @@ class FrameRateEvidence:
 def read_primed_frames(primed: Float[np.ndarray, " n"], n_frames: Int[np.ndarray, " n"]) -> PrimedFrames:
     """Decide between frames from 0, frames from 1, and seconds."""
     whole = primed == np.rint(primed)
+    # Frame numbers are whole. Sequences last some seconds, so values below 30 with fractions are seconds.
     if not whole.all() and primed.max() < 30:
         share = 1 - whole.mean()
         evidence = f"{share:.0%} of the values are no whole numbers, and all are below 30"
@@ -52,6 +53,7 @@ def read_primed_frames(primed: Float[np.ndarray, " n"], n_frames: Int[np.ndarray
     none_is_zero = primed.min() > 0
     at_end = int((primed == n_frames).sum())
     mode = _mode(primed)
+    # A prime 2 s after the start is frame 2 · rate counted from 0, one more counted from 1.
     odd = {round(LEAD * rate) + 1 for rate in load_known().frame_rates}
     if none_is_zero and (at_end or (primed.min() == 1 and mode in odd)):
         evidence = f"{at_end} values equal the number of frames, none is 0; most frequent: {mode:g}"
@@ -78,6 +80,7 @@ def infer_frame_rate(evidence: FrameRateEvidence, primed: PrimedFrames) -> tuple
     votes = {name: vote for name, vote in possible.items() if vote is not None}
     said = "; ".join(f"{name}: {value:.2f} Hz, near {rate:g}" for name, (rate, value) in votes.items())
     rates = {rate for rate, _ in votes.values()}
+    # Two signs for different rates are worse than none: the user has to say which holds.
     if len(rates) != 1:
         reason = "the signs contradict each other" if rates else "nothing tells"
         return None, Inference("fps", "unknown", "unknown", said or reason)
@@ -108,6 +111,7 @@ def _by_mean_length(evidence: FrameRateEvidence, constants: KnownRelease) -> tup
     """Return no rate where there are too few sequences for a precise mean."""
     known = evidence.known
     n = len(evidence.n_frames)
+    # Standard error of the mean, relative to it: with few sequences the mean length tells nothing.
     if known is None or known.duration_sd / (known.duration * np.sqrt(n)) > constants.mean_precision:
         return None
     return _near(float(evidence.n_frames.mean()) / known.duration, constants)

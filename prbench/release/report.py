@@ -1,4 +1,7 @@
-"""The inferences and problems of an import, and its report for people and as ``import_report.json``."""
+"""The inferences and problems of an import, and its report for people and as ``import_report.json``.
+
+The structures carry the names of the JSON's keys (``rename``), so that the file is written from them as they are.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+
+import msgspec
 
 from prbench.release.known import KnownDataset
 from prbench.sequences import DatasetInfo
@@ -17,8 +22,7 @@ Certainty = Literal["certain", "likely", "assumed", "unknown"]
 FILE_NAME = "import_report.json"
 
 
-@dataclass(frozen=True)
-class Inference:
+class Inference(msgspec.Struct, frozen=True, rename={"certainty": "how_surely"}):
     """One property that the release does not state."""
 
     name: str
@@ -32,8 +36,7 @@ class Inference:
         return f"{self.value} ({self.certainty}: {self.evidence})"
 
 
-@dataclass(frozen=True)
-class FieldChoice:
+class FieldChoice(msgspec.Struct, frozen=True, rename={"canonical": "means", "certainty": "how_surely"}):
     """The field of the release that was chosen for a canonical one."""
 
     canonical: str
@@ -42,8 +45,7 @@ class FieldChoice:
     evidence: str
 
 
-@dataclass(frozen=True)
-class Problem:
+class Problem(msgspec.Struct, frozen=True, rename={"key": "sequence", "message": "problem"}):
     """One problem of one sequence."""
 
     key: str
@@ -62,8 +64,7 @@ def grouped(problems: Iterable[Problem]) -> list[tuple[str, int, str]]:
     return [(message, count, first[message]) for message, count in counts.most_common()]
 
 
-@dataclass(frozen=True)
-class _CountRow:
+class _CountRow(msgspec.Struct, frozen=True, rename={"expected": "study"}):
     """Number of sequences of one split, beside the study's."""
 
     split: str
@@ -102,20 +103,12 @@ class ImportReport:
         return {
             "dataset": self.dataset,
             "shape_of_target_information": self.shape,
-            "fields": [
-                {"means": each.canonical, "field": each.field, "how_surely": each.certainty, "evidence": each.evidence}
-                for each in self.fields
-            ],
+            "fields": msgspec.to_builtins(self.fields),
             "fields_kept_in_extra": list(self.unmapped),
-            "inferred": [
-                {"name": each.name, "value": each.value, "how_surely": each.certainty, "evidence": each.evidence}
-                for each in self.inferences
-            ],
-            "counts": [{"split": row.split, "found": row.found, "study": row.expected} for row in self.counts],
+            "inferred": msgspec.to_builtins(self.inferences),
+            "counts": msgspec.to_builtins(self.counts),
             "warnings": list(self.warnings),
-            "problems": [
-                {"sequence": each.key, "problem": each.message, "left_out": each.left_out} for each in self.problems
-            ],
+            "problems": msgspec.to_builtins(self.problems),
         }
 
     def problem_lines(self, most: int = 12) -> list[str]:
@@ -131,6 +124,7 @@ def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_Coun
     """Count the sequences of each split, beside the study's."""
     found = Counter(splits)
     expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
+    # A split without sequences is listed where the study has some: a missing split must be seen.
     names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
     return tuple(_CountRow(name, found[name], expected.get(name)) for name in names)
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.manifests import TextTemplates
-from prbench.release.block import Block, fits, parse_array, parse_block, unpack_arrays
+from prbench.release.block import Block, fits, parse_array, unpack_arrays
 from prbench.release.candidates import Candidate
 from prbench.release.judge import UNKNOWN, Conclusions, is_canonical_already
 from prbench.release.rates import PrimedFrames
@@ -69,13 +69,15 @@ class Reading:
 
     def block(self, candidate: Candidate) -> Block | None:
         """Return the prbench block of an entry, if it has one that still fits its sequence."""
-        try:
-            block = parse_block(self.field(candidate, "prbench"))
-        except (ValueError, msgspec.ValidationError):
+        value = self.field(candidate, "prbench")
+        if value is None or candidate.further is None or self.first_frame_is_previous:
             return None
-        if block is None or candidate.further is None or self.first_frame_is_previous:
+        try:
+            block = msgspec.convert(value, Block)
+        except (ValueError, msgspec.ValidationError):  # of another form, or its numbers are impossible
             return None
         span = block.event_time - block.start_time
+        # A block that no longer fits belongs to an entry that somebody changed; its fields then count, not the block.
         same_prime = abs(block.preroll * self.fps - self.primed_frame(candidate)) <= 0.5 + 1e-6
         same_length = block.n_frames == candidate.n_frames and abs(span * self.fps - candidate.n_frames + 1) < 1e-3
         return block if same_prime and same_length else None
@@ -137,6 +139,7 @@ def _motion(reading: Reading, measured: Measured, block: Block | None) -> _Motio
         valid = valid[1:]
     motion_from_canonical = _motion_from_canonical(reading, measured, block)
     canonical_from_motion = invert_rigid(motion_from_canonical)
+    # Goals may be given in another frame than the motions; both come into the canonical frame in one product.
     motion_from_goal = goal_transform(_known_goal_frame(reading), _scaled(measured.world_from_canonical, metres))
     canonical_from_goal = canonical_from_motion @ motion_from_goal
     goal = transform_points(canonical_from_goal, candidate.goal.location * metres)
@@ -179,22 +182,11 @@ def _plain_sequence(reading: Reading, candidate: Candidate, motion: _Motion) -> 
     fps = reading.fps
     primed = reading.primed_frame(candidate) - reading.first_frame_is_previous
     event_time = (len(joints) - 1) / fps
-    action, text = _action_and_text(reading, candidate)
     hand = parse_hand(reading.field(candidate, "hand"))
-    names = reading.names(candidate)
     low, high = _world_box(reading, candidate, motion)
     previous = motion.previous_joints
     return Sequence(
-        sequence_id=names.sequence_id,
-        dataset=reading.dataset,
-        recording_id=names.recording_id,
-        participant_id=names.participant_id,
-        split=candidate.subset,
-        split_group=names.split_group,
-        action=action,
-        object_id="",
-        object_name=parse_name(reading.field(candidate, "object_name")) or "",
-        text=text,
+        **_labels(reading, candidate),
         hand=hand,
         fps=fps,
         n_frames=len(joints),
@@ -205,6 +197,7 @@ def _plain_sequence(reading: Reading, candidate: Candidate, motion: _Motion) -> 
         prime_gap=event_time - primed / fps,
         preroll=primed / fps,
         prime_kind="unknown",
+        # The release counts whole frames, so the prime is known to one frame.
         prime_time_uncertainty=1 / fps,
         goal_location=motion.goal,
         goal_box_world_min=low,
@@ -226,6 +219,24 @@ def _plain_sequence(reading: Reading, candidate: Candidate, motion: _Motion) -> 
         world_from_canonical=motion.world_from_canonical,
         extra=_extra(reading, candidate),
     )
+
+
+def _labels(reading: Reading, candidate: Candidate) -> dict[str, str]:
+    """Return the columns of a row that are text from the entry; the release has no ids of objects."""
+    names = reading.names(candidate)
+    action, text = _action_and_text(reading, candidate)
+    return {
+        "sequence_id": names.sequence_id,
+        "dataset": reading.dataset,
+        "recording_id": names.recording_id,
+        "participant_id": names.participant_id,
+        "split": candidate.subset,
+        "split_group": names.split_group,
+        "action": action,
+        "object_id": "",
+        "object_name": parse_name(reading.field(candidate, "object_name")) or "",
+        "text": text,
+    }
 
 
 def _with_block(plain: Sequence, block: Block, candidate: Candidate) -> Sequence:
@@ -283,6 +294,7 @@ def _world_box(
 def _reaching_wrist(joints: Float[np.ndarray, "n 22 3"], goal: Float[np.ndarray, "3"], hand: str | None) -> int:
     if hand is not None:
         return Joint.LEFT_WRIST if hand == "left" else Joint.RIGHT_WRIST
+    # Without a stated hand the nearer wrist is taken for the one that reached.
     return WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
 
 

@@ -104,6 +104,7 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
     joints = arrays.joints
     key = candidate.entry.key
     try:
+        # A frame before the sequence is no part of it: place and heading are those of the first pose after it.
         world_from_canonical = canonical_frame(joints[first_frame:])
     except ValueError:
         found.report(key, "motion: its first pose has no heading, hips and shoulders lie on one vertical line")
@@ -114,6 +115,7 @@ def _measure(candidate: Candidate, primed: int, first_frame: int, found: Found) 
         found.report(key, "gaze: no frame has a unit vector", left_out=False)
     head = joints[primed, Joint.HEAD]
     lengths = bone_lengths(joints)
+    # From the head joint, because the layout holds directions of gaze and no eyes.
     ray = [ray_distance(head[None], directions[primed][None], goal[None])[0] for goal in goals]
     return Measured(
         candidate=arrays.candidate,

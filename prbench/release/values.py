@@ -73,6 +73,7 @@ def _numbers(value: Any, *, depth: int = 0) -> np.ndarray | None:
 
 def parse_number(value: Any) -> float | None:
     """Parse a finite number, also one written as text; truth values are no numbers."""
+    # In Python True is an int; in a release it is no number.
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -98,6 +99,7 @@ def parse_subset(value: Any, field: str = "") -> str | None:
         value = value.strip().lower() in ("1", "true")
     if isinstance(value, bool) or value in (0, 1):
         name = field.lower()
+        # `is_train: 1` says something, `split: 1` does not.
         if ("train" in name) != ("test" in name):
             is_train = bool(value) == ("train" in name)
             return "train" if is_train else "test"
@@ -119,6 +121,7 @@ def parse_action(value: Any, field: str = "") -> str | None:
 def action_of_text(text: str) -> str | None:
     """Return ``pick`` or ``put`` as a prompt says it; None where it says both or neither."""
     picks = bool(_PICKS.search(text))
+    # `Take the cup and put it down` names both.
     if picks == bool(_PUTS.search(text)):
         return None
     return "pick" if picks else "put"

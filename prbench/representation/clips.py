@@ -159,10 +159,15 @@ def canonicalise(
     try:
         canonical_from_world = invert_rigid(canonical_frame(motion))
     except ValueError as error:
-        raise InputFileError(
-            source, "frame 0", expected="a pose with a heading", found=str(error), remedy="Start at another frame."
-        ) from error
+        raise no_heading(source, error) from error
     return transform_points(canonical_from_world, motion).astype(joints.dtype)
+
+
+def no_heading(source: Path | str, error: ValueError) -> InputFileError:
+    """Return the refusal of a first pose that faces nowhere."""
+    return InputFileError(
+        source, "frame 0", expected="a pose with a heading", found=str(error), remedy="Start at another frame."
+    )
 
 
 def mirror(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch 22 3"]:
@@ -189,7 +194,7 @@ def at_20_fps(
     Raises:
         InputFileError: if the rate is no positive number.
     """
-    _check_rate(fps, source)
+    check_rate(fps, source)
     end = (len(joints) - 1) / fps
     grid = SequenceGrid.ending_at(end, prime_time=0.0, lead=0.0, fps=FRAME_RATE)
     return interpolate(np.arange(len(joints)) / fps, joints, grid.times).astype(joints.dtype)
@@ -206,7 +211,7 @@ def every_stride(
     Raises:
         InputFileError: if the rate is below 20, so that no stride exists.
     """
-    _check_rate(fps, source)
+    check_rate(fps, source)
     stride = int(fps / FRAME_RATE)
     if stride < 1:
         raise InputFileError(
@@ -215,6 +220,11 @@ def every_stride(
     return joints[::stride], fps / stride
 
 
-def _check_rate(fps: float, source: Path | str) -> None:
+def check_rate(fps: float, source: Path | str) -> None:
+    """Refuse a frame rate that is no positive number.
+
+    Raises:
+        InputFileError: naming the source.
+    """
     if not (np.isfinite(fps) and fps > 0):
         raise InputFileError(source, "", expected="a frame rate above 0", found=f"{fps:g}")

@@ -11,6 +11,7 @@ from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import RunError
 from prbench.limits import LARGEST_JSON
+from prbench.runs.record import read_record
 from prbench.storage import write_json
 
 
@@ -70,10 +71,12 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: if it is missing or damaged.
         """
-        try:
-            return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
-        except (FileNotFoundError, msgspec.ValidationError, msgspec.DecodeError) as error:
-            raise RunError(f"{path}: not a valid measurement: {error}. Run the same command again.") from error
+        return read_record(
+            path,
+            cls,
+            missing=f"{path}: expected the cost of a run, found no file. Run the method again: it resumes.",
+            remedy="Delete it and run the method again.",
+        )
 
 
 @foreign_input()
@@ -94,6 +97,7 @@ def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
 
 def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
     """Sum up single batches."""
+    # The first batch of a process also pays for compilation and for weights that load on first use.
     timed = [cost for cost in costs if not cost.warm_up]
     warm_up = [cost for cost in costs if cost.warm_up]
     motions = sum(cost.motions for cost in timed)
@@ -115,20 +119,3 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
         batches_measured=len(costs),
         restarts={f"{cost.batch:05d}": cost.restarts for cost in costs if cost.restarts},
     )
-
-
-@foreign_input()
-def read_run_cost(path: Path) -> RunCost:
-    """Read ``cost.json``.
-
-    Raises:
-        RunError: if it is missing or damaged.
-    """
-    try:
-        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=RunCost)
-    except FileNotFoundError as error:
-        raise RunError(
-            f"{path}: expected the cost of a run, found no file. Run the method again: it resumes."
-        ) from error
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
-        raise RunError(f"{path}: not a valid cost.json: {error}. Delete it and run the method again.") from error

@@ -70,6 +70,7 @@ class DatasetFolder:
             return False
         if not {"sequence_id", "sample"} <= set(rows.column_names):
             return False
+        # A part of another plan could have the same name, so the ids themselves are compared.
         ids = list(sequence_ids)
         expected = [(name, sample) for sample in range(samples) for name in ids]
         return list(zip(rows["sequence_id"].to_pylist(), rows["sample"].to_pylist())) == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -14,6 +15,7 @@ from prbench.shown import clean
 from prbench.storage import write_json
 
 FILE_NAME = "run.json"
+Record = TypeVar("Record")
 
 BUILT_IN = "built-in"
 CONTROL = "control"
@@ -122,13 +124,13 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: if the folder holds none, or it is damaged or of another version.
         """
-        path = folder / FILE_NAME
-        try:
-            return _with_todays_kind(msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls))
-        except FileNotFoundError as error:
-            raise RunError(f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.") from error
-        except (msgspec.ValidationError, msgspec.DecodeError) as error:
-            raise RunError(f"{path}: not a valid {FILE_NAME}: {error}. Choose another folder for --out.") from error
+        record = read_record(
+            folder / FILE_NAME,
+            cls,
+            missing=f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.",
+            remedy="Choose another folder for --out.",
+        )
+        return _with_todays_kind(record)
 
     def require_same(self, other: RunRecord, folder: Path) -> None:
         """Refuse to go on in a folder that belongs to other inputs.
@@ -142,6 +144,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         """
         wanted = _flat(msgspec.to_builtins(self))
         found = _flat(msgspec.to_builtins(other))
+        # In the order of the record, so that the first difference named is the most telling one.
         for key in wanted | found:
             if wanted.get(key) != found.get(key):
                 raise RunError(
@@ -149,6 +152,26 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
                     f" found {_shown(found.get(key))}. The folder belongs to another run; choose another folder for"
                     " --out, or delete this one."
                 )
+
+
+def read_record(path: Path, kind: type[Record], *, missing: str, remedy: str) -> Record:
+    """Read one of the JSON files of a run.
+
+    Args:
+        path: The file.
+        kind: What it holds.
+        missing: The message if there is no such file.
+        remedy: What to do about a file that holds something else.
+
+    Raises:
+        RunError: if it is missing, damaged or of another version.
+    """
+    try:
+        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
+    except FileNotFoundError as error:
+        raise RunError(missing) from error
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise RunError(f"{path}: not a valid {path.name}: {error}. {remedy}") from error
 
 
 def _with_todays_kind(record: RunRecord) -> RunRecord:

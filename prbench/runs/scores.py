@@ -76,6 +76,7 @@ def read_scores(path: Path) -> pa.Table:
         raise RunError(
             f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(table.column_names)}."
         )
+    # Repeated rows would enter a mean twice.
     keys = table.group_by(["dataset", "sequence_id", "sample", "metric"]).aggregate([([], "count_all")])
     if len(keys) < len(table):
         row = keys.filter(pc.field("count_all") > 1).slice(0, 1).to_pylist()[0]

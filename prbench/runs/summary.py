@@ -7,9 +7,8 @@ from pathlib import Path
 import msgspec
 
 from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import RunError
-from prbench.limits import LARGEST_JSON
+from prbench.runs.record import read_record
 from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.storage import write_json
 
@@ -68,6 +67,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def recorded_motions(self) -> int:
         """Number of motions that are the recorded ones, handed in as the method's own."""
+        # Any metric may carry the remark; each counts the same motions.
         return max((metric.flags.get(RECORDED_MOTION, 0) for metric in self.metrics), default=0)
 
     @property
@@ -100,14 +100,12 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
             RunError: if it is missing, damaged or of another version.
         """
         path = folder / FILE_NAME
-        try:
-            summary = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
-        except FileNotFoundError as error:
-            raise RunError(
-                f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes."
-            ) from error
-        except (msgspec.ValidationError, msgspec.DecodeError) as error:
-            raise RunError(f"{path}: not a valid {FILE_NAME}: {error}. Delete it and run the method again.") from error
+        summary = read_record(
+            path,
+            cls,
+            missing=f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes.",
+            remedy="Delete it and run the method again.",
+        )
         if summary.schema_version != RUN_SCHEMA_VERSION:
             raise RunError(
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -71,6 +73,23 @@ class SequenceChunk:
         return SequenceChunk(self.batch.take(pa.array(np.asarray(rows, dtype=np.int64))))
 
 
+def row_batch(rows: Iterable[Any], schema: pa.Schema, *, counted: Collection[str] = ()) -> pa.RecordBatch:
+    """Arrow rows of objects whose attributes bear the names of the columns, in the order given.
+
+    Args:
+        rows: The objects.
+        schema: The columns.
+        counted: Columns that are counts from the mapping ``outcomes`` of each object; 0 where it lacks one.
+    """
+    rows = list(rows)
+    columns = []
+    for field in schema:
+        name = field.name
+        values = [row.outcomes.get(name, 0) if name in counted else getattr(row, name) for row in rows]
+        columns.append(column(values, field.type))
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
 def column(values: list, kind: pa.DataType) -> pa.Array:
     """Values of one column as Arrow: arrays (n, size) or (size,) where the type is bulky, plain values otherwise."""
     if pa.types.is_fixed_size_list(kind):
@@ -78,7 +97,9 @@ def column(values: list, kind: pa.DataType) -> pa.Array:
     if kind == KEY_VALUES:
         pairs = [[{"key": key, "value": text} for key, text in sorted(value.items())] for value in values]
         return pa.array(pairs, type=kind)
-    if pa.types.is_list(kind):
+    if pa.types.is_list(kind) and pa.types.is_struct(kind.value_type):  # data classes with the fields of the struct
+        return pa.array([[asdict(item) for item in value] for value in values], type=kind)
+    if pa.types.is_list(kind) and not pa.types.is_string(kind.value_type):
         return _ragged(values, kind)
     return pa.array(values, type=kind)
 
@@ -94,6 +115,7 @@ def _vectors(values: list[np.ndarray | None], kind: pa.FixedSizeListType) -> pa.
 
 def _ragged(values: list[np.ndarray | None], kind: pa.ListType) -> pa.Array:
     lengths = [0 if value is None else len(value) for value in values]
+    # int32, because Arrow's list (unlike large_list) has such offsets.
     offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int32)
     inner = kind.value_type
     present = [value for value in values if value is not None]

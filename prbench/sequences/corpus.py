@@ -5,7 +5,6 @@ Columns that the sequence table has too keep its name, type, unit and frame, so 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -14,13 +13,12 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from prbench.errors import TableError
-from prbench.sequences.chunk import column
-from prbench.sequences.schema import KEY_VALUES, SEQUENCES, check_columns
+from prbench.sequences.chunk import row_batch
+from prbench.sequences.schema import KEY_VALUES, SEQUENCES, check_columns, column_field
 from prbench.sequences.sequence import FrameSource
 
 CORPUS_SCHEMA_VERSION = 1
 _VERSION_KEY = "prbench_corpus_schema_version"
-
 ANNOTATION_OUTCOMES = (
     "clip",
     "no_text",
@@ -33,42 +31,52 @@ ANNOTATION_OUTCOMES = (
     "no_heading",
 )
 """Possible outcomes of one annotated span of text."""
-
 _CAPTION = pa.struct(
     [
-        pa.field("text", pa.string(), nullable=False),
-        pa.field("kind", pa.string(), nullable=False),
-        pa.field("tokens", pa.string(), nullable=False),
+        column_field("text", pa.string()),
+        column_field("kind", pa.string()),
+        column_field("tokens", pa.string()),
     ]
 )
 """One text of a clip; ``tokens`` as the source gives them (``word/POS``), else empty."""
 _METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
+ANNOTATIONS = pa.schema(
+    [
+        column_field("annotation_id", pa.string()),
+        column_field("recording_id", pa.string()),
+        column_field("sequence_id", pa.string(), nullable=True),
+        column_field("kind", pa.string()),
+        column_field("text", pa.string()),
+        column_field("text_start", pa.float64()),
+        column_field("text_end", pa.float64()),
+        column_field("outcome", pa.string()),
+        column_field("value", pa.float64(), nullable=True),
+        column_field("threshold", pa.float64(), nullable=True),
+    ],
+    metadata=_METADATA,
+)
 
 
 def _shared(*names: str) -> list[pa.Field]:
     return [SEQUENCES.field(name) for name in names]
 
 
-def _field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
-    return pa.field(name, kind, nullable=nullable)
-
-
 CLIPS = pa.schema(
     [
         *_shared("sequence_id", "dataset", "recording_id", "participant_id", "split", "split_group"),
-        _field("kind", pa.string()),
+        column_field("kind", pa.string()),
         *_shared("text"),
-        _field("captions", pa.list_(_CAPTION)),
+        column_field("captions", pa.list_(_CAPTION)),
         *_shared("fps", "n_frames", "start_time"),
-        _field("end_time", pa.float64()),
-        _field("text_start", pa.float64()),
-        _field("text_end", pa.float64()),
-        _field("cut", pa.bool_()),
-        _field("mirrored", pa.bool_()),
-        _field("clock_method", pa.string()),
-        _field("clock_offset", pa.float64()),
-        _field("clock_quality", pa.float64(), nullable=True),
-        _field("approximate", pa.bool_()),
+        column_field("end_time", pa.float64()),
+        column_field("text_start", pa.float64()),
+        column_field("text_end", pa.float64()),
+        column_field("cut", pa.bool_()),
+        column_field("mirrored", pa.bool_()),
+        column_field("clock_method", pa.string()),
+        column_field("clock_offset", pa.float64()),
+        column_field("clock_quality", pa.float64(), nullable=True),
+        column_field("approximate", pa.bool_()),
         *_shared(
             "pose_source", "head_tilt_deg", "joints", "previous_joints", "previous_source", "next_joints", "next_source"
         ),
@@ -76,37 +84,19 @@ CLIPS = pa.schema(
     ],
     metadata=_METADATA,
 )
-
-ANNOTATIONS = pa.schema(
-    [
-        _field("annotation_id", pa.string()),
-        _field("recording_id", pa.string()),
-        _field("sequence_id", pa.string(), nullable=True),
-        _field("kind", pa.string()),
-        _field("text", pa.string()),
-        _field("text_start", pa.float64()),
-        _field("text_end", pa.float64()),
-        _field("outcome", pa.string()),
-        _field("value", pa.float64(), nullable=True),
-        _field("threshold", pa.float64(), nullable=True),
-    ],
-    metadata=_METADATA,
-)
-
 CORPUS_RECORDINGS = pa.schema(
     [
         *_shared("recording_id", "participant_id", "split", "split_group"),
-        _field("duration", pa.float64()),
-        *(_field(outcome, pa.int32()) for outcome in ANNOTATION_OUTCOMES),
-        _field("clock_method", pa.string()),
-        _field("clock_quality", pa.float64(), nullable=True),
-        _field("status", pa.string()),
-        _field("message", pa.string()),
-        _field("measured", KEY_VALUES),
+        column_field("duration", pa.float64()),
+        *(column_field(outcome, pa.int32()) for outcome in ANNOTATION_OUTCOMES),
+        column_field("clock_method", pa.string()),
+        column_field("clock_quality", pa.float64(), nullable=True),
+        column_field("status", pa.string()),
+        column_field("message", pa.string()),
+        column_field("measured", KEY_VALUES),
     ],
     metadata=_METADATA,
 )
-
 CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}
 """The tables of a corpus folder by the names of their files."""
 
@@ -226,31 +216,14 @@ class CorpusRecord:
 
 def clip_batch(clips: Iterable[Clip]) -> pa.RecordBatch:
     """Arrow rows of clips, in the order given."""
-    rows = list(clips)
-    columns = [
-        _captions(rows) if name == "captions" else column([getattr(row, name) for row in rows], CLIPS.field(name).type)
-        for name in CLIPS.names
-    ]
-    return pa.RecordBatch.from_arrays(columns, schema=CLIPS)
+    return row_batch(clips, CLIPS)
 
 
 def annotation_batch(annotations: Iterable[Annotation]) -> pa.RecordBatch:
     """Arrow rows of annotations, in the order given."""
-    return pa.RecordBatch.from_pylist([dataclasses.asdict(row) for row in annotations], schema=ANNOTATIONS)
+    return row_batch(annotations, ANNOTATIONS)
 
 
 def corpus_recording_batch(records: Iterable[CorpusRecord]) -> pa.RecordBatch:
     """Arrow rows of recordings, in the order given."""
-    rows = []
-    for record in records:
-        row = dataclasses.asdict(record)
-        counts = row.pop("outcomes")
-        measured = row.pop("measured")
-        row |= {outcome: counts.get(outcome, 0) for outcome in ANNOTATION_OUTCOMES}
-        rows.append(row | {"measured": [{"key": key, "value": text} for key, text in sorted(measured.items())]})
-    return pa.RecordBatch.from_pylist(rows, schema=CORPUS_RECORDINGS)
-
-
-def _captions(rows: list[Clip]) -> pa.Array:
-    values = [[dataclasses.asdict(caption) for caption in row.captions] for row in rows]
-    return pa.array(values, type=CLIPS.field("captions").type)
+    return row_batch(records, CORPUS_RECORDINGS, counted=ANNOTATION_OUTCOMES)

@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from prbench.sequences.dataset_info import DatasetInfo
+from prbench.sequences.digests import files_of_table
 from prbench.sequences.schema import KEY_VALUES
 from prbench.storage import file_digest, write_json
 
@@ -96,14 +97,18 @@ def write_croissant(
 
 def _files(folder: Path, name: str) -> list[dict[str, Any]]:
     """The file of a table, or its parts and the set that they form."""
-    single = folder / f"{name}.parquet"
-    parts = sorted((folder / name).glob("part-*.parquet"))
-    if single.is_file():
-        return [_file(single, single.name)]
-    pattern = {"@type": "cr:FileSet", "@id": _part_set(name), "name": _part_set(name), "encodingFormat": _PARQUET}
-    return [_file(path, f"{name}/{path.name}") for path in parts] + [
-        pattern | {"includes": f"{name}/part-*.parquet"} | {"containedIn": [{"@id": f"{name}/{p.name}"} for p in parts]}
-    ]
+    files = [_file(path, path.relative_to(folder).as_posix()) for path in files_of_table(folder, name)]
+    if (folder / f"{name}.parquet").is_file():
+        return files
+    part_set = {
+        "@type": "cr:FileSet",
+        "@id": _part_set(name),
+        "name": _part_set(name),
+        "encodingFormat": _PARQUET,
+        "includes": f"{name}/part-*.parquet",
+        "containedIn": [{"@id": file["@id"]} for file in files],
+    }
+    return [*files, part_set]
 
 
 def _part_set(name: str) -> str:
@@ -168,6 +173,7 @@ def _of_pair(parent: str, name: str, source: dict[str, Any]) -> dict[str, Any]:
 def _shape(kind: pa.DataType) -> tuple[list[int], str]:
     """Shape (-1 = any length) and Croissant type of one value of a column."""
     shape = []
+    # Lists nest: frames of poses are a list of fixed-size lists.
     while pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
         shape.append(kind.list_size if pa.types.is_fixed_size_list(kind) else -1)
         kind = kind.value_type

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
+from typing import ClassVar, Self
 
 import msgspec
 
@@ -50,45 +50,52 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     redistribution: str
     homepage: str
     citation: str
+    file_name: ClassVar[str]
+    """Name of the file that holds it, in the folder of the table."""
+    described: ClassVar[str]
+    """``dataset`` or ``corpus``: what is built, for messages."""
+
+    def write(self, folder: Path) -> None:
+        """Write the file of this description."""
+        write_json(folder / self.file_name, msgspec.to_builtins(self))
+
+    @classmethod
+    @foreign_input()
+    def read(cls, folder: Path | str) -> Self:
+        """Read the file that describes a built dataset or corpus.
+
+        Raises:
+            TableError: if the folder holds none, or it is damaged or of another version.
+        """
+        folder = Path(folder)
+        path = folder / cls.file_name
+        try:
+            info = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise TableError(
+                f"{folder}: expected a built {cls.described} (a folder with {cls.file_name}), found {_found(folder)}."
+                f" {cls._remedy(folder)}"
+            ) from error
+        except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {cls.described} again.") from error
+        if not is_path_part(info.dataset):  # folders are named after it, and nothing is made before this is known
+            raise TableError(
+                f"{path}, dataset: expected a name that a folder can have, found '{quoted(info.dataset)}'."
+                f" Build the {cls.described} again."
+            )
+        return info
+
+    @classmethod
+    def _remedy(cls, folder: Path) -> str:
+        """Name the built ones that lie one folder farther down, where a folder of several was given."""
+        inner = sorted(str(file.parent) for file in folder.glob(f"*/{cls.file_name}"))
+        return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench build-{cls.described}`."
 
 
-_Info = TypeVar("_Info", bound=Provenance)
-
-
-@foreign_input()
-def _read_info(path: Path, kind: type[_Info], *, what: str) -> _Info:
-    """Read the file that describes a built ``dataset`` or ``corpus``, whichever ``what`` says.
-
-    Raises:
-        TableError: if the folder holds none, or it is damaged or of another version.
-    """
-    folder = path.parent
-    try:
-        info = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        if folder.is_dir():
-            found = "no such file in it"
-        elif folder.is_file():
-            found = "a file"
-        else:
-            found = "no such folder"
-        raise TableError(
-            f"{folder}: expected a built {what} (a folder with {path.name}), found {found}. {_remedy(path, what)}"
-        ) from error
-    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {what} again.") from error
-    if not is_path_part(info.dataset):  # folders are named after it, and nothing is made before this is known
-        raise TableError(
-            f"{path}, dataset: expected a name that a folder can have, found '{quoted(info.dataset)}'."
-            f" Build the {what} again."
-        )
-    return info
-
-
-def _remedy(path: Path, what: str) -> str:
-    """Name the built ones that lie one folder farther down, where a folder of several was given."""
-    inner = sorted(str(file.parent) for file in path.parent.glob(f"*/{path.name}"))
-    return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench build-{what}`."
+def _found(folder: Path) -> str:
+    if folder.is_dir():
+        return "no such file in it"
+    return "a file" if folder.is_file() else "no such folder"
 
 
 def counts_stated(path: Path) -> dict[str, int]:
@@ -123,6 +130,9 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
 class DatasetInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one built dataset; its outcomes are those of events."""
 
+    file_name: ClassVar[str] = FILE_NAME
+    described: ClassVar[str] = "dataset"
+
     counts: FunnelCounts
 
     @property
@@ -134,19 +144,6 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
                 " evidence), so no distance to a goal means anything"
             )
         return None
-
-    def write(self, folder: Path) -> None:
-        """Write ``dataset.json``."""
-        write_json(folder / FILE_NAME, msgspec.to_builtins(self))
-
-    @classmethod
-    def read(cls, folder: Path | str) -> DatasetInfo:
-        """Read ``dataset.json``.
-
-        Raises:
-            TableError: if the folder holds none, or it is damaged or of another version.
-        """
-        return _read_info(Path(folder) / FILE_NAME, cls, what="dataset")
 
 
 class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,17 +165,7 @@ class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
 class CorpusInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one built corpus; its outcomes are those of annotations."""
 
+    file_name: ClassVar[str] = CORPUS_FILE
+    described: ClassVar[str] = "corpus"
+
     counts: CorpusCounts
-
-    def write(self, folder: Path) -> None:
-        """Write ``corpus.json``."""
-        write_json(folder / CORPUS_FILE, msgspec.to_builtins(self))
-
-    @classmethod
-    def read(cls, folder: Path | str) -> CorpusInfo:
-        """Read ``corpus.json``.
-
-        Raises:
-            TableError: if the folder holds none, or it is damaged or of another version.
-        """
-        return _read_info(Path(folder) / CORPUS_FILE, cls, what="corpus")

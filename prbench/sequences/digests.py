@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from pathlib import Path
 
@@ -32,9 +32,35 @@ def identity_digest(
 ) -> str:
     """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length."""
     digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
+    # Sorted: two laboratories may have built the same rows in another order.
     for row in sorted(zip(sequence_ids, splits, actions, (str(n) for n in n_frames))):
         digest.update("\t".join(row).encode() + b"\n")
     return digest.hexdigest()
+
+
+class RowDigests:
+    """Passes the rows of a main table on, and remembers what its two digests need.
+
+    Args:
+        columns: Every column of the table, for the content digest.
+        identity_columns: The columns of :func:`identity_digest`, in its order.
+    """
+
+    def __init__(self, columns: SequenceOf[str], identity_columns: SequenceOf[str]) -> None:
+        self.content = ContentDigest(columns)
+        self._identifying: dict[str, list] = {name: [] for name in identity_columns}
+
+    def pass_on(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        """Yield the batches unchanged; the digests are those of what was taken so far."""
+        for batch in batches:
+            self.content.update(batch)
+            for name, values in self._identifying.items():
+                values.extend(batch.column(name).to_pylist())
+            yield batch
+
+    def identity(self, protocol_version: int) -> str:
+        """The identity digest of all rows that were passed on."""
+        return identity_digest(*self._identifying.values(), protocol_version=protocol_version)
 
 
 class ContentDigest:
@@ -60,7 +86,9 @@ class _ColumnDigest:
     """Presence, lengths and values of one column, each a stream of its own so that batch borders do not show."""
 
     def __init__(self) -> None:
-        self._presence, self._lengths, self._values = hashlib.sha256(), hashlib.sha256(), hashlib.sha256()
+        self._presence = hashlib.sha256()
+        self._lengths = hashlib.sha256()
+        self._values = hashlib.sha256()
 
     def update(self, column: pa.Array) -> None:
         self._presence.update(np.asarray(column.is_valid(), dtype=np.uint8).tobytes())
@@ -88,6 +116,7 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
     if not pa.types.is_floating(leaf.type):
         return numbers.astype(np.int64)
     integer = np.int32 if leaf.type == pa.float32() else np.int64
+    # A product, not a quotient, and in float64: other processors then round to the same integers.
     return np.rint(numbers * np.float64(1 / _ROUNDING)).astype(integer)
 
 
@@ -97,7 +126,8 @@ class UnverifiedTableWarning(UserWarning):
 
 def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
     """SHA-256 of each Parquet file of some tables, by its path relative to the folder; absent files are left out."""
-    return {path.relative_to(folder).as_posix(): file_digest(path) for name in tables for path in _files(folder, name)}
+    paths = [path for name in tables for path in files_of_table(folder, name)]
+    return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
 
 
 def require_unchanged(
@@ -144,8 +174,8 @@ def require_unchanged(
                 )
 
 
-def _files(folder: Path, table: str) -> list[Path]:
-    """The file of a table or its parts; none where it is absent."""
+def files_of_table(folder: Path, table: str) -> list[Path]:
+    """The Parquet file of a table, or the parts of a folder in order; none where it is absent."""
     single = folder / f"{table}.parquet"
     return [single] if single.is_file() else sorted((folder / table).glob("part-*.parquet"))
 

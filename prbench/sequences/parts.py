@@ -33,6 +33,7 @@ def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path
 def _code_digest() -> str:
     """Digest of the package's source files, so that parts made by other code are never taken over."""
     root = Path(prbench.__file__).parent
+    # The version alone would not do: a working copy changes between releases.
     digest = hashlib.sha256(prbench.__version__.encode())
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

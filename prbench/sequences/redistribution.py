@@ -103,4 +103,5 @@ def strictest(redistributions: Iterable[str]) -> str:
 
 def _known(redistribution: str) -> str:
     """The kind, or the strictest one for a word that is not known."""
+    # A word from a newer version may forbid more than this one knows.
     return redistribution if redistribution in _STRICTEST_FIRST else "none"

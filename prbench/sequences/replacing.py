@@ -74,10 +74,11 @@ def require_no_loss(
     if not (folder / marker).is_file():
         return
     old = _old_holdings(folder, outcome)
+    # What cannot be listed cannot be compared; a complete build may mend it.
     if old is None:
         _require_all_of_the_unlisted(folder, marker, new, what)
         return
-    lost = {name: _why_lost(name, new) for name in old.yields if name not in new.yields}
+    lost = {name: new.reasons.get(name, "not found") for name in old.yields if name not in new.yields}
     for name in sorted(set(incomplete) & old.yields.keys() & new.yields.keys()):
         if new.yields[name] < old.yields[name]:
             lost[name] = f"{new.yields[name]} of {old.yields[name]} {what}: a part of it is missing or ends early"
@@ -110,10 +111,6 @@ def _require_all_of_the_unlisted(folder: Path, marker: str, new: Holdings, what:
         f" holds {len(new.yields)} with {sum(new.yields.values())} {what}"
     )
     raise RecordingsWouldBeLost(_message(folder, counts, dict(new.reasons)))
-
-
-def _why_lost(name: str, new: Holdings) -> str:
-    return new.reasons.get(name, "not found")
 
 
 def _message(folder: Path, counts: str, lost: dict[str, str]) -> str:

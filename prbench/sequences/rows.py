@@ -16,6 +16,7 @@ from prbench.boundary import foreign_input
 from prbench.errors import TableError
 from prbench.ranges import first_repeated
 from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.digests import files_of_table
 from prbench.shown import quoted
 
 
@@ -25,11 +26,7 @@ def table_parts(folder: Path, name: str) -> list[Path]:
     Raises:
         TableError: if neither exists.
     """
-    single = folder / f"{name}.parquet"
-    parts = folder / name
-    if single.is_file():
-        return [single]
-    found = sorted(parts.glob("part-*.parquet"))
+    found = files_of_table(folder, name)
     if not found:
         raise TableError(f"{folder}: expected {name}.parquet or {name}/part-*.parquet, found neither.")
     return found
@@ -76,6 +73,7 @@ def naming(path: Path) -> Iterator[None]:
         except FileNotFoundError as error:
             raise TableError(f"{path}: expected a Parquet file, found none.") from error
         except (pa.ArrowException, OSError) as error:
+            # MemoryError of Arrow is an ArrowException too, and the file is not to blame for it.
             if isinstance(error, MemoryError):
                 raise
             first = str(error).splitlines()[0] if str(error) else "damaged"

@@ -18,7 +18,6 @@ the hand."""
 _READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
 """Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
-
 OUTCOMES = (
     "sequence",
     "no_location",
@@ -33,104 +32,11 @@ OUTCOMES = (
     "not_published",
 )
 """Possible outcomes of a candidate event."""
-
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float32(), 3)
 _PRECISE_POINT = pa.list_(pa.float64(), 3)
-
 KEY_VALUES = pa.list_(pa.struct([pa.field("key", pa.string()), pa.field("value", pa.string())]))
 """A map, written as a list of pairs: readers that know no maps (Hugging Face ``datasets``) open it too."""
-
-
-def _field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
-    return pa.field(name, kind, nullable=nullable)
-
-
-SEQUENCES = pa.schema(
-    [
-        _field("sequence_id", pa.string()),
-        _field("dataset", pa.string()),
-        _field("recording_id", pa.string()),
-        _field("participant_id", pa.string()),
-        _field("split", pa.string()),
-        _field("split_group", pa.string()),
-        _field("action", pa.string()),
-        _field("object_id", pa.string()),
-        _field("object_name", pa.string()),
-        _field("text", pa.string()),
-        _field("hand", pa.string(), nullable=True),
-        _field("fps", pa.float64()),
-        _field("n_frames", pa.int32()),
-        _field("start_time", pa.float64()),
-        _field("prime_time", pa.float64()),
-        _field("event_time", pa.float64()),
-        _field("prime_frame", pa.int32()),
-        _field("prime_gap", pa.float64()),
-        _field("preroll", pa.float64()),
-        _field("prime_kind", pa.string()),
-        _field("prime_time_uncertainty", pa.float64()),
-        _field("goal_location", _PRECISE_POINT),
-        _field("goal_box_world_min", _PRECISE_POINT),
-        _field("goal_box_world_max", _PRECISE_POINT),
-        _field("body_movement", pa.float64()),
-        _field("hand_movement", pa.float64()),
-        _field("pose_source", pa.string()),
-        _field("head_tilt_deg", pa.float64()),
-        _field("joints", pa.list_(_POSE)),
-        _field("previous_joints", _POSE),
-        _field("previous_source", pa.string()),
-        _field("next_joints", _POSE),
-        _field("next_source", pa.string()),
-        _field("head_position", pa.list_(_POINT), nullable=True),
-        _field("head_rotation", pa.list_(pa.list_(pa.float32(), 4)), nullable=True),
-        _field("gaze_origin", pa.list_(_POINT)),
-        _field("gaze_direction", pa.list_(_POINT)),
-        _field("gaze_valid", pa.list_(pa.bool_())),
-        _field("world_from_canonical", pa.list_(pa.float64(), 16)),
-        _field("extra", KEY_VALUES),
-    ]
-)
-
-EVENTS = pa.schema(
-    [
-        _field("event_id", pa.string()),
-        _field("recording_id", pa.string()),
-        _field("sequence_id", pa.string(), nullable=True),
-        _field("object_id", pa.string()),
-        _field("object_name", pa.string()),
-        _field("action", pa.string()),
-        _field("hand", pa.string(), nullable=True),
-        _field("event_time", pa.float64()),
-        _field("prime_time", pa.float64(), nullable=True),
-        _field("prime_kind", pa.string(), nullable=True),
-        _field("location", _PRECISE_POINT, nullable=True),
-        _field("box_min", _PRECISE_POINT, nullable=True),
-        _field("box_max", _PRECISE_POINT, nullable=True),
-        _field("outcome", pa.string()),
-        _field("stage", pa.string()),
-        _field("value", pa.float64(), nullable=True),
-        _field("threshold", pa.float64(), nullable=True),
-        _field("left_wrist", _PRECISE_POINT, nullable=True),
-        _field("right_wrist", _PRECISE_POINT, nullable=True),
-        _field("published_priming", pa.string(), nullable=True),
-        _field("published_prime_time", pa.float64(), nullable=True),
-        _field("hand_source", pa.string(), nullable=True),
-    ]
-)
-
-RECORDINGS = pa.schema(
-    [
-        _field("recording_id", pa.string()),
-        _field("participant_id", pa.string()),
-        _field("split", pa.string()),
-        _field("split_group", pa.string()),
-        _field("duration", pa.float64()),
-        *(_field(outcome, pa.int32()) for outcome in OUTCOMES),
-        _field("status", pa.string()),
-        _field("message", pa.string()),
-    ]
-)
-
 _SINCE_VERSION = {
     "left_wrist": 2,
     "right_wrist": 2,
@@ -141,7 +47,6 @@ _SINCE_VERSION = {
     "hand_source": 3,
 }
 """Version of the tables in which a column was added; the others are there from the beginning."""
-
 UNITS = {
     "length": "m",
     "time": "s",
@@ -150,6 +55,97 @@ UNITS = {
     "world": "Y up, right-handed",
     "canonical": "pelvis of frame 0 over the origin facing +Z, lowest joint of the sequence at Y = 0",
 }
+
+
+def column_field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
+    """Return a column of a table; unlike Arrow's own default, it holds no nulls unless it says so."""
+    return pa.field(name, kind, nullable=nullable)
+
+
+SEQUENCES = pa.schema(
+    [
+        column_field("sequence_id", pa.string()),
+        column_field("dataset", pa.string()),
+        column_field("recording_id", pa.string()),
+        column_field("participant_id", pa.string()),
+        column_field("split", pa.string()),
+        column_field("split_group", pa.string()),
+        column_field("action", pa.string()),
+        column_field("object_id", pa.string()),
+        column_field("object_name", pa.string()),
+        column_field("text", pa.string()),
+        column_field("hand", pa.string(), nullable=True),
+        column_field("fps", pa.float64()),
+        column_field("n_frames", pa.int32()),
+        column_field("start_time", pa.float64()),
+        column_field("prime_time", pa.float64()),
+        column_field("event_time", pa.float64()),
+        column_field("prime_frame", pa.int32()),
+        column_field("prime_gap", pa.float64()),
+        column_field("preroll", pa.float64()),
+        column_field("prime_kind", pa.string()),
+        column_field("prime_time_uncertainty", pa.float64()),
+        column_field("goal_location", _PRECISE_POINT),
+        column_field("goal_box_world_min", _PRECISE_POINT),
+        column_field("goal_box_world_max", _PRECISE_POINT),
+        column_field("body_movement", pa.float64()),
+        column_field("hand_movement", pa.float64()),
+        column_field("pose_source", pa.string()),
+        column_field("head_tilt_deg", pa.float64()),
+        column_field("joints", pa.list_(_POSE)),
+        column_field("previous_joints", _POSE),
+        column_field("previous_source", pa.string()),
+        column_field("next_joints", _POSE),
+        column_field("next_source", pa.string()),
+        column_field("head_position", pa.list_(_POINT), nullable=True),
+        column_field("head_rotation", pa.list_(pa.list_(pa.float32(), 4)), nullable=True),
+        column_field("gaze_origin", pa.list_(_POINT)),
+        column_field("gaze_direction", pa.list_(_POINT)),
+        column_field("gaze_valid", pa.list_(pa.bool_())),
+        column_field("world_from_canonical", pa.list_(pa.float64(), 16)),
+        column_field("extra", KEY_VALUES),
+    ]
+)
+EVENTS = pa.schema(
+    [
+        column_field("event_id", pa.string()),
+        column_field("recording_id", pa.string()),
+        column_field("sequence_id", pa.string(), nullable=True),
+        column_field("object_id", pa.string()),
+        column_field("object_name", pa.string()),
+        column_field("action", pa.string()),
+        column_field("hand", pa.string(), nullable=True),
+        column_field("event_time", pa.float64()),
+        column_field("prime_time", pa.float64(), nullable=True),
+        column_field("prime_kind", pa.string(), nullable=True),
+        column_field("location", _PRECISE_POINT, nullable=True),
+        column_field("box_min", _PRECISE_POINT, nullable=True),
+        column_field("box_max", _PRECISE_POINT, nullable=True),
+        column_field("outcome", pa.string()),
+        column_field("stage", pa.string()),
+        column_field("value", pa.float64(), nullable=True),
+        column_field("threshold", pa.float64(), nullable=True),
+        column_field("left_wrist", _PRECISE_POINT, nullable=True),
+        column_field("right_wrist", _PRECISE_POINT, nullable=True),
+        column_field("published_priming", pa.string(), nullable=True),
+        column_field("published_prime_time", pa.float64(), nullable=True),
+        column_field("hand_source", pa.string(), nullable=True),
+    ]
+)
+RECORDINGS = pa.schema(
+    [
+        column_field("recording_id", pa.string()),
+        column_field("participant_id", pa.string()),
+        column_field("split", pa.string()),
+        column_field("split_group", pa.string()),
+        column_field("duration", pa.float64()),
+        *(column_field(outcome, pa.int32()) for outcome in OUTCOMES),
+        column_field("status", pa.string()),
+        column_field("message", pa.string()),
+    ]
+)
+DATASET_TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
+"""The tables of a dataset folder by the names of their files."""
 
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
@@ -179,6 +175,7 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
             f"{source}: expected schema version {known}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."
         )
+    # An older table lacks columns that came later; they are filled in when it is read.
     later = {name for name, since in _SINCE_VERSION.items() if since > int(version)}
     known = [field for field in expected if field.name not in later or schema.get_field_index(field.name) >= 0]
     check_columns(schema, known, source=source, what="dataset")

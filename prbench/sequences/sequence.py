@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -11,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float
 
-from prbench.sequences.chunk import column
+from prbench.sequences.chunk import row_batch
 from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
@@ -122,24 +121,14 @@ class RecordingRecord:
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:
     """Arrow rows of sequences, in the order given."""
-    rows = list(sequences)
-    columns = [column([getattr(row, name) for row in rows], SEQUENCES.field(name).type) for name in SEQUENCES.names]
-    return pa.RecordBatch.from_arrays(columns, schema=SEQUENCES)
+    return row_batch(sequences, SEQUENCES)
 
 
 def event_batch(events: Iterable[EventRecord]) -> pa.RecordBatch:
     """Arrow rows of events, in the order given."""
-    rows = list(events)
-    columns = [column([getattr(row, name) for row in rows], EVENTS.field(name).type) for name in EVENTS.names]
-    return pa.RecordBatch.from_arrays(columns, schema=EVENTS)
+    return row_batch(events, EVENTS)
 
 
 def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
     """Arrow rows of recordings, in the order given."""
-    rows = []
-    for recording in recordings:
-        row = dataclasses.asdict(recording)
-        counts = row.pop("outcomes")
-        del row["shortfalls"], row["lacks"]
-        rows.append(row | {outcome: counts.get(outcome, 0) for outcome in OUTCOMES})
-    return pa.RecordBatch.from_pylist(rows, schema=RECORDINGS)
+    return row_batch(recordings, RECORDINGS, counted=OUTCOMES)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar, Generic, TypeVar
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -16,7 +17,7 @@ import pyarrow.compute as pc
 from prbench.boundary import foreign_input
 from prbench.errors import TableError, UsageError
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences.dataset_info import DatasetInfo, Provenance
 from prbench.sequences.digests import ContentDigest, identity_digest, require_unchanged
 from prbench.sequences.rows import (
     is_bulky,
@@ -27,18 +28,127 @@ from prbench.sequences.rows import (
     stream_chunks,
     table_parts,
 )
-from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, check_schema, with_later_columns
+from prbench.sequences.schema import DATASET_TABLES, SEQUENCES, check_schema, with_later_columns
 
 SPLITS = ("train", "validation", "test")
 _SHOWN = 8  # ids that an error message lists
 
 
+Info = TypeVar("Info", bound=Provenance)
+
+
 @dataclass(frozen=True)
-class SequenceTable:
-    """A built dataset: its folder, its provenance, and its rows on demand."""
+class BuiltTable(Generic[Info]):
+    """What the tables of a dataset and of a corpus have in common: a folder, its provenance, and rows on demand."""
 
     folder: Path
-    info: DatasetInfo
+    info: Info
+
+    main: ClassVar[str]
+    """Name of the table that holds the motions."""
+    schemas: ClassVar[Mapping[str, pa.Schema]]
+    """Columns of every table of the folder, the main one first."""
+    identity_columns: ClassVar[tuple[str, ...]]
+    """Columns of the main table that make its identity, in the order of :func:`identity_digest`."""
+    check: ClassVar[Callable[..., None]]
+    """Refuses a file with other columns, or of an unknown version."""
+
+    def require_unchanged(self) -> None:
+        """Hold the files against the description beside them.
+
+        Raises:
+            TableError: if one was edited; names it.
+        """
+        require_unchanged(
+            self.folder,
+            self.folder / self.info.file_name,
+            self.info.file_digests,
+            main=self.main,
+            others=[name for name in self.schemas if name != self.main],
+            require_same_values=lambda: self.content,
+        )
+
+    def part_paths(self, name: str) -> list[Path]:
+        """The Parquet files of one of the tables, in order."""
+        return table_parts(self.folder, name)
+
+    def chunks(
+        self,
+        *,
+        split: str | None = None,
+        columns: SequenceOf[str] | None = None,
+        ids: frozenset[str] | None = None,
+        rows: int = 256,
+    ) -> Iterator[SequenceChunk]:
+        """Stream the rows of the main table in table order.
+
+        Args:
+            split: Only this split.
+            columns: Only these columns; ``sequence_id`` and ``n_frames`` always come along.
+            ids: Only these sequences.
+            rows: Largest number of rows read at once.
+        """
+        names = self.schemas[self.main].names
+        wanted = list(names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
+        return stream_chunks(self.part_paths(self.main), wanted, split=split, ids=ids, rows=rows)
+
+    @foreign_input()
+    def scalars(self, *, split: str | None = None) -> pa.Table:
+        """Read all columns of the main table that hold one short value a row (no per-frame values, no poses)."""
+        names = [field.name for field in self.schemas[self.main] if self._is_short(field)]
+        table = pa.concat_tables(read_parquet(path, names) for path in self.part_paths(self.main))
+        if split is not None:
+            table = table.filter(pc.field("split") == split)
+        return table.combine_chunks()
+
+    def _is_short(self, field: pa.Field) -> bool:
+        return not is_bulky(field.type)
+
+    @cached_property
+    def identity(self) -> str:
+        """Identity digest, computed from the rows."""
+        rows = self.scalars()
+        columns = (rows[name].to_pylist() for name in self.identity_columns)
+        return identity_digest(*columns, protocol_version=self.info.protocol_version)
+
+    @cached_property
+    def content(self) -> str:
+        """Content digest, computed from the rows.
+
+        Raises:
+            TableError: if the rows are no longer those that the table was built with.
+        """
+        digest = ContentDigest(self.schemas[self.main].names)
+        for chunk in self.chunks():
+            digest.update(chunk.batch)
+        found = digest.hexdigest()
+        if found != self.info.content_digest:
+            raise TableError(
+                f"{self.part_paths(self.main)[0]}: the {self.main} are not the ones that {self.info.file_name}"
+                f" describes (content digest {found[:12]}…, expected {self.info.content_digest[:12]}…)."
+                f" A file was changed after the build; build the {self.info.described} again."
+            )
+        return found
+
+    @foreign_input()
+    def _read(self, name: str) -> pa.Table:
+        schema = self.schemas[name]
+        tables = []
+        for path in self.part_paths(name):
+            file = open_parquet(path)
+            type(self).check(file.schema_arrow, schema, source=str(path))
+            with naming(path):
+                tables.append(with_later_columns(file.read(), schema))
+        return pa.concat_tables(tables)
+
+
+class SequenceTable(BuiltTable[DatasetInfo]):
+    """A built dataset: its folder, its provenance, and its rows on demand."""
+
+    main: ClassVar[str] = "sequences"
+    schemas: ClassVar[Mapping[str, pa.Schema]] = DATASET_TABLES
+    identity_columns: ClassVar[tuple[str, ...]] = ("sequence_id", "split", "action", "n_frames")
+    check: ClassVar[Callable[..., None]] = staticmethod(check_schema)
 
     @classmethod
     @foreign_input()
@@ -53,6 +163,7 @@ class SequenceTable:
         table = cls(Path(folder), DatasetInfo.read(folder))
         for path in table.part_paths("sequences"):
             check_schema(open_parquet(path).schema_arrow, SEQUENCES, source=str(path))
+        # Before ids are read: a damaged file is reported as such, not as a wrong id.
         table.require_unchanged()
         paths = table.part_paths("sequences")
         ids = [name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()]
@@ -69,104 +180,17 @@ class SequenceTable:
             return self
         raise TableError(f"{self.folder}: holds no sequences. {why_no_sequences(self.info)}")
 
-    def require_unchanged(self) -> None:
-        """Hold the files against ``dataset.json``.
-
-        Raises:
-            TableError: if one was edited; names it.
-        """
-        require_unchanged(
-            self.folder,
-            self.folder / FILE_NAME,
-            self.info.file_digests,
-            main="sequences",
-            others=("events", "recordings"),
-            require_same_values=lambda: self.content,
-        )
-
-    def part_paths(self, name: str) -> list[Path]:
-        """The Parquet files of ``sequences``, ``events`` or ``recordings``, in order."""
-        return table_parts(self.folder, name)
-
-    def chunks(
-        self,
-        *,
-        split: str | None = None,
-        columns: SequenceOf[str] | None = None,
-        ids: frozenset[str] | None = None,
-        rows: int = 256,
-    ) -> Iterator[SequenceChunk]:
-        """Stream rows in table order.
-
-        Args:
-            split: Only this split.
-            columns: Only these columns; ``sequence_id`` and ``n_frames`` always come along.
-            ids: Only these sequences.
-            rows: Largest number of rows read at once.
-        """
-        wanted = list(SEQUENCES.names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
-        return stream_chunks(self.part_paths("sequences"), wanted, split=split, ids=ids, rows=rows)
-
-    @foreign_input()
-    def scalars(self, *, split: str | None = None) -> pa.Table:
-        """Read all columns that hold one short value a row (no per-frame values, no poses)."""
-        names = [field.name for field in SEQUENCES if not is_bulky(field.type)]
-        table = pa.concat_tables(read_parquet(path, names) for path in self.part_paths("sequences"))
-        if split is not None:
-            table = table.filter(pc.field("split") == split)
-        return table.combine_chunks()
-
     def events(self) -> pa.Table:
         """The ``events`` table."""
-        events = self._read("events", EVENTS)
+        events = self._read("events")
         require_distinct(events["event_id"].to_pylist(), f"{self.folder}, events")
         return events
 
     def recordings(self) -> pa.Table:
         """The ``recordings`` table."""
-        recordings = self._read("recordings", RECORDINGS)
+        recordings = self._read("recordings")
         require_distinct(recordings["recording_id"].to_pylist(), f"{self.folder}, recordings")
         return recordings
-
-    @cached_property
-    def identity(self) -> str:
-        """Identity digest, computed from the rows."""
-        rows = self.scalars()
-        return identity_digest(
-            rows["sequence_id"].to_pylist(),
-            rows["split"].to_pylist(),
-            rows["action"].to_pylist(),
-            rows["n_frames"].to_pylist(),
-            protocol_version=self.info.protocol_version,
-        )
-
-    @cached_property
-    def content(self) -> str:
-        """Content digest, computed from the rows.
-
-        Raises:
-            TableError: if the rows are no longer those that the dataset was built with.
-        """
-        digest = ContentDigest()
-        for chunk in self.chunks():
-            digest.update(chunk.batch)
-        if digest.hexdigest() != self.info.content_digest:
-            raise TableError(
-                f"{self.part_paths('sequences')[0]}: the sequences are not the ones that dataset.json describes"
-                f" (content digest {digest.hexdigest()[:12]}…, expected {self.info.content_digest[:12]}…)."
-                " A file was changed after the build; build the dataset again."
-            )
-        return digest.hexdigest()
-
-    @foreign_input()
-    def _read(self, name: str, schema: pa.Schema) -> pa.Table:
-        tables = []
-        for path in self.part_paths(name):
-            file = open_parquet(path)
-            check_schema(file.schema_arrow, schema, source=str(path))
-            with naming(path):
-                tables.append(with_later_columns(file.read(), schema))
-        return pa.concat_tables(tables)
 
 
 def why_no_sequences(info: DatasetInfo) -> str:
@@ -192,7 +216,7 @@ def by_hash(sequence_ids: SequenceOf[str]) -> list[str]:
     return sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())
 
 
-def find_sequence_id(wanted: str, known: Sequence[str], *, among: str) -> str:
+def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
     """The id that is meant: itself, or the only one that begins or ends with, or else holds, what was typed.
 
     Args:
@@ -221,7 +245,7 @@ def find_sequence_id(wanted: str, known: Sequence[str], *, among: str) -> str:
     raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{hint}")
 
 
-def _nearest_ids(wanted: str, known: Sequence[str]) -> list[str]:
+def _nearest_ids(wanted: str, known: SequenceOf[str]) -> list[str]:
     """Up to three ids of which a part between slashes, as long as what was typed, looks like it."""
     length = wanted.count("/") + 1
     whole: dict[str, str] = {}
@@ -233,5 +257,5 @@ def _nearest_ids(wanted: str, known: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(whole[part] for part in near))[:3]
 
 
-def _lines(names: Sequence[str]) -> str:
+def _lines(names: SequenceOf[str]) -> str:
     return "\n".join(f"  {name}" for name in names[:_SHOWN])

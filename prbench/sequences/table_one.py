@@ -107,12 +107,14 @@ def _gaze_shift(chunk: SequenceChunk) -> Float[np.ndarray, "m 2"]:
     length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
     cosine = np.einsum("nk,nk->n", towards, chunk.frames("gaze_direction")) / length
     angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    # Invalid samples hold a filler direction that must not enter the quartiles.
     return np.column_stack([time, angle])[chunk.frames("gaze_valid")]
 
 
 def _quartiles(samples: Float[np.ndarray, "m 2"]) -> tuple[np.ndarray, np.ndarray]:
     first, last = _GAZE_SHIFT_SPAN
     times = np.round(np.arange(first, last, _GAZE_SHIFT_STEP), 6)
+    # 1e-6 of a bin: frame times such as 0.30000000000000004 s stay in the bin that they begin.
     bins = np.floor((samples[:, 0] - first) / _GAZE_SHIFT_STEP + 1e-6).astype(int)
     order = np.argsort(bins, kind="stable")
     edges = np.searchsorted(bins[order], np.arange(len(times) + 1))

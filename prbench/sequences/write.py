@@ -5,7 +5,8 @@ Source: docs/specification/sequence-table.md#encoding.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Sequence as SequenceOf
 from pathlib import Path
 
 import msgspec
@@ -14,9 +15,10 @@ import pyarrow.parquet as pq
 
 from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.digests import ContentDigest, digests_of_files, identity_digest
+from prbench.sequences.digests import RowDigests, digests_of_files
 from prbench.sequences.replacing import Holdings, require_no_loss
-from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES, with_metadata
+from prbench.sequences.schema import DATASET_TABLES, with_metadata
+from prbench.sequences.table import Info, SequenceTable
 from prbench.storage import atomic_folder, atomic_path, require_replaceable
 
 _ROW_GROUP_ROWS = 256
@@ -60,20 +62,18 @@ def write_table_in_parts(
     single = folder / f"{name}.parquet"
     parts = folder / name
     rows = 0
+    count = 1
+    schema = with_metadata(schema, protocol_version=protocol_version)
     with atomic_folder(parts) as temporary:
-        writers: list[_PartWriter] = []
+        writer = _PartWriter(temporary / "part-00000.parquet", schema)
         for batch in batches:
-            if not writers or writers[-1].bytes_written >= largest_part:
-                if writers:
-                    writers[-1].close()
-                part = temporary / f"part-{len(writers):05d}.parquet"
-                writers.append(_PartWriter(part, with_metadata(schema, protocol_version=protocol_version)))
-            rows += writers[-1].append(batch)
-        if not writers:
-            part = temporary / "part-00000.parquet"
-            writers.append(_PartWriter(part, with_metadata(schema, protocol_version=protocol_version)))
-        writers[-1].close()
-    if len(writers) == 1:
+            if writer.bytes_written >= largest_part:
+                writer.close()
+                writer = _PartWriter(temporary / f"part-{count:05d}.parquet", schema)
+                count += 1
+            rows += writer.append(batch)
+        writer.close()
+    if count == 1:
         (parts / "part-00000.parquet").replace(single)
         parts.rmdir()
     else:
@@ -121,6 +121,7 @@ class _PartWriter:
 
     def _flush(self, *, everything: bool) -> None:
         table = pa.Table.from_batches([batch.cast(self._schema) for batch in self._pending], self._schema)
+        # Whole row groups only, so that the file does not depend on how rows came in batches.
         rows = table.num_rows if everything else table.num_rows - table.num_rows % _ROW_GROUP_ROWS
         if rows:
             self._writer.write_table(table.slice(0, rows), row_group_size=_ROW_GROUP_ROWS)
@@ -130,9 +131,8 @@ class _PartWriter:
 
 def _leaves(schema: pa.Schema, *, floating: bool) -> list[str]:
     """Parquet names of the leaf columns that hold floats, or of all the others."""
-    return [
-        path for field in schema for path, kind in _leaf_paths(field.name, field.type) if _is_float(kind) is floating
-    ]
+    leaves = [leaf for field in schema for leaf in _leaf_paths(field.name, field.type)]
+    return [path for path, kind in leaves if pa.types.is_floating(kind) is floating]
 
 
 def _leaf_paths(path: str, kind: pa.DataType) -> list[tuple[str, pa.DataType]]:
@@ -141,10 +141,6 @@ def _leaf_paths(path: str, kind: pa.DataType) -> list[tuple[str, pa.DataType]]:
     if pa.types.is_struct(kind):
         return [leaf for field in kind for leaf in _leaf_paths(f"{path}.{field.name}", field.type)]
     return [(path, kind)]
-
-
-def _is_float(kind: pa.DataType) -> bool:
-    return pa.types.is_floating(kind)
 
 
 def write_dataset(
@@ -180,44 +176,44 @@ def write_dataset(
     if not replace:
         new = Holdings.of(recordings, "sequence")
         require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
-    version = info.protocol_version
+    tables = {"sequences": sequences, "events": events, "recordings": recordings}
     with atomic_folder(folder) as temporary:
-        seen = _Digesting(info.protocol_version)
-        write_table_in_parts(temporary, "sequences", seen.pass_on(sequences), SEQUENCES, protocol_version=version)
-        write_table(temporary / "events.parquet", events, EVENTS, protocol_version=version)
-        write_table(temporary / "recordings.parquet", recordings, RECORDINGS, protocol_version=version)
-        tables = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
-        info = msgspec.structs.replace(
-            info,
-            identity_digest=seen.identity(),
-            content_digest=seen.content.hexdigest(),
-            file_digests=digests_of_files(temporary, tables),
-        )
-        info.write(temporary)
-        write_croissant(temporary, info, tables, _ROWS)
+        info = write_tables(temporary, info, tables, DATASET_TABLES, SequenceTable.identity_columns)
+        write_croissant(temporary, info, DATASET_TABLES, _ROWS)
     return info
 
 
-class _Digesting:
-    """Passes batches on and remembers what the two digests need."""
+def write_tables(
+    folder: Path,
+    info: Info,
+    tables: Mapping[str, Iterable[pa.RecordBatch]],
+    schemas: Mapping[str, pa.Schema],
+    identity_columns: SequenceOf[str],
+) -> Info:
+    """Write the tables of a dataset or corpus, then its description, which holds their digests.
 
-    def __init__(self, protocol_version: int) -> None:
-        self.content = ContentDigest()
-        self._protocol_version = protocol_version
-        self._columns: dict[str, list] = {"sequence_id": [], "split": [], "action": [], "n_frames": []}
+    Args:
+        folder: An empty folder.
+        info: Provenance; its digests are filled in here.
+        tables: Rows of every table by its name.
+        schemas: Columns of every table; the first one holds the motions, and may be written in parts.
+        identity_columns: Columns of the first table that make its identity.
 
-    def pass_on(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        for batch in batches:
-            self.content.update(batch)
-            for name, values in self._columns.items():
-                values.extend(batch.column(name).to_pylist())
-            yield batch
-
-    def identity(self) -> str:
-        return identity_digest(
-            self._columns["sequence_id"],
-            self._columns["split"],
-            self._columns["action"],
-            self._columns["n_frames"],
-            protocol_version=self._protocol_version,
-        )
+    Returns:
+        The provenance as written.
+    """
+    version = info.protocol_version
+    main, *others = schemas
+    # Digests are taken while the rows pass to the file: a table is never read back for them.
+    digests = RowDigests(schemas[main].names, identity_columns)
+    write_table_in_parts(folder, main, digests.pass_on(tables[main]), schemas[main], protocol_version=version)
+    for name in others:
+        write_table(folder / f"{name}.parquet", tables[name], schemas[name], protocol_version=version)
+    info = msgspec.structs.replace(
+        info,
+        identity_digest=digests.identity(version),
+        content_digest=digests.content.hexdigest(),
+        file_digests=digests_of_files(folder, schemas),
+    )
+    info.write(folder)
+    return info

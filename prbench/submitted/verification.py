@@ -76,6 +76,7 @@ def _require_summary_of(
     else:
         recording_of = {}
         grouped = _name_their_recording(names)
+    # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
     made = summary_of(run.record, record, scores, {name: recording_of.get(name, recording_key(name)) for name in names})
     require_summary(files, made, grouped=grouped)
     return made if grouped else DatasetSummary.read(files.path)

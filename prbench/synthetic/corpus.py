@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from prbench.corpora.humanml3d.files import MIRROR_PREFIX
@@ -130,7 +131,7 @@ class SyntheticCorpus:
         chosen = parse_options(SyntheticOptions, dict(options.source), dataset="the synthetic corpus")
         if chosen.recordings < 1:
             raise UsageError(f"a synthetic corpus needs at least one recording, not {chosen.recordings}.")
-        _ = NymeriaOptions(kinds=chosen.kinds).chosen_kinds
+        _ = NymeriaOptions(kinds=chosen.kinds).chosen_kinds  # refuses an unknown kind before anything is generated
         return chosen
 
     def _limits(self, options: CorpusOptions) -> ClipLimits:
@@ -148,15 +149,6 @@ _TRUTH_FILE = "truth/clock_offsets.json"
 """Of each sequence: TIME_CODE minus device time. Readers never open it."""
 _WITHOUT_TRAJECTORY = 3
 """Every so many-th sequence comes without the glasses' trajectory."""
-
-
-@dataclass(frozen=True)
-class _Job:
-    layout: str
-    root: Path
-    seed: int
-    index: int
-    noise: float
 
 
 @dataclass(frozen=True)
@@ -199,8 +191,8 @@ def synthesize_corpus_tree(
     require_free(out)
     with sole_writer(out), atomic_folder(out) as root:
         done: list[_Done] = []
-        jobs = [_Job(layout, root, seed, index, noise) for index in range(recordings or DEFAULT_RECORDINGS)]
-        for result in engine_for(workers).map(_write, jobs):
+        write_one = partial(_write, layout=layout, root=root, seed=seed, noise=noise)
+        for result in engine_for(workers).map(write_one, range(recordings or DEFAULT_RECORDINGS)):
             done.append(result)
             if on_written:
                 on_written(result.recording)
@@ -215,19 +207,19 @@ def synthesize_corpus_tree(
     return WrittenTree(out, tuple(result.recording for result in done))
 
 
-def _write(job: _Job) -> _Done:
-    motion = narrated_recording(job.seed, job.index)
+def _write(index: int, *, layout: str, root: Path, seed: int, noise: float) -> _Done:
+    motion = narrated_recording(seed, index)
     n_texts = sum(row.kind == "atomic_action" for row in motion.narrations)
     recording = WrittenRecording(motion.recording_id, motion.split, motion.duration, n_texts, 0)
-    if job.layout == "nymeria":
-        readings = sense_nymeria(motion, seed=job.seed, noise=job.noise)
-        with_trajectory = job.index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1
-        nymeria.write_nymeria(readings, job.root, trajectory=with_trajectory)
+    if layout == "nymeria":
+        readings = sense_nymeria(motion, seed=seed, noise=noise)
+        with_trajectory = index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1
+        nymeria.write_nymeria(readings, root, trajectory=with_trajectory)
         return _Done(recording, readings.offset, ((motion.recording_id, motion.split),))
     splits = []
     for number, captioned in enumerate(humanml3d.captioned_motions(motion)):
-        name = f"{job.index * 100 + number:06d}"
-        humanml3d.write_motion(job.root, name, captioned)
-        humanml3d.write_motion(job.root, f"{MIRROR_PREFIX}{name}", humanml3d.mirrored(captioned))
+        name = f"{index * 100 + number:06d}"
+        humanml3d.write_motion(root, name, captioned)
+        humanml3d.write_motion(root, f"{MIRROR_PREFIX}{name}", humanml3d.mirrored(captioned))
         splits += [(name, motion.split), (f"{MIRROR_PREFIX}{name}", motion.split)]
     return _Done(recording, 0.0, tuple(splits))

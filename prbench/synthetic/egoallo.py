@@ -22,10 +22,9 @@ from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_
 from prbench.readers.egoallo import format as ego
 from prbench.skeleton import PARENTS, Joint
 from prbench.storage import atomic_path, write_text
-from prbench.synthetic.people.channels import wobble
-from prbench.synthetic.people.geometry import soft_limit, two_bone
+from prbench.synthetic.people.kinematics import soft_limit, two_bone, wobble
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.errors import Sensing, Switches
 from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh
 from prbench.timelines import interpolate, slerp
 
@@ -74,7 +73,7 @@ def sense_egoallo(
         size: Of the glasses.
         native_from_world: From the performance's world to the trajectory's.
     """
-    switches = switches or Switches()
+    sensing = Sensing(performance, noise, switches or Switches())
     every = np.arange(ego.INPUT_STEP, len(trajectory.time_us), ego.INPUT_STEP)  # the first has no predecessor
     windows = _windows(len(every))
     frames = np.concatenate([np.arange(*window) for window in windows]) if windows else np.zeros(0, dtype=np.int64)
@@ -82,7 +81,7 @@ def sense_egoallo(
     since_start = (trajectory.time_us[rows] - (trajectory.time_us[0] if start_us is None else start_us)) / 1e6
     times = performance.times[0] + since_start
     number = np.repeat(np.arange(len(windows)), [last - first for first, last in windows])
-    pose = _estimate(performance, _true_pose(performance, times), times, number, noise, switches)
+    pose = _estimate(sensing, _true_pose(performance, times), times, number)
     root, body = _model_parameters(pose, native_from_world)
     cpf = _head_poses(trajectory, rows, size)
     betas = shape_of(performance).astype(np.float32)
@@ -121,25 +120,19 @@ def _true_pose(performance: Performance, times: Float[np.ndarray, " n"]) -> _Pos
     return _Pose(joints, rotations)
 
 
-def _estimate(
-    performance: Performance,
-    true: _Pose,
-    times: Float[np.ndarray, " n"],
-    window: Int[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
-) -> _Pose:
+def _estimate(sensing: Sensing, true: _Pose, times: Float[np.ndarray, " n"], window: Int[np.ndarray, " n"]) -> _Pose:
     """Return the body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
-    height = strength(switches.root_height, noise) * _ROOT_HEIGHT
-    limbs = strength(switches.limb_wobble, noise)
-    slip = strength(switches.foot_slip, noise)
+    height = sensing.strength("root_height") * _ROOT_HEIGHT
+    limbs = sensing.strength("limb_wobble")
+    slip = sensing.strength("foot_slip")
     if height == limbs == slip == 0.0:
         return true
-    draws = sensor_generator(performance, "egoallo-height").normal(0.0, height, int(window.max(initial=0)) + 1)
+    draws = sensing.generator("egoallo-height").normal(0.0, height, int(window.max(initial=0)) + 1)
     joints = true.joints.copy()
     joints[..., 1] += draws[window, None]
     pose = _Pose(joints, true.rotations.copy())
-    rng_limbs, rng_feet = (sensor_generator(performance, f"egoallo-{name}") for name in ("limbs", "feet"))
+    rng_limbs = sensing.generator("egoallo-limbs")
+    rng_feet = sensing.generator("egoallo-feet")
     for side in (0, 1):
         bend, reach = (_wander(times, rms, _LIMB_HZ, rng_limbs) * limbs for rms in (_LIMB_WOBBLE, _WRIST_WOBBLE))
         length = np.linalg.norm(reach, axis=1, keepdims=True)

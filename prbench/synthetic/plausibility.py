@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +16,8 @@ from prbench.metrics.batch import MotionBatch
 from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.smoothness import jitter
 from prbench.skeleton import WRISTS, Joint, bone_lengths
+from prbench.synthetic.activities import NarratedMotion
+from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import FPS, true_clips
 
@@ -29,34 +30,10 @@ _ELBOWS = [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]
 _JERK_RATE = 60.0
 
 
-@runtime_checkable
-class Moving(Protocol):
-    """The measured motion: joints, rotations and contacts at a uniform rate (see ``Performance``)."""
-
-    @property
-    def rate(self) -> float:
-        """Frames a second."""
-        ...
-
-    @property
-    def joints(self) -> np.ndarray:
-        """(n, 22, 3), metres."""
-        ...
-
-    @property
-    def rotations(self) -> np.ndarray:
-        """(n, 22, 4), segment to world."""
-        ...
-
-    @property
-    def head_rotation(self) -> np.ndarray:
-        """(n, 4), the true head."""
-        ...
-
-    @property
-    def planted(self) -> np.ndarray:
-        """(n, 2), whether each ball of the foot rests."""
-        ...
+Moving = Performance | NarratedMotion
+"""What is measured: joints, rotations and contacts at a uniform rate."""
+_SMALLEST = ("knee_smallest", "elbow_smallest", "lowest_joint")
+"""Numbers whose extreme over several motions is the smallest; of the others it is the largest."""
 
 
 @dataclass(frozen=True)
@@ -167,58 +144,47 @@ def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> P
     batch = MotionBatch.from_motions(on_floor)
     constants = load_protocol().metrics
     skating = foot_skating(batch, FPS, constants)
-    extremes = np.array([_extremes(motion) for motion in motions])
-    knees_low, elbows_low, lowest = extremes[:, :3].min(axis=0).tolist()
+    extremes = [_extremes(motion) for motion in motions]
+    combined = {
+        name: (min if name in _SMALLEST else max)(numbers[name] for numbers in extremes) for name in extremes[0]
+    }
     jerk = np.concatenate([_jerk(motion).ravel() for motion in motions])
-    highest = extremes[:, 3:].max(axis=0).tolist()
-    slide, bones, knees_high, backwards, elbows_high, foot_yaw, head, ball, wrist, pelvis, pelvis_jerk = highest
     return Plausibility(
         foot_skating_mean=float(skating.mean()),
         foot_skating_worst=float(skating.max()),
         contact_share=float(contact_share(batch, constants).mean()),
-        planted_slide=slide,
-        bone_length_change=bones,
-        knee_smallest=knees_low,
-        knee_largest=knees_high,
-        knees_bent_backwards=backwards,
-        elbow_smallest=elbows_low,
-        elbow_largest=elbows_high,
-        lowest_joint=lowest,
-        foot_to_pelvis_yaw=foot_yaw,
-        head_yaw_rate=head,
-        ball_speed=ball,
-        wrist_speed=wrist,
-        pelvis_speed=pelvis,
-        pelvis_jerk=pelvis_jerk,
         joint_jerk=float(np.quantile(jerk, 0.999)),
         jitter_mean=float(jitter(batch, FPS).mean()),
+        **combined,
     )
 
 
-def _extremes(performance: Moving) -> tuple[float, ...]:
-    """Return three minima, then eleven maxima of one performance."""
-    joints = performance.joints
-    rate = performance.rate
+def _extremes(motion: Moving) -> dict[str, float]:
+    """Return the extremes of one motion by the names of :class:`Plausibility`."""
+    joints = motion.joints
+    rate = motion.rate
     knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
     elbows = _inner_angle(joints[:, _SHOULDERS], joints[:, _ELBOWS], joints[:, WRISTS])
     lengths = bone_lengths(joints)
-    pelvis_forward = _axis(performance.rotations[:, Joint.PELVIS], 2)
-    head_forward = _axis(performance.head_rotation, 2)
+    pelvis_forward = forward_of(motion.rotations[:, Joint.PELVIS])
+    head_forward = forward_of(motion.head_rotation)
     head_yaw = np.unwrap(np.arctan2(head_forward[:, 0], head_forward[:, 2]))
-    return (
-        float(knees.min()),
-        float(elbows.min()),
-        float(joints[..., 1].min()),
-        _planted_slide(performance),
-        float(np.abs(lengths / lengths[0] - 1.0).max()),
-        float(knees.max()),
-        _share_backwards(joints, pelvis_forward),
-        float(elbows.max()),
-        _foot_to_pelvis_yaw(joints, pelvis_forward),
-        float(np.rad2deg(np.abs(np.diff(head_yaw)).max() * rate)),
-        *(_top_speed(joints[:, index], rate) for index in (_BALLS, list(WRISTS), [Joint.PELVIS])),
-        float(_jerk(performance)[:, Joint.PELVIS].max()),
-    )
+    return {
+        "knee_smallest": float(knees.min()),
+        "knee_largest": float(knees.max()),
+        "knees_bent_backwards": _share_backwards(joints, pelvis_forward),
+        "elbow_smallest": float(elbows.min()),
+        "elbow_largest": float(elbows.max()),
+        "lowest_joint": float(joints[..., 1].min()),
+        "planted_slide": _planted_slide(motion),
+        "bone_length_change": float(np.abs(lengths / lengths[0] - 1.0).max()),
+        "foot_to_pelvis_yaw": _foot_to_pelvis_yaw(joints, pelvis_forward),
+        "head_yaw_rate": float(np.rad2deg(np.abs(np.diff(head_yaw)).max() * rate)),
+        "ball_speed": _top_speed(joints[:, _BALLS], rate),
+        "wrist_speed": _top_speed(joints[:, list(WRISTS)], rate),
+        "pelvis_speed": _top_speed(joints[:, [Joint.PELVIS]], rate),
+        "pelvis_jerk": float(_jerk(motion)[:, Joint.PELVIS].max()),
+    }
 
 
 def _inner_angle(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -227,17 +193,6 @@ def _inner_angle(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> np.ndarray
     second = b - middle
     cross = np.linalg.norm(np.cross(first, second), axis=-1)
     return np.rad2deg(np.arctan2(cross, (first * second).sum(axis=-1)))
-
-
-def _axis(quaternions: Float[np.ndarray, "n 4"], axis: int) -> Float[np.ndarray, "n 3"]:
-    """Return one column of the rotation matrices: 2 is forward."""
-    w, x, y, z = quaternions.T
-    columns = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack(columns[axis], axis=-1)
 
 
 def _planted_slide(performance: Moving) -> float:

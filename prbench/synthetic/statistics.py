@@ -65,6 +65,7 @@ def true_clips(performance: Performance) -> list[TrueClip]:
 
 def _clip(performance: Performance, event: TrueEvent) -> TrueClip:
     assert event.prime_time is not None  # expected to become a sequence
+    # Counted backwards from the event, which lies exactly on the last frame.
     n_frames = int(np.floor((event.event_time - event.prime_time + PREROLL) * FPS + 1e-6)) + 1
     times = event.event_time - np.arange(n_frames)[::-1] / FPS
     times = np.clip(times, performance.times[0], performance.times[-1])
@@ -108,7 +109,7 @@ def sequence_statistics(clips: Sequence[TrueClip]) -> SequenceStatistics:
     """Return mean and spread of the four numbers over sequences."""
     gaps = np.array([clip.event.event_time - clip.start - clip.prime_after for clip in clips])
     return SequenceStatistics(
-        duration=_spread(gaps + 2.0),
+        duration=_spread(gaps + PREROLL),
         gap=_spread(gaps),
         body=_spread(np.array([clip.body_movement for clip in clips])),
         hand=_spread(np.array([clip.hand_movement for clip in clips])),

@@ -6,7 +6,6 @@ seconds from the recording's first frame: add ``clock_offset_s`` of its stream t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -31,32 +30,28 @@ _DECIMALS = 5  # 10 micrometres; keeps digests equal where the last bits of a si
 _POINT = pa.list_(pa.float64(), 3)
 
 
-def recordings_table(
-    performances: Sequence[Performance], *, noise: float = 1.0, switches: Switches | None = None
-) -> pa.Table:
-    """Return one row a recording: who, where, which clock and which constant errors."""
-    on = switches or Switches()
-    biases = [np.rad2deg(layout_for(p.preset).gaze_bias(p, noise=noise, switches=on)) for p in performances]
-    starts = [layout_for(p.preset).clock_start(p) for p in performances]
+def recordings_table(performance: Performance, *, noise: float = 1.0) -> pa.Table:
+    """Return the one row of a recording: who, where, which clock and which constant errors."""
+    layout = layout_for(performance.preset)
+    yaw, pitch = np.rad2deg(layout.gaze_bias(performance, noise=noise, switches=Switches()))
+    person = performance.person
     return _table(
         {
-            "recording_id": [p.recording_id for p in performances],
-            "preset": [p.preset for p in performances],
-            "room_id": [p.room_id for p in performances],
-            "participant_id": [p.person.participant_id for p in performances],
-            "split": [p.split for p in performances],
-            "seed": pa.array([p.seed for p in performances], pa.int64()),
-            "duration_s": [p.duration for p in performances],
-            "stature_m": [p.person.stature for p in performances],
-            "neck_tilt_deg": [p.person.neck_tilt_deg for p in performances],
-            "style": [dict(sorted(p.person.parameters.items())) for p in performances],
-            "clock_offset_s": [dict.fromkeys(_STREAMS, start) for start in starts],
-            "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0) for p in performances],
-            "gaze_bias_yaw_deg": [float(yaw) for yaw, _ in biases],
-            "gaze_bias_pitch_deg": [float(pitch) for _, pitch in biases],
-            "world_from_native": pa.array(
-                [np.eye(4).ravel().tolist() for _ in performances], pa.list_(pa.float64(), 16)
-            ),
+            "recording_id": [performance.recording_id],
+            "preset": [performance.preset],
+            "room_id": [performance.room_id],
+            "participant_id": [person.participant_id],
+            "split": [performance.split],
+            "seed": pa.array([performance.seed], pa.int64()),
+            "duration_s": [performance.duration],
+            "stature_m": [person.stature],
+            "neck_tilt_deg": [person.neck_tilt_deg],
+            "style": [dict(sorted(person.parameters.items()))],
+            "clock_offset_s": [dict.fromkeys(_STREAMS, layout.clock_start(performance))],
+            "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0)],
+            "gaze_bias_yaw_deg": [float(yaw)],
+            "gaze_bias_pitch_deg": [float(pitch)],
+            "world_from_native": pa.array([np.eye(4).ravel().tolist()], pa.list_(pa.float64(), 16)),
         }
     )
 
@@ -136,6 +131,7 @@ def objects_table(performance: Performance) -> pa.Table:
     tables = []
     layout = layout_for(performance.preset)
     for motion in performance.objects:
+        # Rows at rest repeat the one before; without them the file of a long recording stays small.
         kept = _moving_rows(motion.position, motion.rotation)
         times = performance.times[: len(motion.position)][kept]
         tables.append(

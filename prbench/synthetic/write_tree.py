@@ -11,6 +11,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -119,28 +120,26 @@ def synthesize_tree(
     require_free(out)
     count = planned_recordings(size, recordings)
     with sole_writer(out), atomic_folder(out) as root:
-        jobs = [
-            _Job(
-                root,
-                preset,
-                seed,
-                index,
-                amount.events if n_events is None else n_events,
-                bystander_objects,
-                None if provocations is None else tuple(sorted(provocations.items())),
-                noise,
-                amount.truth_rate,
-                estimates,
-            )
-            for index in range(count)
-        ]
+        write_one = partial(
+            _write_recording,
+            root=root,
+            preset=preset,
+            seed=seed,
+            n_events=amount.events if n_events is None else n_events,
+            bystander_objects=bystander_objects,
+            provocations=None if provocations is None else dict(provocations),
+            noise=noise,
+            truth_rate=amount.truth_rate,
+            estimates=estimates,
+        )
         done: list[_Done] = []
-        for result in engine_for(workers).map(_write_recording, jobs):
+        for result in engine_for(workers).map(write_one, range(count)):
             done.append(result)
             if on_written:
                 on_written(result.recording)
         layout.finish(root)
         shutil.rmtree(root / SHARED_PARTS, ignore_errors=True)
+        # Damages come after the shared files are written, because some of them change those.
         for damage in damages:
             damage.apply(root, done[0].recording.recording_id)
         for name in ("recordings", "events", "fixations"):
@@ -163,20 +162,6 @@ def planned_recordings(size: str, recordings: int | None) -> int:
 
 
 @dataclass(frozen=True)
-class _Job:
-    root: Path
-    preset: str
-    seed: int
-    index: int
-    n_events: int
-    bystander_objects: int | None
-    provocations: tuple[tuple[str, float], ...] | None
-    noise: float
-    truth_rate: float
-    estimates: bool
-
-
-@dataclass(frozen=True)
 class _Done:
     recording: WrittenRecording
     world: str
@@ -185,30 +170,42 @@ class _Done:
     fixations: pa.Table
 
 
-def _write_recording(job: _Job) -> _Done:
+def _write_recording(
+    index: int,
+    *,
+    root: Path,
+    preset: str,
+    seed: int,
+    n_events: int,
+    bystander_objects: int | None,
+    provocations: Mapping[str, float] | None,
+    noise: float,
+    truth_rate: float,
+    estimates: bool,
+) -> _Done:
     performance = perform(
-        job.preset,
-        seed=job.seed,
-        index=job.index,
-        n_events=job.n_events,
-        bystander_objects=job.bystander_objects,
-        provocations=None if job.provocations is None else dict(job.provocations),
+        preset,
+        seed=seed,
+        index=index,
+        n_events=n_events,
+        bystander_objects=bystander_objects,
+        provocations=provocations,
     )
     name = performance.recording_id
-    layout = layout_for(job.preset)
-    readings = layout.sense(performance, noise=job.noise)
-    layout.write(readings, job.root)
-    if job.estimates and layout.write_estimates is not None:
-        layout.write_estimates(performance, readings, job.root, noise=job.noise)
-    write_truth(joints_table(performance, rate=job.truth_rate), job.root, "joints", part=name)
-    write_truth(objects_table(performance), job.root, "objects", part=name)
+    layout = layout_for(preset)
+    readings = layout.sense(performance, noise=noise)
+    layout.write(readings, root)
+    if estimates and layout.write_estimates is not None:
+        layout.write_estimates(performance, readings, root, noise=noise)
+    write_truth(joints_table(performance, rate=truth_rate), root, "joints", part=name)
+    write_truth(objects_table(performance), root, "objects", part=name)
     summary = WrittenRecording(
         name, performance.split, performance.duration, len(performance.events), len(performance.objects)
     )
     return _Done(
         summary,
         performance.world,
-        recordings_table([performance], noise=job.noise),
+        recordings_table(performance, noise=noise),
         events_table(performance),
         fixations_table(performance),
     )

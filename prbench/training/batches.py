@@ -97,6 +97,7 @@ class LengthBatches:
         turns = max(-(-needed // len(self._lengths)), 1)
         order = np.concatenate([generator.permutation(len(self._lengths)) for _ in range(turns)])
         turn = np.repeat(np.arange(epoch * turns, (epoch + 1) * turns), len(self._lengths))
+        # A small set is shown several times over; each turn draws other crops and captions.
         draws = np.column_stack([order, turn])
         batches = self._of_sequences(draws) if self._unit == "sequences" else self._of_frames(draws)
         return [batches[place] for place in generator.permutation(len(batches))]

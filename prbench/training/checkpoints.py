@@ -45,6 +45,7 @@ class Checkpoints:
         with atomic_folder(self._path(state.step)) as temporary:
             safetensors.torch.save_file(tensors, temporary / _TENSORS)
             write_json(temporary / _STATE, _described(state))
+            # Apart from the state, so that the states of two equal trainings have equal bytes.
             write_json(temporary / _TIMING, _timing(state))
         self._remove_old()
 

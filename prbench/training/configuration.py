@@ -217,6 +217,7 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
     """Keys of ``above`` over those of ``below``, table by table."""
     merged = dict(below)
     for key, value in above.items():
+        # Tables merge key by key; lists and numbers replace what was there.
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merged(merged[key], value) if both else value
     return merged

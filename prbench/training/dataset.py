@@ -16,6 +16,7 @@ from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.table import SPLITS
 from prbench.storage import cache_folder
+from prbench.training.configuration import TrainingConfiguration
 from prbench.training.feature_store import FeatureStore
 from prbench.training.items import ConditionStatistics, Goal, MotionItem, condition_statistics
 from prbench.training.motions import Motion, Table, cut, encoded, frame_rate, holds_mirrored, open_table
@@ -85,9 +86,9 @@ class SequenceDataset(Dataset[MotionItem]):
         left_out: list[LeftOut] = []
         for table in opened:
             encoding = Encoding(split, mode, max_frames, crop, mirrored and not holds_mirrored(table))
-            made = table_store(table, encoding, cache or cache_folder() / "training")
-            self._stores.append(made.store)
-            left_out += made.left_out
+            store, unusable = table_store(table, encoding, cache or cache_folder() / "training")
+            self._stores.append(store)
+            left_out += unusable
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
         """Rows that cannot be encoded, with the reason of each."""
         self._starts = np.concatenate(([0], np.cumsum([len(store) for store in self._stores])))
@@ -105,6 +106,7 @@ class SequenceDataset(Dataset[MotionItem]):
         text, *others = store.texts(place)
         if features is not None and not others:
             return _item(motion, features, text, self.fps, name)
+        # A function of seed, epoch and row alone: workers and resumption change no draw.
         generator = named_generator("prbench-training-item", self.seed, epoch, row)
         text = (text, *others)[int(generator.integers(1 + len(others)))]
         if features is None:
@@ -152,6 +154,22 @@ class SequenceDataset(Dataset[MotionItem]):
         row %= len(self)
         index = int(np.searchsorted(self._starts, row, side="right")) - 1
         return self._stores[index], int(row - self._starts[index])
+
+
+def configured_dataset(
+    tables: Iterable[Table | Path], configuration: TrainingConfiguration, *, split: str
+) -> SequenceDataset:
+    """The sequences of a split, as a configuration wants them; only training shows mirrored copies."""
+    wanted = configuration.data
+    return SequenceDataset(
+        list(tables),
+        split=split,
+        max_frames=wanted.max_frames,
+        crop=wanted.crop,
+        mode=wanted.mode,
+        mirrored=wanted.mirrored and split == "train",
+        seed=configuration.training.seed,
+    )
 
 
 def _item(motion: Motion, features: np.ndarray, text: str, fps: float, sequence_id: str) -> MotionItem:

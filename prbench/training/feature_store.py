@@ -78,6 +78,7 @@ class FeatureStore:
             self._blocks = [_Block.of(reader.get_batch(i)) for i in range(reader.num_record_batches)]
         counts = [block.batch.num_rows for block in self._blocks]
         self._starts = np.concatenate(([0], np.cumsum(counts)))
+        # An empty store has no blocks, and concatenate needs at least one array.
         lengths = [block.batch.column("n_frames").to_numpy() for block in self._blocks]
         self.n_frames: Int[np.ndarray, " rows"] = np.concatenate([np.empty(0, np.int32), *lengths]).astype(np.int64)
 

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 from prbench.errors import TableError
 
 Goal = Literal["none", "pose", "location"]
-
 _STD_FLOOR = 0.01
 """Metres, or metres a second: entries that hardly vary are not blown up."""
 
@@ -48,15 +47,6 @@ class ConditionStatistics:
     std: Float[np.ndarray, " size"]
 
 
-def _condition_vector(item: MotionItem, goal: Goal) -> Float[np.ndarray, " size"]:
-    """The unscaled vector of one item."""
-    if goal == "none":
-        return np.empty(0, dtype=np.float32)
-    velocity = (item.initial_joints - item.previous_joints) * np.float32(item.fps)
-    target = item.goal_joints if goal == "pose" else item.goal_location
-    return np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)])
-
-
 def condition_statistics(items: Iterable[MotionItem], goal: Goal) -> ConditionStatistics:
     """Statistics over items, one after the other; the standard deviation is floored at 0.01.
 
@@ -75,6 +65,16 @@ def condition_statistics(items: Iterable[MotionItem], goal: Goal) -> ConditionSt
     stacked = np.stack(vectors).astype(np.float64)
     std = np.maximum(stacked.std(axis=0), _STD_FLOOR)
     return ConditionStatistics(stacked.mean(axis=0).astype(np.float32), std.astype(np.float32))
+
+
+def _condition_vector(item: MotionItem, goal: Goal) -> Float[np.ndarray, " size"]:
+    """The unscaled vector of one item."""
+    if goal == "none":
+        return np.empty(0, dtype=np.float32)
+    # m/s, not metres a frame: tables of another rate give the same vector.
+    velocity = (item.initial_joints - item.previous_joints) * np.float32(item.fps)
+    target = item.goal_joints if goal == "pose" else item.goal_location
+    return np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)])
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ def fit(
     module.calls = configuration.training.steps * configuration.training.micro_batches
     module.train().to(fabric.device)
     state = TrainingState.start(module, configuration.training)
+    # A checkpoint is everything that the result depends on; logs and weights are made again from it.
     checkpoints = Checkpoints(out / _CHECKPOINTS)
     resumed = checkpoints.restore(state)
     fabric.barrier()  # nobody writes a new checkpoint before everybody has read the old one

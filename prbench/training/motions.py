@@ -53,6 +53,7 @@ def cut(motion: Motion, start: int, n_frames: int, *, name: str) -> Motion:
     stop = start + n_frames
     assert start >= 0
     assert stop <= motion.n_frames
+    # float64, because moving to another frame and back would else drift by micrometres.
     kept = motion.joints[start:stop].astype(np.float64)
     check_headings(kept[:1], name=name, first=start)
     canonical_from_motion = invert_rigid(canonical_frame(kept))

@@ -159,6 +159,7 @@ class Outputs:
         Raises:
             StorageError: if a file cannot be written.
         """
+        # If the process dies here, the next one writes the results again from the checkpoint.
         self.checkpoints.save(state)
         self.write_results(state)
 

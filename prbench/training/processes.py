@@ -103,6 +103,7 @@ def stop_on_signals() -> Iterator[StopRequest]:
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - what Python hands over
+        # The second Ctrl-C comes from somebody who does not want to wait for the step.
         if request.signal is not None:
             raise KeyboardInterrupt
         request.signal = number

@@ -7,9 +7,7 @@ weights are, what they were made from, and how far the training came.
 from __future__ import annotations
 
 import platform
-import sys
 from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ import torch
 
 import prbench
 from prbench.errors import StorageError, TrainingError
+from prbench.evaluation.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
@@ -153,7 +152,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "device": _device_in_words(device),
         "devices": record.devices,
         "threads": threads,
-        "packages": _packages(),
+        "packages": package_versions(_PACKAGES),
         "configuration": msgspec.to_builtins(record.configuration),
         "data": msgspec.to_builtins(record.data),
         "initial_weights_sha256": record.initial_weights_sha256,
@@ -177,6 +176,7 @@ def thinned(rows: list[Row], points: int) -> list[Row]:
     """Select at most ``points`` rows, spread evenly, the last among them."""
     if len(rows) <= points:
         return rows
+    # Counted from the end of each stretch, so that the last row is always kept.
     places = sorted({round((place + 1) * len(rows) / points) - 1 for place in range(points)})
     return [rows[place] for place in places]
 
@@ -186,13 +186,3 @@ def _device_in_words(device: torch.device) -> str:
     if device.type == "cuda":
         return f"cuda ({torch.cuda.get_device_name(device)})"
     return f"{device.type} ({platform.machine()})"
-
-
-def _packages() -> dict[str, str]:
-    found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

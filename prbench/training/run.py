@@ -14,7 +14,7 @@ from prbench.errors import TrainingStopped, UsageError
 from prbench.locks import sole_writer
 from prbench.training.batches import LengthBatches, load_batches
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
-from prbench.training.dataset import SequenceDataset
+from prbench.training.dataset import SequenceDataset, configured_dataset
 from prbench.training.installed import load_task
 from prbench.training.loop import Progress, fit, silent
 from prbench.training.outputs import WEIGHTS
@@ -137,7 +137,7 @@ def _run(
     report: Callable[[Progress], None],
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = _training_dataset(request.data, configuration)
+        data = configured_dataset(request.data, configuration, split="train")
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
@@ -173,22 +173,6 @@ def _run(
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
-def _training_dataset(
-    folders: Iterable[Path], configuration: TrainingConfiguration, *, split: str = "train"
-) -> SequenceDataset:
-    """The sequences of a split, as a configuration wants them."""
-    wanted = configuration.data
-    return SequenceDataset(
-        list(folders),
-        split=split,
-        max_frames=wanted.max_frames,
-        crop=wanted.crop,
-        mode=wanted.mode,
-        mirrored=wanted.mirrored and split == "train",
-        seed=configuration.training.seed,
-    )
-
-
 def _record(
     request: TrainRequest, stage: str, configuration: TrainingConfiguration, data: SequenceDataset
 ) -> TrainingRecord:
@@ -211,6 +195,7 @@ def _module(
 ) -> TrainingModule:
     """The task's module, initialised from the seed alone."""
     given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
+    # What a process drew before must not decide the initial weights.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.training.seed)
         return task.build(configuration.model, data=given, initial=request.initial, stage=stage)

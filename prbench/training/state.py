@@ -39,6 +39,7 @@ class WeightAverage:
     @torch.no_grad()
     def update(self, steps_done: int) -> None:
         """Take in the weights as they are after ``steps_done`` steps (1 after the first)."""
+        # At first the average would be dominated by random initial weights.
         decay = min(self.decay, (1 + steps_done) / (10 + steps_done)) if self.warmup else self.decay
         averages = list(self.averages.values())
         parameters: list[torch.Tensor] = list(self.parameters.values())

@@ -49,22 +49,16 @@ class Encoding:
     mirrored: bool
 
 
-@dataclass(frozen=True)
-class _TableStore:
-    """The opened store of one table, and the rows that are not in it."""
-
-    table: Table
-    store: FeatureStore
-    left_out: tuple[LeftOut, ...]
-
-
-def table_store(table: Table, encoding: Encoding, cache: Path) -> _TableStore:
+def table_store(table: Table, encoding: Encoding, cache: Path) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
     Args:
         table: The table.
         encoding: How its rows become items.
         cache: Folder of the stores.
+
+    Returns:
+        The opened store, and the rows that are not in it.
 
     Raises:
         TableError: if the rows are not those that the table's own description promises, or none of them can be used.
@@ -77,7 +71,7 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> _TableStore:
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
-    return _TableStore(table, store, notes.left_out)
+    return store, notes.left_out
 
 
 def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, FeatureStore]:
@@ -115,6 +109,7 @@ def _files(table: Table) -> list[tuple[int, int]]:
 
 def _key(table: Table, encoding: Encoding) -> str:
     parts = (encoding.split, encoding.mode, encoding.max_frames, encoding.crop, encoding.mirrored)
+    # Whatever decides the features is part of the name, so that a stale store is never opened.
     digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, parts))
     return f"{table.info.dataset}-{encoding.split}-{digest[:24]}"
 
@@ -177,13 +172,7 @@ def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) 
         "goal_location": [motion.goal_location for motion in motions],
         "features": [features for _, features in stored],
     }
-    arrays = [
-        pa.array(columns[name], type=STORE.field(name).type)
-        if name == "texts"
-        else column(columns[name], STORE.field(name).type)
-        for name in STORE.names
-    ]
-    return pa.RecordBatch.from_arrays(arrays, schema=STORE)
+    return pa.RecordBatch.from_arrays([column(columns[field.name], field.type) for field in STORE], schema=STORE)
 
 
 def _versions(row: Row, encoding: Encoding) -> list[Row]:

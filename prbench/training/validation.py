@@ -33,7 +33,7 @@ from prbench.runs.predictions import PredictionRows, write_part
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import smallest_by_hash
 from prbench.training.configuration import TrainingConfiguration
-from prbench.training.dataset import SequenceDataset
+from prbench.training.dataset import SequenceDataset, configured_dataset
 from prbench.training.items import collate
 from prbench.training.motions import Table
 from prbench.training.state import Row
@@ -66,7 +66,6 @@ class Validation:
             UsageError: if no table has validation sequences.
         """
         wanted = configuration.validation
-        data = configuration.data
         if not wanted.every:
             return None
         usable = [table for table in tables if table.scalars(split=_SPLIT).num_rows]
@@ -75,14 +74,7 @@ class Validation:
                 "no table has sequences in split 'validation'. Build more recordings, or train without:"
                 " --set validation.every=0."
             )
-        dataset = SequenceDataset(
-            usable,
-            split=_SPLIT,
-            max_frames=data.max_frames,
-            crop=data.crop,
-            mode=data.mode,
-            seed=configuration.training.seed,
-        )
+        dataset = configured_dataset(usable, configuration, split=_SPLIT)
         return cls(
             dataset,
             _chosen(dataset, usable, wanted.sequences),
@@ -115,6 +107,7 @@ class Validation:
         for number, start in enumerate(range(0, len(self.places), self.batch_size)):
             places = self.places[start : start + self.batch_size]
             batch = collate([self.data[place] for place in places]).to(device)
+            # Negative steps draw the same noise at every validation and none that training has drawn.
             for name, loss in module(batch, -1 - number).items():
                 totals[name] += float(loss) * len(places)
         return {name: total / len(self.places) for name, total in totals.items()}

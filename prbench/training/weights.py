@@ -198,6 +198,7 @@ def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
         return tensor.clone()
     if not bool(torch.isfinite(tensor).all()):
         raise ValueError(f"tensor '{name}' holds NaN or infinity; the training has diverged.")
+    # Vectors weigh little and suffer most from rounding.
     if dtype == "float32" or tensor.ndim < 2:
         return tensor.to(torch.float32).clone()  # safetensors refuses tensors that share memory
     if float(tensor.abs().max() if tensor.numel() else 0.0) > _HALF_LIMIT:

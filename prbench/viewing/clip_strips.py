@@ -13,7 +13,7 @@ from jaxtyping import Float
 from prbench.shown import figure_text
 from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.activities import narrated_recording
-from prbench.viewing.figures import draw_figure, new_figure, write_png
+from prbench.viewing.figures import draw_figure, grid_shape, new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,11 +41,13 @@ def strips_of_activities(seed: int) -> tuple[Strip, ...]:
     for index in range(_RECORDINGS):
         motion = narrated_recording(seed, index)
         for row in motion.narrations:
+            # Only clips of a single activity: a narration of several would be shown under each of their names.
             if row.kind != "atomic_action" or len(row.activities) != 1 or row.activities[0] in strips:
                 continue
             first = round(row.start * motion.rate)
             last = round(row.end * motion.rate)
             joints = motion.joints[first : last + 1 : round(motion.rate / _FPS)]
+            # Each clip in its own canonical frame, so that all of them start at the same place and face the same way.
             canonical = transform_points(invert_rigid(canonical_frame(joints)), joints)
             strips[row.activities[0]] = Strip(f"[{row.activities[0]}] {row.texts[0]}", canonical, motion.neck_tilt_deg)
     return tuple(strips[name] for name in sorted(strips))
@@ -66,8 +68,7 @@ def render_strips(strips: Sequence[Strip], path: Path | str, *, columns: int = 2
     """
     if not strips:
         raise ValueError("expected at least one clip to draw, found none")
-    columns = min(columns, len(strips))
-    rows = -(-len(strips) // columns)
+    rows, columns = grid_shape(len(strips), columns)
     figure = new_figure(9.0 * columns, 2.4 * rows, dpi=dpi, layout="constrained")
     grid = np.asarray(figure.subplots(rows, columns, squeeze=False)).ravel()
     for axes in grid[len(strips) :]:

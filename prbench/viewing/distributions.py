@@ -56,6 +56,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
     require_drawable(path)
     import matplotlib as mpl
 
+    # A fixed salt for the ids in an SVG, and no date below: equal statistics are equal bytes.
     with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
         figure = _figure(statistics, dpi)
         if path.suffix.lower() == ".png":
@@ -68,6 +69,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
 def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
     figure = new_figure(12.0, 6.6, dpi=dpi, layout="constrained")
     panels = figure.subplots(2, 3).ravel()
+    # The published band belongs to one dataset; behind several it would be read as that of all.
     only = statistics[0] if len(statistics) == 1 else None
     published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
     _histogram(panels[0], statistics, "goal_distance", "a  goal distance from the start (m)")
@@ -93,6 +95,7 @@ def _histogram(
     together = np.concatenate(values)
     low = float(together.min())
     high = float(together.max())
+    # Common edges for all datasets; a quantity without spread still needs a bin of some width.
     edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
     if published is not None:
         _draw_band(axes, published, label="published mean, sd shaded")
@@ -154,6 +157,7 @@ def render_histograms(performances: Mapping[str, Sequence[Performance]], path: P
 
 def _draw_histogram(axes: Axes, values: np.ndarray, target: Spread, highest: float) -> None:
     _draw_band(axes, target)
+    # Values beyond the panel are counted in its last bin and do not vanish.
     axes.hist(np.minimum(values, highest), bins=np.linspace(0.0, highest, 29).tolist(), color="tab:blue", alpha=0.7)
     if values.size:
         axes.axvline(float(values.mean()), color="tab:blue", linewidth=1.0)

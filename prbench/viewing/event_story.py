@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from prbench.metrics.ray_track import ray_distance
 from prbench.sequences import EventRecord
 from prbench.shown import clean, figure_text
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png
+from prbench.viewing.replay.measures import gaze_distance
+from prbench.viewing.replay.scene import Gaze, Goal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,11 +48,8 @@ class StoryMotion:
     times: Float[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]
     head_tilt_deg: float
-    goal: Float[np.ndarray, "3"]
-    box_corners: Float[np.ndarray, "8 3"]
-    gaze_origin: Float[np.ndarray, "n 3"]
-    gaze_direction: Float[np.ndarray, "n 3"]
-    gaze_valid: Bool[np.ndarray, " n"]
+    goal: Goal
+    gaze: Gaze
 
 
 @dataclass(frozen=True)
@@ -145,6 +144,7 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         )
         axes.axvline(prime, color=_PRIME, label=figure_text(f"prime ({(event.prime_kind or '').replace('_', ' ')})"))
     axes.axvline(0, color=_EVENT, linewidth=1.5, label=figure_text(event.action))
+    # A prime at the very beginning of the window still has its lead in the picture.
     first = -story.priming_window - story.lead - 1
     last = 5.0
     shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
@@ -154,6 +154,7 @@ def _draw_timeline(axes: Axes, story: EventStory) -> None:
         colour = "tab:green" if other.outcome == "sequence" else "tab:gray"
         axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
         name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
+        # Labels near the right edge are written to the left of their mark, or they would leave the picture.
         side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
         label = figure_text(f"{other.action} {name}: {other.outcome}")
         axes.annotate(label, (time, height), fontsize=7, va="center", color=colour, textcoords="offset points", **side)
@@ -165,25 +166,27 @@ def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     """Draw stick figures over time, seen from the side, each with its gaze ray and the goal."""
     frames = np.unique(np.linspace(0, len(motion.times) - 1, _FIGURES).round().astype(int))
     # Towards the goal at the end, so that the reach is seen from the side.
-    sideways = horizontal_direction(motion.goal - motion.joints[-1, Joint.PELVIS])
+    sideways = horizontal_direction(motion.goal.location - motion.joints[-1, Joint.PELVIS])
     for number, frame in enumerate(frames):
         at = number * _SPACING
         joints = motion.joints[frame]
         pelvis = joints[Joint.PELVIS]
         draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
-        near = abs(float((motion.goal - pelvis) @ sideways)) < 0.75 * _SPACING
+        # Farther goals would lie under the next figure; an arrow shows where they are.
+        near = abs(float((motion.goal.location - pelvis) @ sideways)) < 0.75 * _SPACING
         if near:
-            draw_box(axes, flattened(motion.box_corners, pelvis, sideways, at), color="tab:cyan", linewidth=0.8)
+            draw_box(axes, flattened(motion.goal.box_corners, pelvis, sideways, at), color="tab:cyan", linewidth=0.8)
         else:
-            x, y = flattened(motion.goal[None], pelvis, sideways, at)[0]
+            x, y = flattened(motion.goal.location[None], pelvis, sideways, at)[0]
             side = float(np.sign(x - at)) * 0.3 * _SPACING
             arrow = {"arrowstyle": "->", "color": "tab:cyan"}
             axes.annotate("", (at + 1.4 * side, y), (at + side, y), arrowprops=arrow)
-        if motion.gaze_valid[frame]:
-            length = min(float(np.linalg.norm(motion.goal - motion.gaze_origin[frame])), 0.9)
-            ray = motion.gaze_origin[frame] + np.array([[0.0], [length]]) * motion.gaze_direction[frame]
+        if motion.gaze.valid[frame]:
+            # As long as the goal is far, so that a ray that meets the goal ends there.
+            length = min(float(np.linalg.norm(motion.goal.location - motion.gaze.origin[frame])), 0.9)
+            ray = motion.gaze.origin[frame] + np.array([[0.0], [length]]) * motion.gaze.direction[frame]
             axes.plot(*flattened(ray, pelvis, sideways, at).T, color=_GAZE, linewidth=0.9, linestyle="--")
-        distance = np.linalg.norm((motion.goal - pelvis)[[0, 2]])
+        distance = np.linalg.norm((motion.goal.location - pelvis)[[0, 2]])
         since = motion.times[frame] - story.event.event_time
         axes.text(at, -0.12, f"{since:+.1f} s\ngoal {distance:.1f} m", ha="center", va="top", fontsize=7)
     axes.set_aspect("equal")
@@ -199,19 +202,18 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     """Draw the distance of the goal from the gaze ray, the head ray and the wrists."""
     times = motion.times - story.event.event_time
     forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
-    gaze = ray_distance(motion.gaze_origin, motion.gaze_direction, motion.goal[None])
-    axes.plot(times, np.where(motion.gaze_valid, gaze, np.nan), color=_GAZE, label="gaze ray")
+    axes.plot(times, gaze_distance(motion.gaze, motion.goal), color=_GAZE, label="gaze ray")
     axes.plot(
         times,
-        ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal[None]),
+        ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal.location[None]),
         color="tab:green",
         label="head ray",
     )
     for wrist, colour, name in zip(WRISTS, ("tab:blue", "tab:red"), ("left wrist", "right wrist"), strict=True):
-        distance = np.linalg.norm(motion.joints[:, wrist] - motion.goal, axis=1)
+        distance = np.linalg.norm(motion.joints[:, wrist] - motion.goal.location, axis=1)
         axes.plot(times, distance, color=colour, label=name)
     pelvis = motion.joints[:, Joint.PELVIS]
-    axes.plot(times, np.linalg.norm(pelvis - motion.goal, axis=1), color="0.5", linewidth=0.8, label="pelvis")
+    axes.plot(times, np.linalg.norm(pelvis - motion.goal.location, axis=1), color="0.5", linewidth=0.8, label="pelvis")
     if story.event.prime_time is not None:
         axes.axvline(story.event.prime_time - story.event.event_time, color=_PRIME, label="prime")
     axes.axvline(0, color=_EVENT, linewidth=1.5)

@@ -52,6 +52,12 @@ def write_png(figure: Figure, path: Path | str) -> None:
         figure.savefig(draft, format="png", metadata={"Software": None})
 
 
+def grid_shape(n: int, columns: int) -> tuple[int, int]:
+    """Return rows and columns of a sheet of ``n`` cells, at most ``columns`` of them side by side."""
+    columns = min(columns, n)
+    return -(-n // columns), columns
+
+
 def draw_box(axes: Axes, corners: Float[np.ndarray, "8 2"], **style: Any) -> None:
     """Draw the edges of a box whose flat corners are numbered as :data:`BOX_EDGES` says."""
     for one, other in BOX_EDGES:
@@ -62,6 +68,7 @@ def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3
     """Return the unit vector of the horizontal part of an offset; +z where there is hardly any, so that it is unit."""
     flat = offset * [1.0, 0.0, 1.0]
     length = float(np.linalg.norm(flat))
+    # A body right under its goal has no direction to it; any is as good, as long as pictures agree.
     return flat / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
 
 
@@ -89,6 +96,7 @@ def draw_figure(
     pelvis = joints[Joint.PELVIS]
     flat = flattened(joints, pelvis, sideways, at)
     for chain, colour in zip(CHAINS, _COLOURS, strict=True):
+        # Round ends, so that neighbouring bones join without a notch.
         axes.plot(*flat[list(chain)].T, color=colour, linewidth=1.1, solid_capstyle="round")
     if finger_bases is not None:
         ends = flattened(finger_bases, pelvis, sideways, at)

@@ -17,7 +17,7 @@ from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import TOES, WRISTS, Joint, head_forward
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.viewing.figures import draw_figure, flattened, horizontal_direction, new_figure, write_png
+from prbench.viewing.figures import draw_figure, flattened, grid_shape, horizontal_direction, new_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +28,21 @@ _STEP = 0.025  # seconds between the points of a curve
 _N_FIGURES = 9
 _SPACING = 1.15  # metres between the figures of a strip
 _PREROLL = 2.0
+_SHEET: tuple[tuple[str, int, int], ...] = (
+    ("adt", 0, 1),
+    ("adt", 1, 3),
+    ("adt", 2, 2),
+    ("hd-epic", 1, 1),
+    ("hd-epic", 2, 2),
+    ("mogaze", 0, 1),
+    ("mogaze", 1, 2),
+    ("hot3d", 2, 1),
+    ("hot3d", 3, 2),
+    ("gimo", 0, 1),
+    ("gimo", 1, 2),
+    ("gimo", 2, 1),
+)
+"""Preset, recording and number of the sequence: walking, standing, sitting, high and low goals."""
 
 
 @dataclass(frozen=True)
@@ -44,39 +59,6 @@ class Curves:
     pelvis_speed: Float[np.ndarray, " n"]
     pelvis_height: Float[np.ndarray, " n"]
     head_rate: Float[np.ndarray, " n"]
-
-
-def curves_of(performance: Performance, event: TrueEvent, start: float, end: float) -> Curves:
-    """Measure one event of a performance between two times of the recording.
-
-    Args:
-        performance: Noise-free motion and gaze.
-        event: The event; distances are to its goal, speeds of its hand.
-        start: First time, seconds.
-        end: Last time, seconds.
-    """
-    stride = max(1, round(_STEP * performance.rate))
-    first, last = np.searchsorted(performance.times, [start, end])
-    frames = np.arange(int(first), min(int(last) + 1, performance.times.size), stride)
-    joints = performance.joints[frames]
-    times = performance.times[frames]
-    forward, _ = head_forward(joints, performance.person.neck_tilt_deg)
-    wrist = joints[:, WRISTS[event.hand == "right"]]
-    turning = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1.0, 1.0))
-    return Curves(
-        times=times - event.event_time,
-        gaze_distance=ray_distance(performance.eye[frames], performance.gaze[frames], event.goal[None]),
-        head_distance=ray_distance(joints[:, Joint.HEAD], forward, event.goal[None]),
-        wrist_distance=np.linalg.norm(wrist - event.goal, axis=1),
-        wrist_speed=_speed(wrist, times),
-        pelvis_speed=_speed(joints[:, Joint.PELVIS], times),
-        pelvis_height=joints[:, Joint.PELVIS, 1],
-        head_rate=np.rad2deg(np.concatenate([[0.0], turning]) / (times[1] - times[0])),
-    )
-
-
-def _speed(points: np.ndarray, times: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(np.gradient(points, times, axis=0), axis=1)
 
 
 @dataclass(frozen=True)
@@ -104,6 +86,25 @@ class Scene:
         return f"{self.performance.preset} #{self.performance.index}: {event.action} {event.object_name} ({event.tag})"
 
 
+def render_contact_sheet(path: Path | str, *, seed: int = 7) -> None:
+    """Synthesize and draw the twelve sequences of ``docs/gallery.png``.
+
+    Args:
+        path: PNG to write.
+        seed: Seed of the performances.
+
+    Raises:
+        StorageError: if the file cannot be written.
+    """
+    scenes = []
+    for preset, index, number in _SHEET:
+        performance = perform(preset, seed=seed, index=index, n_events=6, provocations={})
+        sequences = sequences_of([performance])
+        # A changed generator may leave fewer sequences than the sheet names.
+        scenes.append(sequences[min(number, len(sequences) - 1)])
+    render_gallery(scenes, path)
+
+
 def sequences_of(performances: Sequence[Performance]) -> list[Scene]:
     """Return all events of some performances that are meant to become sequences."""
     return [Scene(p, event) for p in performances for event in p.events if event.expected == "sequence"]
@@ -124,8 +125,7 @@ def render_gallery(scenes: Sequence[Scene], path: Path | str, *, columns: int = 
     """
     if not scenes:
         raise ValueError("expected at least one scene for the gallery, found none")
-    columns = min(columns, len(scenes))
-    rows = -(-len(scenes) // columns)
+    rows, columns = grid_shape(len(scenes), columns)
     figure = new_figure(8.0 * columns, 6.2 * rows, dpi=dpi)
     cells = np.asarray(figure.subfigures(rows, columns, squeeze=False)).ravel()
     for cell, scene in zip(cells, scenes, strict=False):
@@ -138,6 +138,7 @@ def draw_scene(cell: SubFigure, scene: Scene) -> None:
     axes = cell.add_gridspec(3, 3, height_ratios=[1.3, 1.3, 1.1], left=0.06, right=0.985, top=0.94, bottom=0.075)
     cell.suptitle(scene.title, fontsize=9, y=0.985)
     towards = _towards_goal(scene)
+    # The horizontal direction at a right angle to the way to the goal: the second strip looks along the reach.
     across = np.array([towards[2], 0.0, -towards[0]])
     _draw_strip(cell.add_subplot(axes[0, :]), scene, towards)
     _draw_strip(cell.add_subplot(axes[1, :]), scene, -across)
@@ -214,10 +215,46 @@ def _draw_top(axes: Axes, scene: Scene) -> None:
 
 def _outline(centre: np.ndarray, half: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x and z of the corners of a box that is turned about the vertical."""
+    # Scalar first; furniture is turned about the vertical alone, so y and w hold the whole turn.
     yaw = 2.0 * np.arctan2(quaternion[2], quaternion[0])
     x = half[0] * np.array([1, 1, -1, -1])
     z = half[2] * np.array([1, -1, -1, 1])
     return centre[0] + np.cos(yaw) * x + np.sin(yaw) * z, centre[2] - np.sin(yaw) * x + np.cos(yaw) * z
+
+
+def curves_of(performance: Performance, event: TrueEvent, start: float, end: float) -> Curves:
+    """Measure one event of a performance between two times of the recording.
+
+    Args:
+        performance: Noise-free motion and gaze.
+        event: The event; distances are to its goal, speeds of its hand.
+        start: First time, seconds.
+        end: Last time, seconds.
+    """
+    stride = max(1, round(_STEP * performance.rate))
+    # Performances run at 120 Hz; a few of their frames are enough for a curve.
+    first, last = np.searchsorted(performance.times, [start, end])
+    frames = np.arange(int(first), min(int(last) + 1, performance.times.size), stride)
+    joints = performance.joints[frames]
+    times = performance.times[frames]
+    forward, _ = head_forward(joints, performance.person.neck_tilt_deg)
+    wrist = joints[:, WRISTS[event.hand == "right"]]
+    # Rounding may bring the product of two unit vectors beyond 1, where the arc cosine is not defined.
+    turning = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1.0, 1.0))
+    return Curves(
+        times=times - event.event_time,
+        gaze_distance=ray_distance(performance.eye[frames], performance.gaze[frames], event.goal[None]),
+        head_distance=ray_distance(joints[:, Joint.HEAD], forward, event.goal[None]),
+        wrist_distance=np.linalg.norm(wrist - event.goal, axis=1),
+        wrist_speed=_speed(wrist, times),
+        pelvis_speed=_speed(joints[:, Joint.PELVIS], times),
+        pelvis_height=joints[:, Joint.PELVIS, 1],
+        head_rate=np.rad2deg(np.concatenate([[0.0], turning]) / (times[1] - times[0])),
+    )
+
+
+def _speed(points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.gradient(points, times, axis=0), axis=1)
 
 
 def _draw_distances(axes: Axes, scene: Scene, curves: Curves) -> None:
@@ -248,38 +285,3 @@ def _finish(axes: Axes, scene: Scene, unit: str) -> None:
     axes.set_ylabel(unit, fontsize=6)
     axes.tick_params(labelsize=6)
     axes.legend(fontsize=5, loc="upper left", framealpha=0.6)
-
-
-_SHEET: tuple[tuple[str, int, int], ...] = (
-    ("adt", 0, 1),
-    ("adt", 1, 3),
-    ("adt", 2, 2),
-    ("hd-epic", 1, 1),
-    ("hd-epic", 2, 2),
-    ("mogaze", 0, 1),
-    ("mogaze", 1, 2),
-    ("hot3d", 2, 1),
-    ("hot3d", 3, 2),
-    ("gimo", 0, 1),
-    ("gimo", 1, 2),
-    ("gimo", 2, 1),
-)
-"""Preset, recording and number of the sequence: walking, standing, sitting, high and low goals."""
-
-
-def render_contact_sheet(path: Path | str, *, seed: int = 7) -> None:
-    """Synthesize and draw the twelve sequences of ``docs/gallery.png``.
-
-    Args:
-        path: PNG to write.
-        seed: Seed of the performances.
-
-    Raises:
-        StorageError: if the file cannot be written.
-    """
-    scenes = []
-    for preset, index, number in _SHEET:
-        performance = perform(preset, seed=seed, index=index, n_events=6, provocations={})
-        sequences = sequences_of([performance])
-        scenes.append(sequences[min(number, len(sequences) - 1)])
-    render_gallery(scenes, path)

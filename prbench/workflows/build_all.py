@@ -68,6 +68,7 @@ def build_all(
     if outcomes and options.on_error == "fail":
         raise PrbenchError(outcomes[0].message)
     for found in discovery.found:
+        # A reader gets only the options that it knows; those of other datasets would be refused.
         own = dataclasses.replace(options, reader=chosen[found.dataset])
         try:
             report = build_dataset(
@@ -84,6 +85,7 @@ def build_all(
             outcomes.append(Outcome(found.name, found.root, None, str(error)))
         else:
             outcomes.append(Outcome(found.name, found.root, report, ""))
+    # By name, so that broken folders, which are known before anything is built, stand among the others.
     return tuple(sorted(outcomes, key=lambda outcome: outcome.dataset))
 
 
@@ -114,6 +116,7 @@ def _reader_options(
     if twice:
         places = " and ".join(str(each.root) for each in found if each.name == twice[0])
         raise UsageError(f"{twice[0]} was found in {places}; build the one you mean with `build-dataset {twice[0]}`.")
+    # Rules are named after what a dataset records (grasps, bodies, annotations), so no rule is meant for all of them.
     if options.curation.in_hand is not None:
         raise UsageError("--in-hand names a rule of one dataset; build that dataset by itself.")
     known = {each.dataset: reader_for(each.dataset).options.names() for each in found}

@@ -66,6 +66,7 @@ def write_candidates(
         InputFileError: if there is nothing to read.
     """
     reader = _reader(dataset, options)
+    # Taken before the segments are read, so that two processes cannot both find the file missing.
     with sole_writer(out):
         if out.exists():
             raise StorageError(
@@ -91,6 +92,7 @@ class Proposer:
     def __call__(self, found: RecordingFiles) -> Proposal:
         """Read and propose; a recording that cannot be read keeps its line with the reason."""
         reader = _reader(self.dataset, dict(self.options))
+        # Made before the recording is read, because a recording that cannot be read has a line too.
         line = reader.annotation_line(found)
         try:
             recording = reader.read(found)
@@ -113,4 +115,5 @@ def _write(path: Path, columns: tuple[str, ...], proposals: Iterable[Proposal]) 
         writer.writerow(columns)
         for proposal in proposals:
             row = proposal.row()
+            # People open this table in spreadsheets, which would take some names for formulas.
             writer.writerow([csv_text(row[name]) for name in columns])

@@ -50,6 +50,7 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         UsageError: for an unknown name, with the nearest known one.
         InputFileError: if ``root`` does not exist or holds no dataset.
     """
+    # Readers of other packages are listed beside ours; HumanML3D and Nymeria are ours but have no reader.
     names = tuple(sorted({*own_datasets(), *(reader.dataset for reader in usable_readers()[0])}))
     if name is not None:
         if name not in dataset_names():
@@ -61,13 +62,11 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
     for dataset in names:
         here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
         broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
+        places = [*here, *(corpus for corpus in corpora if corpus.corpus == dataset)]
         entries.append(
             CatalogueEntry(
                 manifest=load_manifest(dataset),
-                found="; ".join(
-                    f"{len(each.recordings)} recordings in {each.root}"
-                    for each in (*here, *(corpus for corpus in corpora if corpus.corpus == dataset))
-                ),
+                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
                 missing=(*(each.message for each in broken), *_missing(here, load_manifest(dataset))),
                 reader_options=_reader_options(dataset),
             )
@@ -89,6 +88,7 @@ def _look(root: Path) -> tuple[Discovery | None, tuple[FoundCorpus, ...]]:
     corpora = find_corpora(root) if root.is_dir() else ()
     try:
         return discover(root), corpora
+    # A folder of corpora alone is no folder of datasets, and still worth a list.
     except InputFileError:
         if not corpora:
             raise
@@ -124,6 +124,7 @@ def citation_text(folders: Sequence[Path]) -> str:
             table = CorpusTable(folder, CorpusInfo.read(folder))
         else:
             table = SequenceTable(folder, DatasetInfo.read(folder))
+        # An edited dataset.json could name other terms than the table's own.
         table.require_unchanged()
         info = table.info
         terms.append(f"% {clean(info.dataset)}: {clean(info.title)}")

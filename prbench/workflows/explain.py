@@ -1,9 +1,8 @@
-"""``prbench explain``: find one event in a built dataset and tell its story."""
+"""``prbench explain``: find one event in a built dataset and say what each stage of curation made of it."""
 
 from __future__ import annotations
 
 import difflib
-import itertools
 from collections.abc import Collection
 from pathlib import Path
 
@@ -17,8 +16,8 @@ from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.shown import clean
-from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.event_story import EventStory, StoryMotion, StoryStage, Verdict
+from prbench.viewing.replay.read import gaze_of, goal_of
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
 """The stages in the order in which curation asks."""
@@ -78,6 +77,7 @@ def _find_event(events: pa.Table, wanted: str) -> int:
     """
     ids = events["event_id"].to_pylist()
     sequences = events["sequence_id"].to_pylist()
+    # A whole id wins over parts: one id may be the beginning of another.
     exact = [row for row, names in enumerate(zip(ids, sequences, strict=True)) if wanted in names]
     if exact:
         return exact[0]
@@ -105,6 +105,7 @@ def _readable(events: pa.Table, row: int) -> str:
 
 def _record(events: pa.Table, row: int) -> EventRecord:
     values = events.slice(row, 1).to_pylist()[0]
+    # Arrow gives lists where the record holds arrays.
     vectors = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
     return EventRecord(**(values | vectors))
 
@@ -114,6 +115,7 @@ def _neighbours(events: pa.Table, row: int) -> tuple[EventRecord, ...]:
     times = events["event_time"].to_numpy()
     recordings, objects = (np.array(events[name].to_pylist()) for name in ("recording_id", "object_id"))
     here = np.flatnonzero(recordings == recordings[row])
+    # The rows of a recording need not stand in the order of time.
     here = here[np.argsort(times[here], kind="stable")]
     same = objects == objects[row]
     place = int(np.flatnonzero(here == row)[0])
@@ -141,6 +143,7 @@ def _stages(
     *,
     shown: bool,
 ) -> tuple[StoryStage, ...]:
+    # Occlusion and the dataset's own priming are asked for by options and count as the stage of priming.
     decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     texts = {
         "in_hand": _in_hand(event, options),
@@ -180,6 +183,7 @@ def _location(event: EventRecord, *, shown: bool) -> str:
     place = "rested" if event.action == "pick" else "will rest"
     sides = " × ".join(f"{side * 100:.0f}" for side in event.box_max - event.box_min)
     where = f"{place} at ({', '.join(f'{axis:.2f}' for axis in event.location)}) m, box {sides} cm (x, y, z)"
+    # Locations of goals are derived data that some licences keep private, also in words.
     if not shown:
         where = f"{place} (where is left out: the licence keeps goals)"
     if event.outcome == "tracking_lost":
@@ -236,21 +240,14 @@ def _filters(event: EventRecord, options: dict[str, str]) -> str:
 
 
 def _motion(chunk: SequenceChunk) -> StoryMotion:
-    world_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
-    low = chunk.vectors("goal_box_world_min")[0]
-    high = chunk.vectors("goal_box_world_max")[0]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
     fps = float(chunk.numbers("fps")[0])
     start = float(chunk.numbers("start_time")[0])
     return StoryMotion(
         times=start + np.arange(int(chunk.n_frames[0])) / fps,
         joints=chunk.joints.astype(np.float64),
         head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
-        goal=chunk.vectors("goal_location")[0],
-        box_corners=transform_points(invert_rigid(world_from_canonical), corners),
-        gaze_origin=chunk.frames("gaze_origin").astype(np.float64),
-        gaze_direction=chunk.frames("gaze_direction").astype(np.float64),
-        gaze_valid=np.asarray(chunk.frames("gaze_valid"), dtype=bool),
+        goal=goal_of(chunk),
+        gaze=gaze_of(chunk),
     )
 
 

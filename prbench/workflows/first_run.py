@@ -1,8 +1,12 @@
-"""The embedded default, used when no data is given: a small synthetic dataset, and the company a method gets there."""
+"""Tables that nobody has to name: the embedded default of a first run, and the table that a run was made on.
+
+The default is a small synthetic dataset, on which a first run is shown beside other methods. A run folder holds digests
+only, no paths, so its table is looked for among the named and the embedded ones.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,12 +14,15 @@ from typing import TYPE_CHECKING
 import prbench
 from prbench.contract import Condition
 from prbench.engine import Engine
+from prbench.errors import RunError, TableError, UsageError
 from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import digest_of, load_manifest, load_protocol
 from prbench.methods.installed import list_adapters
-from prbench.sequences import SequenceTable
+from prbench.runs import RunFolder
+from prbench.runs.record import TableRecord
+from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.storage import cache_folder, text_digest
@@ -33,18 +40,7 @@ BATCH_SIZE = 12
 """Sequences a batch in a first run: small enough that two workers share the work."""
 _COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))
 """Methods beside which a first run is shown, and their condition; None takes the run's own."""
-
-
-def default_table_folder() -> Path:
-    """Folder of the embedded dataset; another version of prbench, generator, protocol or schema gets another one."""
-    key = text_digest(
-        prbench.__version__,
-        str(GENERATOR_VERSION),
-        str(SCHEMA_VERSION),
-        load_protocol().digest,
-        digest_of(load_manifest(_PRESET)),
-    )
-    return cache_folder() / "tables" / f"synthetic-{_PRESET}-{RECORDINGS}-{key[:12]}"
+_SHOWN = 12  # characters of a digest
 
 
 def default_table(engine: Engine, progress: Progress, tell: Callable[[str], None] = lambda _: None) -> SequenceTable:
@@ -61,6 +57,19 @@ def default_table(engine: Engine, progress: Progress, tell: Callable[[str], None
     return SequenceTable.open(folder)
 
 
+def default_table_folder() -> Path:
+    """Folder of the embedded dataset; another version of prbench, generator, protocol or schema gets another one."""
+    # Everything that the table's bytes depend on, so that no version reads the table of another.
+    key = text_digest(
+        prbench.__version__,
+        str(GENERATOR_VERSION),
+        str(SCHEMA_VERSION),
+        load_protocol().digest,
+        digest_of(load_manifest(_PRESET)),
+    )
+    return cache_folder() / "tables" / f"synthetic-{_PRESET}-{RECORDINGS}-{key[:12]}"
+
+
 def _build_once(folder: Path, engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
     from prbench.workflows.synthetic_table import build_synthetic_table  # every later run goes without it
 
@@ -74,16 +83,16 @@ def _build_once(folder: Path, engine: Engine, progress: Progress, tell: Callable
 def companions(request: RunRequest) -> Iterator[RunRequest]:
     """Yield runs of the same sequences for controls and recorded motion, as far as their methods are installed.
 
-    The controls are text alone, constant timing and a mean pose.
-
-    None for one of these.
+    The controls are text alone, constant timing and a mean pose. A run of one of them has no companions.
     """
+    # A run of a companion, of shuffled goals or of chosen sequences is not a first look at a method.
     if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:
         return
     there = {SCRIPTED, GROUND_TRUTH, *(adapter.name for adapter in list_adapters() if adapter.built_in)}
     for method, condition in _COMPANIONS:
         if method not in there:
             continue
+        # The companions see the same sequences, but nothing that belongs to the user's own method.
         yield replace(
             request,
             method=method,
@@ -94,3 +103,96 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
             isolate=False,
             timeout=None,
         )
+
+
+def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[SequenceTable]:
+    """The tables that all runs have in common, in the order of the first run.
+
+    Args:
+        runs: One or more.
+        data: Dataset folders; where none is given, the tables in prbench's own cache are tried by digest.
+
+    Raises:
+        TableError: if no table was named and none in the cache is the one.
+        RunError: if a named table is another one than a run's; names both digests.
+        UsageError: if the runs have no dataset in common.
+    """
+    shared = set.intersection(*(_datasets(run) for run in runs))
+    common = [record for record in runs[0].record.tables if record.dataset in shared]
+    if not common:
+        raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
+    named = [SequenceTable.open(folder).with_sequences() for folder in data]
+    if not named:
+        tables = [_from_cache(runs[0], record) for record in common]
+    else:
+        tables = [table for table in named if table.info.dataset in shared]
+        if not tables:
+            raise RunError(
+                f"{runs[0].path}: the run is of {', '.join(record.dataset for record in common)}; --data names"
+                f" {', '.join(table.info.dataset for table in named)}. Name the table that it was made on."
+            )
+    for run in runs:
+        for table in tables:
+            _require_table_of(run, table)
+    return tables
+
+
+def _datasets(run: RunFolder) -> set[str]:
+    return {table.dataset for table in run.record.tables}
+
+
+def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
+    """The embedded default table, or another one that an earlier version left beside it."""
+    for folder in _embedded():
+        table = SequenceTable.open(folder)
+        if table.info.dataset == record.dataset and _is_table_of(record, table):
+            return table
+    raise TableError(
+        f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
+        " which is not among the embedded ones. Name its folder with --data DIR."
+    )
+
+
+def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
+    record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+    if not _is_table_of(record, table):
+        raise RunError(
+            f"{table.folder}: expected the table that {run.path} was made on (content digest"
+            f" {record.content_digest[:_SHOWN]}…), found another one ({table.info.content_digest[:_SHOWN]}…)."
+            " Name that table with --data DIR, or run the method again on this one."
+        )
+
+
+def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable | None]:
+    """A function that finds the table of a run among the named ones and those in prbench's own cache.
+
+    Raises:
+        TableError: if a named one cannot be opened; the function raises it for one in the cache.
+    """
+    opened = [SequenceTable.open(folder) for folder in data]
+
+    def find(record: TableRecord) -> SequenceTable | None:
+        for table in opened:
+            if _is_table_of(record, table):
+                return table
+        for folder in _embedded():
+            if DatasetInfo.read(folder).content_digest == record.content_digest:
+                opened.append(SequenceTable.open(folder))
+                return opened[-1]
+        return None
+
+    return find
+
+
+def _embedded() -> Iterator[Path]:
+    """Folders of the embedded default table, and of other ones that an earlier version left beside it."""
+    default = default_table_folder()
+    # The table of the present version first: nearly every run was made on it.
+    for folder in dict.fromkeys([default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]):
+        if (folder / "dataset.json").is_file():
+            yield folder
+
+
+def _is_table_of(record: TableRecord, table: SequenceTable) -> bool:
+    # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
+    return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)

@@ -14,7 +14,6 @@ import msgspec
 
 from prbench.workflows.validate_hd_epic import Agreement, Validation
 
-_AFTER_PRIMING = ("sequence", "minimum_movement", "too_short", "no_body")
 _FILE = "hd_epic_priming.toml"
 
 
@@ -49,6 +48,7 @@ class PublishedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def most_places(self) -> int:
         """Starts and ends that can have a place: one mask serves one of them."""
+        # A mask gives one place: with one mask only the start or the end has one.
         _, one, two, more = self.tracks_by_masks
         return one + 2 * (two + more)
 
@@ -111,6 +111,7 @@ def funnel_lines(validation: Validation) -> list[FunnelLine]:
     ):
         reference = f"{known.study.sequences:,}" if stage == "sequences" else ""
         lines.append(FunnelLine(stage, _total(rule, names), _total(taken, names) if taken else "", reference))
+    # Published counts beside synthetic videos would invite a comparison that means nothing.
     return [replace(line, reference="") for line in lines] if validation.synthetic else lines
 
 
@@ -138,6 +139,7 @@ def remarks(validation: Validation) -> list[Remark]:
 
 def _known() -> list[Remark]:
     known = published_counts()
+    # 18,134 sequences in the study against the dataset's own annotations of primed events.
     fewer = known.priming_annotations - known.study.sequences
     return [
         Remark(
@@ -206,7 +208,7 @@ def _guesses() -> list[Remark]:
 
 
 def shares_of(agreement: Agreement, validation: Validation) -> tuple[str, str]:
-    """Published shares of one action: tested, and primed of the tested; empty for both together and invented videos."""
+    """Published shares of one action: tested, and primed of the tested; empty for both together and synthetic ones."""
     known = {"pick": published_counts().pick, "put": published_counts().put}.get(agreement.action)
     return ("", "") if known is None or validation.synthetic else (f"{known.tested:.1%}", f"{known.primed:.1%}")
 

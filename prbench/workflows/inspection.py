@@ -41,6 +41,7 @@ def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
     """Look for each corpus in the folder itself, and one folder below where there is nothing."""
     found = []
     for name in CORPUS_MODULES:
+        # The corpus of synthetic people is generated on the spot.
         if corpus_for(name).manifest is None:
             continue  # generated on the spot; no folder holds it
         below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
@@ -120,6 +121,7 @@ def inspect_folder(
         if not corpora:
             raise
         discovery = Discovery((), ())
+    # Counted before the first recording is read: with --thorough each is read in full, and progress needs a total.
     total = sum(len(found.recordings) for found in discovery.found)
     datasets = []
     done = 0
@@ -160,6 +162,7 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
         missing += (f"missing: {SYNTHETIC_FILE}",)
     wanted = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
     damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
+    # A missing file outranks a damaged one: it has to be downloaded anyway.
     if missing or damaged:
         state: State = "incomplete" if missing else "damaged"
         return InspectedRecording(recording.recording_id, state, size, missing + damaged + wanted)

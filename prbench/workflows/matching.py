@@ -60,6 +60,7 @@ def match_events(true: Sequence[TrueEvent], found: Sequence[EventRecord]) -> lis
     rows, columns = np.nonzero(same & (difference <= _LARGEST_DIFFERENCE))
     partner: dict[int, int] = {}
     taken: set[int] = set()
+    # A stable sort, so that ties are resolved by the order of the events on every machine.
     for index in np.argsort(difference[rows, columns], kind="stable"):
         row = int(rows[index])
         column = int(columns[index])
@@ -171,6 +172,7 @@ class Verification:
 
 def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
     """Summarise the matches of some recordings."""
+    # Thin events lie so close to a threshold that sensor noise decides them; nothing is asserted about these.
     thin = [m for m in matches if m.true is not None and m.true.thin]
     lost = [m for m in matches if m.true is not None and m.true.tag == _LOST]
     counted = [m for m in matches if m.true is None or not (m.true.thin or m.true.tag == _LOST)]
@@ -222,6 +224,7 @@ def _is_contradicted(event: EventRecord) -> bool:
     if event.hand is None or event.location is None or event.left_wrist is None or event.right_wrist is None:
         return False
     left, right = (float(np.linalg.norm(wrist - event.location)) for wrist in (event.left_wrist, event.right_wrist))
+    # Hands that are about equally near contradict nothing: curation itself leaves those open.
     farther = left - right if event.hand == "left" else right - left
     return farther > LEAST_DIFFERENCE
 

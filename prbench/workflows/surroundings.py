@@ -63,6 +63,7 @@ class Surroundings:
     def __init__(self, dataset: str, root: Path) -> None:
         import_open3d("--scene")
         plain = reader_for(dataset)
+        # Some readers leave meshes out unless asked, because a build does not need them.
         self._reader = reader_for(dataset, {_MESHES: "true"}) if _MESHES in plain.options.names() else plain
         self._root = root
         self._found = {found.recording_id: found for found in self._reader.find(root)}
@@ -129,6 +130,7 @@ def _points_on(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
         open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces.astype(np.int32))
     )
     count = int(np.clip(mesh.get_surface_area() * _POINTS_ON_AREA, 1, _MOST_ON_MESH))
+    # Open3D's generator is global; the same seed before every mesh makes pictures reproducible.
     open3d.utility.random.seed(0)
     return _thinned(np.asarray(mesh.sample_points_uniformly(count).points))
 
@@ -154,6 +156,7 @@ def _read_cloud(source: Source) -> Float[np.ndarray, "n 3"]:
     columns = ["px_world", "py_world", "pz_world", *_SUREST]
     try:
         with opened(source) as packed, gzip.open(packed, "rb") as plain:
+            # One byte more than allowed is read: a gzip header does not say how long its content is.
             content = plain.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputFileError(
@@ -170,5 +173,6 @@ def _read_cloud(source: Source) -> Float[np.ndarray, "n 3"]:
             remedy="Download the file again, or remove it: the view is then drawn without.",
         ) from error
     values = np.column_stack([table[name].to_numpy() for name in columns])
+    # Most points of a semi-dense cloud are too uncertain to show a surface.
     sure = np.isfinite(values).all(axis=1) & (values[:, 3:] <= list(_SUREST.values())).all(axis=1)
     return values[sure, :3]

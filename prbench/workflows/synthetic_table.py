@@ -133,9 +133,11 @@ def build_synthetic_table(
         UsageError: for a preset without sensors, or no recordings.
         StorageError: if ``out`` cannot be written or holds something else.
     """
+    # Refuses a preset without sensors before anything is acted out.
     layout_for(preset)
     if recordings < 1:
         raise UsageError(f"a synthetic table needs at least one recording, not {recordings}.")
+    # Sorted, because the digest of the inputs must not depend on the order in which a user names them.
     shares = None if provocations is None else tuple(sorted(provocations.items()))
     staging = Staging(preset, seed, world, n_events, noise, shares)
     report = build_from_sources(

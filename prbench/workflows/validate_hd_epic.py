@@ -7,9 +7,10 @@ told here with what is known and what is a guess (docs/specification/hd-epic.md#
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, TableError, UsageError
 from prbench.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
-from prbench.sequences import EventRecord, SequenceTable
+from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import DatasetInfo
 from prbench.workflows.matching import PRIMED_STAGES, Spread
 
@@ -109,7 +110,7 @@ class Validation:
 
     recordings: int
     synthetic: bool
-    """Invented videos: nothing published is shown beside their numbers."""
+    """True for synthetic videos: nothing published is shown beside their numbers."""
     failed: tuple[str, ...]
     """Messages of the recordings that could not be read."""
     agreements: tuple[Agreement, ...]
@@ -158,13 +159,14 @@ def validate_build(folder: Path) -> Validation:
     table = SequenceTable(folder, info)
     table.require_unchanged()
     rows = table.events().to_pylist()
+    # Tables of earlier versions have the column without values.
     if rows and all(row["published_priming"] is None for row in rows):
         raise TableError(
             f"{folder}: no event tells a published priming. Was priming_info.json beside the data when it was built,"
             " and by this version of prbench? Build it again, or use --root."
         )
     return _validation(
-        [_judged_row(row) for row in rows],
+        [_judged(row) for row in rows],
         recordings=info.counts.recordings_read,
         synthetic=info.synthetic,
         failed=tuple(each.message for each in info.quarantine if each.status == "failed"),
@@ -181,6 +183,7 @@ def agreement(action: str, events: Sequence[JudgedEvent]) -> Agreement:
         events=len(events),
         located=sum(event.located for event in events),
         counts=dict(sorted(Counter((event.published, event.rule) for event in events).items())),
+        # Only where both found a prime; elsewhere there is no difference to speak of.
         difference=Spread.of(e.rule_prime - e.published_prime for e in both if e.rule_prime and e.published_prime),
         published_gaps=_gaps(e.event_time - e.published_prime for e in events if e.published_prime is not None),
         rule_gaps=_gaps(e.event_time - e.rule_prime for e in events if e.rule_prime is not None),
@@ -203,27 +206,17 @@ def _judge_source(source: NativeSource) -> _JudgedRecording:
     except PrbenchError as error:
         return _JudgedRecording((), (), f"{source.recording_id}: {source.without_places(str(error))}")
     events = curate_recording(recording, manifest, protocol, split=source.split).events
+    # Without priming_info.json the second curation would only say that nothing was published.
     published: tuple[str, ...] = ()
     if any(event.published_priming is not None for event in recording.annotated_events):
         options = CurationOptions(priming="published")
         curated = curate_recording(recording, manifest, protocol, options, split=source.split)
         published = tuple(event.outcome for event in curated.events)
-    return _JudgedRecording(tuple(_judged(event) for event in events), published, "")
+    return _JudgedRecording(tuple(_judged(vars(event)) for event in events), published, "")
 
 
-def _judged(event: EventRecord) -> JudgedEvent:
-    return JudgedEvent(
-        action=event.action,
-        event_time=event.event_time,
-        located=event.stage == "priming" or event.stage in PRIMED_STAGES,
-        rule_prime=event.prime_time,
-        published=event.published_priming or PUBLISHED_OUTCOMES[-1],
-        published_prime=event.published_prime_time,
-        outcome=event.outcome,
-    )
-
-
-def _judged_row(row: dict) -> JudgedEvent:
+def _judged(row: Mapping[str, Any]) -> JudgedEvent:
+    """Judge one row of ``events``, as a table holds it or as the fields of :class:`prbench.sequences.EventRecord`."""
     return JudgedEvent(
         action=row["action"],
         event_time=row["event_time"],

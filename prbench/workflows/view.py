@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +18,8 @@ from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene
 from prbench.viewing.replay.write import file_kind, write_view
+from prbench.workflows.first_run import tables_of_runs
 from prbench.workflows.surroundings import Surroundings
-from prbench.workflows.tables_of_runs import require_in_run, tables_of_runs
 
 DEFAULT_LIMIT = 4
 
@@ -91,6 +92,7 @@ def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
         MissingExtraError: if MP4 or HTML is asked for without the extra `view`, or a scene without the extra `open3d`.
         StorageError: if the file cannot be written.
     """
+    # First of all: an unwritable kind of file must not fail after minutes of drawing.
     kind = file_kind(request.out)
     scenes = scenes_of(request)
     write_view(scenes, request.out, kind, progress)
@@ -106,6 +108,7 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     else:
         tables = [SequenceTable.open(path).with_sequences() for path in request.data]
     for table in tables:
+        # The scores stand beside the motions in the picture, so they have to be theirs.
         _require_genuine_scores(runs, table)
     shown = [Shown(table, _opened(runs, labels, table, request.sample)) for table in tables]
     scenes: list[Scene] = []
@@ -135,7 +138,10 @@ class Shown:
     def generated(self) -> list[RunMotions]:
         """All runs but those of the recorded motion itself, which every view shows anyway."""
         return [
-            run for run in self.runs if run.run.record.method.name != GROUND_TRUTH or run.run.record.control is not None
+            # A shuffled control of the ground truth shows other motions and stays.
+            run
+            for run in self.runs
+            if run.run.record.method.name != GROUND_TRUTH or run.run.record.control is not None
         ]
 
 
@@ -152,17 +158,50 @@ def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
     """Ids of each table: those asked for, else a few that every run holds."""
     known = [part.table.scalars()["sequence_id"].to_pylist() for part in shown]
     if not request.sequences:
-        held = [
-            [name for name in ids if all(name in run for run in part.runs)]
-            for ids, part in zip(known, shown, strict=True)
-        ]
+        held = [_held_by_all(part.runs, ids) for part, ids in zip(shown, known, strict=True)]
         if not any(held):
             raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
         return [smallest_by_hash(ids, request.limit or DEFAULT_LIMIT) for ids in held]
-    everything = [name for ids in known for name in ids]
+    # A part of an id has to fit one sequence of all tables together, so it is looked for among all of them.
+    everything = list(itertools.chain.from_iterable(known))
     among = ", ".join(part.table.info.dataset for part in shown)
     wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
+    chosen = []
     for part, ids in zip(shown, known, strict=True):
+        own = [name for name in wanted if name in ids]
         for run in part.runs:
-            require_in_run(run, part.table, [name for name in wanted if name in ids])
-    return [[name for name in wanted if name in ids] for ids in known]
+            _require_in_run(run, part.table, own)
+        chosen.append(own)
+    return chosen
+
+
+def _held_by_all(runs: Sequence[RunMotions], ids: Sequence[str]) -> list[str]:
+    return [name for name in ids if all(name in run for run in runs)]
+
+
+def _require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequence[str]) -> None:
+    """Refuse sequences that a run has no motion of, and say why it has none.
+
+    Raises:
+        UsageError: naming the first one.
+    """
+    for name in sequence_ids:
+        if name not in run:
+            raise UsageError(f"{run.run.path}: holds no motion of {name}: {_why_left_out(run, table, name)}")
+
+
+def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
+    record = run.run.record
+    rows = table.scalars()
+    row = rows["sequence_id"].to_pylist().index(name)
+    split = rows["split"][row].as_py()
+    n_frames = rows["n_frames"][row].as_py()
+    if split != record.split:
+        return f"it is in split '{split}', the run is of '{record.split}'."
+    if record.method.max_frames is not None and n_frames > record.method.max_frames:
+        return f"it has {n_frames} frames, {record.method.name} generates at most {record.method.max_frames}."
+    if record.limit is not None:
+        return f"the run was limited to {record.limit} sequences (--limit). Run it alone: prbench run … --sequence ID"
+    if record.sequences:
+        return "the run was of other sequences (--sequence)."
+    return "the run was interrupted before it. Run the same `prbench run` again: it resumes."

@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.curation import CurationOptions, curate_recording
-from prbench.curation.curate import CuratedRecording
-from prbench.curation.split import hash_fraction, split_of
+from prbench.curation.curate import CuratedRecording, hash_fraction, split_of
 from prbench.errors import UsageError
 from prbench.recording import BodyStream, Recording
 from prbench.sequences.sequence import sequence_batch

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.evaluation.lengths import length_problem, likely_cause
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import native_frames
 
 EXPECTED = np.array([81, 60, 120, 97])
 

@@ -10,8 +10,7 @@ import pytest
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError, InputFileError
-from prbench.methods.motions import generate_checked
-from prbench.methods.native_rate import at_native_rate, at_table_rate, native_frames
+from prbench.methods.motions import at_native_rate, at_table_rate, generate_checked, native_frames
 
 IDS = ("rec/a", "rec/b", "rec/c")
 

@@ -12,10 +12,10 @@ import pytest
 from prbench.release import export_release, import_release
 from prbench.release.known import folder_of, load_known
 from prbench.sequences import SequenceTable
-from prbench.synthetic.layouts import LAYOUT_MODULES
+from prbench.synthetic.people import PRESETS as ALL_PRESETS
 from prbench.workflows.synthetic_table import build_synthetic_table
 
-PRESETS = sorted(set(LAYOUT_MODULES) & set(load_known().datasets))
+PRESETS = sorted(set(ALL_PRESETS) & set(load_known().datasets))
 
 
 @pytest.fixture(scope="module", params=PRESETS)

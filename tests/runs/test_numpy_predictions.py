@@ -95,7 +95,7 @@ def test_another_process_reads_what_this_one_unpacked(tmp_path):
     predictions = Predictions.open(saved(tmp_path / "p.npz", compressed=True))
     predictions.make_ready()
     copy = pickle.loads(pickle.dumps(predictions))
-    unpacked = copy._store._unpacked._path
+    unpacked = copy.store._unpacked._path
     assert unpacked.is_file()
     assert np.array_equal(copy.motions(["c"], 0).values, MOTIONS[2].astype(np.float32))
     del predictions
@@ -106,7 +106,7 @@ def test_single_motions_are_read_from_a_stored_array_without_the_rest(tmp_path):
     joints = np.zeros((400, 200, 22, 3), np.float32)
     ids = np.array([f"s{i}" for i in range(400)])
     np.savez(tmp_path / "p.npz", opaque_id=ids, n_frames=np.full(400, 200), joints=joints)
-    store = Predictions.open(tmp_path / "p.npz")._store
+    store = Predictions.open(tmp_path / "p.npz").store
     array = store._unpacked.array(store.archive, "joints")
     assert isinstance(array, np.memmap)
     assert not array.flags.writeable

@@ -94,7 +94,7 @@ def test_a_part_that_fits_several_lists_them_and_an_unknown_id_its_neighbours(ta
 def test_the_motion_of_the_story_is_canonical_and_its_box_surrounds_the_goal(table: Path) -> None:
     motion = explain_event(table, "room_a/cup/pick").motion
     assert motion is not None
-    np.testing.assert_allclose(motion.box_corners.mean(axis=0), motion.goal, atol=1e-6)
+    np.testing.assert_allclose(motion.goal.box_corners.mean(axis=0), motion.goal.location, atol=1e-6)
     assert motion.joints.shape == (len(motion.times), 22, 3)
 
 

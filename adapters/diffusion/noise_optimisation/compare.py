@@ -103,6 +103,7 @@ def _trial(given: argparse.Namespace) -> _Trial:
     model = MotionModel.load(resolve(given.weights, default), given.device)
     configuration = model.configuration
     table = SequenceTable.open(given.data).with_sequences()
+    # By the hash of the ids, so that both modes, in processes of their own, take the same sequences.
     everything = select(table, split=given.split, limit=given.sequences)
     selection = supported(everything, max_frames=configuration.max_frames, native_fps=None)
     if selection.fps != configuration.fps:
@@ -137,6 +138,7 @@ def _run(mode: str, trial: _Trial, settings: OptimisationSettings, out: Path) ->
         "method": trial.method,
     }
     record = out / f"{mode}.json"
+    # Hours of optimisation are not repeated for the same settings, weights and sequences.
     if record.is_file() and _made_of(record) == made_of:
         return
     started = time.perf_counter()
@@ -146,6 +148,7 @@ def _run(mode: str, trial: _Trial, settings: OptimisationSettings, out: Path) ->
     seconds = time.perf_counter() - started
     write_csv(out / f"{mode}.csv", SEQUENCE_COLUMNS, _result(trial, found).rows())
     write_csv(out / f"{mode}_curve.csv", CURVE_COLUMNS, curve(found))
+    # Written last: a record without its tables would count as a finished mode.
     write_json(record, {"made_of": made_of, "seconds": seconds, "torch_threads": torch.get_num_threads()})
     print(f"{mode}: {len(trial.batch)} sequences in {seconds:.0f} s")  # noqa: T201 - a command
 

@@ -62,11 +62,13 @@ def curve(found: OptimisedMotions) -> list[list[float]]:
     """
     iterations = len(found.history.learning_rate)
     chains = found.iterations.numpy() + _decoded_again(found)
+    # All chains have equally many steps; dividing gives the passes of one iteration.
     each = float((found.network_passes.numpy() / chains).max())
     medians = []
     for name in _TERMS:
         values = getattr(found.history, name)
         final = getattr(found, name).cpu().numpy()
+        # NaN in the history means finished, not missing.
         medians.append(np.median(np.where(np.isnan(values), final, values), axis=1))
     return [[each * (i + 1), *(float(column[i]) for column in medians)] for i in range(iterations)]
 

@@ -42,39 +42,26 @@ def optimise_noise(
         seeds: One per sequence, usually its ``noise_seed``.
         objective: What is minimised: the paper's losses, or DNO's ``keyframes``.
     """
-    parts = [
-        (rows, _part(model, condition, targets, n_frames, noise, settings, seeds, objective, rows))
-        for rows in parts_of_similar_length(n_frames.numpy(), settings.batch_size)
-    ]
+    parts = []
+    for rows in parts_of_similar_length(n_frames.numpy(), settings.batch_size):
+        lengths = n_frames[torch.as_tensor(rows)]
+        index = torch.as_tensor(rows, device=noise.device)
+        wanted = targets.rows(index)
+        # A chain for each part, because the condition is prepared for its rows once and for all iterations.
+        decoder: NoiseDecoder = UnrolledChain(model, condition.rows(index), lengths, settings)
+        if settings.bones == "initial":
+            decoder = OnOwnBones(decoder, bone_lengths(wanted.initial_joints))
+        part = optimise(
+            decoder,
+            objective(settings),
+            wanted,
+            noise[index, : int(lengths.max())],
+            lengths.to(noise.device),
+            [seeds[row] for row in rows],
+            settings,
+        )
+        parts.append((rows, part))
     return _together(parts, noise, n_frames, settings)
-
-
-def _part(
-    model: FrozenModel,
-    condition: EncodedCondition,
-    targets: Targets,
-    n_frames: torch.Tensor,
-    noise: torch.Tensor,
-    settings: OptimisationSettings,
-    seeds: Sequence[int],
-    objective: ObjectiveFromSettings,
-    rows: np.ndarray,
-) -> OptimisedMotions:
-    lengths = n_frames[torch.as_tensor(rows)]
-    index = torch.as_tensor(rows, device=noise.device)
-    wanted = targets.rows(index)
-    decoder: NoiseDecoder = UnrolledChain(model, condition.rows(index), lengths, settings)
-    if settings.bones == "initial":
-        decoder = OnOwnBones(decoder, bone_lengths(wanted.initial_joints))
-    return optimise(
-        decoder,
-        objective(settings),
-        wanted,
-        noise[index, : int(lengths.max())],
-        lengths.to(noise.device),
-        [seeds[row] for row in rows],
-        settings,
-    )
 
 
 def _together(

@@ -119,6 +119,7 @@ class Keyframes:
             minimised=torch.cat(errors, dim=1).mean(dim=1),
             initial=_squared_distance(joints[:, 0], targets.initial_joints).detach(),
             goal=_goal_losses(joints, n_frames, targets, self.hand)[0].detach(),
+            # Reported only, so no graph is kept for it.
             jerk=largest_jerk(joints.detach(), n_frames),
         )
 
@@ -189,6 +190,7 @@ def _jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Floa
     third = joints[:, 3:] - 3.0 * joints[:, 2:-1] + 3.0 * joints[:, 1:-2] - joints[:, :-3]
     inside = torch.arange(third.shape[1], device=joints.device) < (n_frames - 3)[:, None]
     squared = torch.where(inside[..., None], third.square().sum(-1), 0.0)
+    # The square root has an infinite slope at 0, which would be NaN times 0 in the gradient.
     moving = squared > 0.0
     return torch.where(moving, torch.where(moving, squared, 1.0).sqrt(), 0.0)
 
@@ -208,6 +210,7 @@ def jerk_norm(joints: Joints, n_frames: Int[torch.Tensor, " batch"], power: floa
     Its gradient reaches every place that is about as jerky as the worst one, where the maximum reaches one place only.
     """
     lengths = _jerk_lengths(joints, n_frames).flatten(1)
+    # Divided by the largest before the power, which would overflow or vanish otherwise.
     largest = largest_jerk(joints, n_frames).detach().clamp_min(1e-12)
     return largest * (lengths / largest[:, None]).pow(power).sum(dim=1).clamp_min(1e-12).pow(1.0 / power)
 

@@ -201,6 +201,7 @@ class _Search:
         found = self._evaluate(active)
         self._passes[active.rows] += active.decoder.network_passes - before
         self._iterations[active.rows] += 1
+        # A length of 1 makes the learning rate the same for every sequence, whatever its loss.
         gradient, lengths = unit_gradient(found.gradient)
         factor = learning_rate_factor(iteration, warmup=settings.warmup, iterations=settings.iterations)
         self._write_history(iteration, active, found, lengths, settings.learning_rate * factor)
@@ -246,6 +247,7 @@ class _Search:
         )
 
     def _evaluate(self, active: _Active) -> _Evaluation:
+        # A fresh leaf in every iteration, so that no graph outlives it.
         noise = active.noise.detach().requires_grad_()
         joints = active.decoder(noise)
         losses = self._objective(joints, active.n_frames, active.targets)
@@ -265,6 +267,7 @@ class _Search:
     def _offer(self, rows: Index, noise: Noise, joints: Joints, losses: Losses) -> None:
         """Keep the iterates that have a lower initial plus goal loss than any before."""
         before = self._kept["initial"][rows] + self._kept["goal"][rows]
+        # Written as `not worse`, because a comparison with NaN is always false.
         better = ~(losses.initial + losses.goal >= before)  # NaN counts, so that it is never hidden
         self._take(rows, better, noise, joints, losses)
 

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Literal, cast, get_args
 
+from prbench_adapters.diffusion.generation import Precision
 from prbench_adapters.diffusion.options import choice, number, whole_number
 from prbench_adapters.diffusion.sampling import Spacing
 
 Hand = Literal["right", "left", "nearest"]
 Keep = Literal["last", "best"]
 Bones = Literal["predicted", "initial"]
-Precision = Literal["float32", "bfloat16"]
 
 _FAST_PASSES = 400
 _FAST_STEPS = 4
@@ -124,6 +124,7 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
     chain starts at the noisiest step: started later, it takes the noise for a motion and hardly asks the condition.
     """
     steps = min(_FAST_STEPS, diffusion_steps)
+    # One chain is kept for decoding the result.
     iterations = _FAST_PASSES // steps - 1
     return OptimisationSettings(
         ddim_steps=steps,
@@ -157,23 +158,20 @@ def optimisation_settings(
     return replace(
         preset,
         ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps) or preset.ddim_steps,
-        spacing=cast(Spacing, _one_of(options, "spacing", preset.spacing, get_args(Spacing))),
+        spacing=cast(Spacing, choice(options, "spacing", get_args(Spacing), preset.spacing)),
         iterations=iterations,
+        # The warm-up keeps its share of the whole, or a short run would be nothing else.
         warmup=round(preset.warmup * iterations / preset.iterations),
         learning_rate=number(options, "learning-rate", preset.learning_rate),
         jerk_weight=number(options, "alpha", preset.jerk_weight),
         decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
         initial_velocity_weight=number(options, "initial-velocity-weight", preset.initial_velocity_weight),
         initial_frames=whole_number(options, "initial-frames", most=2) or preset.initial_frames,
-        hand=cast(Hand, _one_of(options, "hand", preset.hand, get_args(Hand))),
-        bones=cast(Bones, _one_of(options, "bones", preset.bones, get_args(Bones))),
-        keep=cast(Keep, _one_of(options, "keep", preset.keep, get_args(Keep))),
+        hand=cast(Hand, choice(options, "hand", get_args(Hand), preset.hand)),
+        bones=cast(Bones, choice(options, "bones", get_args(Bones), preset.bones)),
+        keep=cast(Keep, choice(options, "keep", get_args(Keep), preset.keep)),
         stop_below=number(options, "stop-below", 0.0) if "stop-below" in options else preset.stop_below,
         checkpointing=preset.checkpointing if blocks is None else blocks,
-        precision=cast(Precision, _one_of(options, "precision", preset.precision, get_args(Precision))),
-        compiled=_one_of(options, "compile", "true" if preset.compiled else "false", ("false", "true")) == "true",
+        precision=cast(Precision, choice(options, "precision", get_args(Precision), preset.precision)),
+        compiled=choice(options, "compile", ("false", "true"), str(preset.compiled).lower()) == "true",
     )
-
-
-def _one_of(options: Mapping[str, str], key: str, default: str, values: tuple[str, ...]) -> str:
-    return choice(options, key, values) if key in options else default

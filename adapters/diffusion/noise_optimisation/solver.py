@@ -45,6 +45,7 @@ class AdamState:
         second = self.second * _BETAS[1] + gradient.square() * (1.0 - _BETAS[1])
         steps = self.steps + 1
         scale = second.sqrt() / (1.0 - _BETAS[1] ** steps) ** 0.5 + _EPSILON
+        # Adam written out: torch's own keeps one state for a tensor, from which no finished row can be taken out.
         moved = noise - learning_rate / (1.0 - _BETAS[0] ** steps) * first / scale
         return moved, AdamState(first, second, steps)
 
@@ -84,6 +85,7 @@ def decorrelation(noise: Float[torch.Tensor, "batch frames features"]) -> Float[
     """
     total = noise.new_zeros(len(noise))
     while noise.shape[1] >= 2:
+        # Cyclic as in the original: the last frame also neighbours the first.
         total = total + (noise * noise.roll(1, dims=1)).mean(dim=(1, 2)) ** 2
         noise = noise.unflatten(1, (-1, 2)).mean(dim=2)
     return total

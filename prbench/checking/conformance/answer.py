@@ -102,6 +102,7 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     motions = None
     halvings = 0
     error = ""
+    # A method may keep or change its batch; the answer holds the one that was meant.
     own = dataclasses.replace(batch)
     try:
         with computing_threads(threads), _generators_set_to(state_seed):
@@ -135,6 +136,7 @@ def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
 
 def _generator_states() -> dict[str, bytes]:
     """Map the name of each global generator to its state."""
+    # The key changes every 624 draws only; the place in it changes with each.
     _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
     found = {
         "random": repr(random.getstate()).encode(),

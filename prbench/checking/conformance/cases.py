@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
-from prbench.contract import ConditionBatch
 from prbench.evaluation.conditions import ConditionSource
-from prbench.evaluation.planning import select
+from prbench.evaluation.planning import rows_of, select
 from prbench.manifests import load_protocol
 from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FunnelCounts
@@ -20,7 +16,6 @@ from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 
-Conditions = TypeVar("Conditions", ConditionSource, ConditionBatch)
 SEQUENCES = 12
 """Asked about, unless a method is slow."""
 _TO_LEARN_FROM = 12
@@ -55,19 +50,6 @@ def cases_of_table(folder: Path) -> Cases:
     """
     table = SequenceTable.open(folder).with_sequences()
     return Cases(_by_length(ConditionSource.read(select(table, split="test", limit=SEQUENCES))), folder)
-
-
-def rows_of(source: Conditions, rows: SequenceOf[int] | np.ndarray) -> Conditions:
-    """Return some rows of conditions, in the order given."""
-    chosen = np.asarray(rows, dtype=np.int64)
-    changed: dict[str, Any] = {}
-    for field in dataclasses.fields(source):
-        values = getattr(source, field.name)
-        if isinstance(values, tuple):
-            changed[field.name] = tuple(values[row] for row in chosen)
-        elif isinstance(values, np.ndarray):
-            changed[field.name] = values[chosen]
-    return dataclasses.replace(source, **changed)
 
 
 def write_training_table(folder: Path) -> Path:

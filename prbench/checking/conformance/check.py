@@ -53,6 +53,7 @@ def examine(
         known: How earlier checks ended, by name.
         announce: Called before each check.
     """
+    # Earlier processes have made some checks already; later ones build on them.
     worst = dict(known or {})
     for one in checks:
         if announce is not None:

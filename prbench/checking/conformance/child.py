@@ -43,6 +43,7 @@ def main() -> None:
 
 def _teller() -> Tell:
     """Writes events to what was stdout; from now on ``print`` writes to stderr."""
+    # A method that prints must not break the events, which share the pipe with nobody.
     events = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
 

@@ -184,6 +184,7 @@ class _Session:
         """Make checks in one child until it ends; return the checks that are left."""
         left = list(checks)
         under_way = None
+        # A new child knows nothing of its predecessors, and checks depend on one another.
         known = {name: outcome.value for name, outcome in self._known().items()}
         with _ChildProcess(self.request, [one.name for one in checks], known, self.folder) as child:
             try:

@@ -12,14 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.checking.conformance.answer import STATE_SEED, Answer, ask
-from prbench.checking.conformance.cases import Cases, rows_of, write_training_table
+from prbench.checking.conformance.cases import Cases, write_training_table
 from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.evaluation.conditions import ConditionSource, run_salt
+from prbench.evaluation.planning import rows_of
 from prbench.manifests import load_protocol
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
 from prbench.methods.methods import fitted_to
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import native_frames
 from prbench.sequences import SequenceTable
 
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
@@ -174,6 +175,7 @@ class Subject:
     def rows(self) -> tuple[int, ...]:
         """The sequences of a usual batch: all, or a few of the shorter ones if the method is slow."""
         total = len(self.source.n_frames)
+        # The first call also pays for loading; only the second tells how slow the method is.
         second = self.ask(self.first_answer.batch)
         number = int(np.clip(_PATIENCE * len(second.batch) / max(second.seconds, 1e-9), min(_FEW, total), total))
         last = total - 1 if number == total else total // 2

@@ -69,6 +69,15 @@ class AdapterConformance:
         return cls._report
 
 
+def _test_of(name: str, title: str) -> Callable[[AdapterConformance], None]:
+    def test(self: AdapterConformance) -> None:
+        _require(self.report().about(name))
+
+    test.__name__ = f"test_{name.replace('-', '_')}"
+    test.__doc__ = f"{title[0].upper()}{title[1:]}."
+    return test
+
+
 def _require(findings: tuple[Finding, ...]) -> None:
     """Turn the findings of one check into pytest's terms."""
     for finding in findings:
@@ -79,15 +88,6 @@ def _require(findings: tuple[Finding, ...]) -> None:
         raise AssertionError("\n".join(wrong))
     if all(finding.outcome is Outcome.SKIPPED for finding in findings):
         raise unittest.SkipTest("; ".join(finding.said for finding in findings))
-
-
-def _test_of(name: str, title: str) -> Callable[[AdapterConformance], None]:
-    def test(self: AdapterConformance) -> None:
-        _require(self.report().about(name))
-
-    test.__name__ = f"test_{name.replace('-', '_')}"
-    test.__doc__ = f"{title[0].upper()}{title[1:]}."
-    return test
 
 
 for _check in CHECKS:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import count, islice
+from typing import Any
 
 import numpy as np
 
@@ -48,15 +49,8 @@ def _sequences(split: str) -> Iterator[Sequence]:
 
 def _sequence(performance: Performance, clip: TrueClip, split: str) -> Sequence:
     event = clip.event
-    n_frames = len(clip.joints)
     assert event.prime_time is not None  # clips are made of primed events only
     name = name_of_recording(_PRESET, _SEED, performance.index)
-    world_from_canonical = canonical_frame(clip.joints)
-    canonical_from_world = invert_rigid(world_from_canonical)
-    around = np.array([clip.start - 1 / FPS, event.event_time + 1 / FPS])
-    before, after = (transform_points(canonical_from_world, sample_joints(performance, around[[i]])[0]) for i in (0, 1))
-    nearest = np.searchsorted(performance.times, clip.start + np.arange(n_frames) / FPS - 0.5 / performance.rate)
-    nearest = np.minimum(nearest, len(performance.times) - 1)
     protocol = load_protocol()
     return Sequence(
         sequence_id=f"{DATASET}/{name}/{event.object_id}/{event.action}/{event.event_time:.6f}",
@@ -71,7 +65,7 @@ def _sequence(performance: Performance, clip: TrueClip, split: str) -> Sequence:
         text=getattr(protocol.text, event.action),
         hand=event.hand,
         fps=FPS,
-        n_frames=n_frames,
+        n_frames=len(clip.joints),
         start_time=clip.start,
         prime_time=event.prime_time,
         event_time=event.event_time,
@@ -80,22 +74,38 @@ def _sequence(performance: Performance, clip: TrueClip, split: str) -> Sequence:
         preroll=clip.prime_after,
         prime_kind=event.prime_kind or "hit",
         prime_time_uncertainty=1 / performance.rate,
-        goal_location=transform_points(canonical_from_world, event.goal),
         goal_box_world_min=event.box_min,
         goal_box_world_max=event.box_max,
         body_movement=clip.body_movement,
         hand_movement=clip.hand_movement,
         pose_source="invented",
         head_tilt_deg=clip.neck_tilt_deg,
-        joints=transform_points(canonical_from_world, clip.joints).astype(np.float32),
-        previous_joints=before.astype(np.float32),
         previous_source="recorded",
-        next_joints=after.astype(np.float32),
         next_source="recorded",
         head_position=None,
         head_rotation=None,
-        gaze_origin=transform_points(canonical_from_world, performance.eye[nearest]),
-        gaze_direction=performance.gaze[nearest] @ world_from_canonical[:3, :3],
-        gaze_valid=np.ones(n_frames, dtype=bool),
-        world_from_canonical=world_from_canonical,
+        gaze_valid=np.ones(len(clip.joints), dtype=bool),
+        **_in_canonical_frame(performance, clip),
     )
+
+
+def _in_canonical_frame(performance: Performance, clip: TrueClip) -> dict[str, Any]:
+    """The columns that change with the frame, by name; gaze is that of the performance's nearest sample."""
+    world_from_canonical = canonical_frame(clip.joints)
+    canonical_from_world = invert_rigid(world_from_canonical)
+
+    def pose(time: float) -> np.ndarray:
+        return transform_points(canonical_from_world, sample_joints(performance, np.array([time]))[0])
+
+    frame_times = clip.start + np.arange(len(clip.joints)) / FPS
+    nearest = np.searchsorted(performance.times, frame_times - 0.5 / performance.rate)
+    nearest = np.minimum(nearest, len(performance.times) - 1)
+    return {
+        "world_from_canonical": world_from_canonical,
+        "goal_location": transform_points(canonical_from_world, clip.event.goal),
+        "joints": transform_points(canonical_from_world, clip.joints).astype(np.float32),
+        "previous_joints": pose(clip.start - 1 / FPS).astype(np.float32),
+        "next_joints": pose(clip.event.event_time + 1 / FPS).astype(np.float32),
+        "gaze_origin": transform_points(canonical_from_world, performance.eye[nearest]),
+        "gaze_direction": performance.gaze[nearest] @ world_from_canonical[:3, :3],
+    }

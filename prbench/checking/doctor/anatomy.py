@@ -13,12 +13,7 @@ import numpy as np
 from prbench.representation import REST_OFFSETS
 from prbench.skeleton import PARENTS, Joint
 
-_LEFTS = [joint for joint in Joint if joint.name.startswith("LEFT")]
-_RIGHTS = [joint for joint in Joint if joint.name.startswith("RIGHT")]
-PARTS = tuple(joint.name.removeprefix("LEFT_").lower() for joint in _LEFTS)
-"""Names of the parts that exist on both sides, from the hips to the wrists."""
 _NEGLIGIBLE = 1e-9
-_NAMES = tuple(joint.name.lower() for joint in Joint)
 _LENGTHS = np.linalg.norm(REST_OFFSETS, axis=1)
 _EXTRA = (
     ("left_hip", "right_hip", 0.16),
@@ -27,6 +22,11 @@ _EXTRA = (
     ("right_hip", "right_shoulder", 0.52),
 )
 """Across the trunk: they tell which side a whole limb belongs to, and hold for skeletons without a spine."""
+_LEFTS = [joint for joint in Joint if joint.name.startswith("LEFT")]
+_RIGHTS = [joint for joint in Joint if joint.name.startswith("RIGHT")]
+PARTS = tuple(joint.name.removeprefix("LEFT_").lower() for joint in _LEFTS)
+"""Names of the parts that exist on both sides, from the hips to the wrists."""
+_NAMES = tuple(joint.name.lower() for joint in Joint)
 _BONES = (
     *((_NAMES[PARENTS[joint]], _NAMES[joint], float(_LENGTHS[joint])) for joint in range(1, len(Joint))),
     *_EXTRA,
@@ -109,6 +109,7 @@ def front(poses: np.ndarray) -> np.ndarray:
         poses, Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST
     )
     head = poses[:, Joint.HEAD] - poses[:, Joint.NECK]
+    # Toes tell most reliably; elbows bend backwards and are often straight, so they count half.
     cue = 2 * toes + knees + head - elbows / 2
     up = body_up(poses)
     return unit(cue - (cue * up).sum(axis=-1, keepdims=True) * up)
@@ -154,6 +155,7 @@ def fit(distances: Distances, places: dict[str, int]) -> Fit:
     one, other, typical = (np.array(column) for column in zip(*named, strict=True))
     lengths = distances.median[one, other]
     scale = lengths.sum() / typical.sum()
+    # The scale is fitted away: units are judged elsewhere.
     people = scale * typical
     return Fit(
         float(np.abs(lengths - people).sum() / people.sum()),

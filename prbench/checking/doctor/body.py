@@ -88,6 +88,7 @@ def examine_finite(motion_set: MotionSet) -> Finding:
     bad = [one | other for one, other in zip(broken, empty, strict=True)]
     rows = [row for row in range(len(motion_set)) if (~bad[row]).any()]
     mended = motion_set.only(rows).with_motions([_mended(motion_set.motions[row], bad[row]) for row in rows])
+    # Cut frames change lengths, which would be reported as a second fault.
     if any(len(mended.motions[place]) != len(motion_set.motions[row]) for place, row in enumerate(rows)):
         mended = mended.without_lengths()
     return Finding(tuple(diagnoses), mended, unreadable=not rows)

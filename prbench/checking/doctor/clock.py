@@ -81,6 +81,7 @@ def _repeats(motion_set: MotionSet) -> Finding:
         return Finding((), motion_set)
     counts = [int(inside.sum()) for inside in found.values()]
     gaps = np.concatenate([np.diff(np.flatnonzero(inside)) for inside in found.values()])
+    # The most frequent distance: frames that were lost while recording come at no fixed one.
     period = int(np.bincount(gaps).argmax())
     regular = float((gaps == period).mean())
     rhythm = ", at no fixed distance"
@@ -210,20 +211,6 @@ def _common_rhythm(steps: Sequence[_Steps], fps: float) -> _Rhythm | None:
     return best
 
 
-def _standing_out(steps: _Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much each inner step exceeds its two neighbours (log), and where all three are fast and straight."""
-    logs = np.log(np.maximum(steps.sizes, 1e-9))
-    out = logs[1:-1] - (logs[:-2] + logs[2:]) / 2
-    slow = max(0.5 * steps.usual, _SLOW / fps)
-    triples = np.lib.stride_tricks.sliding_window_view(steps.sizes, 3)
-    return out, (triples.mean(axis=1) > slow) & (np.minimum(steps.straight[1:], steps.straight[:-1]) > _STRAIGHT)
-
-
-def _moving(steps: _Steps, fps: float) -> int:
-    """Count the steps that are fast, in one direction or to and fro."""
-    return int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum())
-
-
 def _rhythm(steps: _Steps, period: int, fps: float) -> _Rhythm | None:
     if len(steps.sizes) < 4 * period + 2 or steps.usual == 0:
         return None
@@ -238,14 +225,30 @@ def _rhythm(steps: _Steps, period: int, fps: float) -> _Rhythm | None:
     means = np.bincount(place, weights=values, minlength=period) / counts
     total = float(values.var())
     explained = float((counts * (means - values.mean()) ** 2).sum() / counts.sum())
+    # Adjusted for the number of places: with long periods any noise explains something.
     adjusted = 1 - (1 - explained / max(total, 1e-9)) * len(values) / max(len(values) - period, 1)
     return _Rhythm(period, adjusted, float(means.max()), 1)
+
+
+def _standing_out(steps: _Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much each inner step exceeds its two neighbours (log), and where all three are fast and straight."""
+    logs = np.log(np.maximum(steps.sizes, 1e-9))
+    out = logs[1:-1] - (logs[:-2] + logs[2:]) / 2
+    slow = max(0.5 * steps.usual, _SLOW / fps)
+    triples = np.lib.stride_tricks.sliding_window_view(steps.sizes, 3)
+    return out, (triples.mean(axis=1) > slow) & (np.minimum(steps.straight[1:], steps.straight[:-1]) > _STRAIGHT)
+
+
+def _moving(steps: _Steps, fps: float) -> int:
+    """Count the steps that are fast, in one direction or to and fro."""
+    return int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum())
 
 
 def _leaps(steps: _Steps, fps: float) -> int:
     """Count single steps that are about twice as long as two on each side, which agree with each other."""
     if len(steps.sizes) < 6 or steps.usual == 0:
         return 0
+    # Two steps on each side have to agree, so that acceleration is not taken for a gap.
     windows = np.lib.stride_tricks.sliding_window_view(steps.sizes, 5)
     neighbours = windows[:, [0, 1, 3, 4]]
     low = neighbours.min(axis=1)

@@ -77,6 +77,7 @@ def diagnose(
     known = tuple(expected) if expected is not None else (NOTHING_KNOWN,) * len(motions)
     motion_set = MotionSet(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
     diagnoses: list[Diagnosis] = []
+    # Each examination gets the motions with the earlier faults undone, or it would report them again.
     for examine in _EXAMINATIONS:
         finding = examine(motion_set)
         diagnoses += finding.diagnoses

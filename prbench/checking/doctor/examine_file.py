@@ -155,6 +155,7 @@ def _from_conditions(motions: Sequence[NamedMotion], path: Path) -> _Known:
     conditions = read_conditions_file(path)
     expected = [_of_row(conditions, row) for row in range(len(conditions))]
     found = dict(zip(conditions.opaque_id, expected, strict=True))
+    # The names that `motions/%010d.npy` files have.
     found |= {f"{row:010d}": each for row, each in enumerate(expected)}
     if not any(motion.name in found for motion in motions) and len(motions) == len(expected):
         found = {motion.name: each for motion, each in zip(motions, expected, strict=True)}

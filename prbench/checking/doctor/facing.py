@@ -25,6 +25,7 @@ def examine_facing(motion_set: MotionSet) -> Finding:
     typical = float(np.median(np.abs(off)))
     if typical < _SUSPICIOUS:
         return no_finding(motion_set)
+    # Angles are averaged as unit vectors; their mean length tells how well they agree.
     mean = np.exp(1j * off).mean()
     common = abs(mean) > _AGREEING
     certain = bool(typical > _CERTAIN) and not motion_set.motionless

@@ -88,6 +88,7 @@ def _examine_drift(motion_set: MotionSet) -> Finding:
 def _drift(motion: np.ndarray, fps: float) -> _Drift:
     reach = max(1, round(0.25 * fps))  # frames on each side: a swinging foot does not count
     lowest = np.pad(motion[..., 1].min(axis=1), reach, mode="edge")
+    # The lowest height within half a second: one foot or the other stands in it.
     support = np.lib.stride_tricks.sliding_window_view(lowest, 2 * reach + 1).min(axis=1)
     time = np.linspace(0.0, 1.0, len(motion))
     slope, _ = np.polyfit(time, support, 1)
@@ -142,6 +143,7 @@ def examine_first_frame(motion_set: MotionSet) -> Finding:
     turns = np.array([wrapped(np.diff(headings(motion_set.motions[row][:3]))) for row in long])
     pelvis = [motion_set.motions[row][:3, Joint.PELVIS] for row in long]
     steps = np.array([np.linalg.norm(np.diff(path, axis=0), axis=1) for path in pelvis]) * motion_set.fps
+    # A fast turn goes on in the next frame; a torn first frame does not.
     turning = (np.abs(turns[:, 0]) > _TURN) & (np.abs(turns[:, 0]) > _TIMES * np.abs(turns[:, 1]))
     leaping = (steps[:, 0] > _STEP) & (steps[:, 0] > _TIMES * steps[:, 1])
     broken = turning | leaping

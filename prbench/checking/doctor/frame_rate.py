@@ -115,6 +115,7 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding:
         for motion, expected in zip(motion_set.motions, motion_set.expected, strict=True)
         if (start := _start(motion, expected, motion_set.fps)) is not None
     ]
+    # A body that changes direction at the start tells nothing of its clock.
     going_on = [start.ratio for start in starts if start.cosine > _CONTINUES and start.ratio > 0]
     if len(going_on) * 2 > len(starts) and len(going_on) >= 3:
         return Finding(_by_velocity(np.log(going_on), motion_set), motion_set)
@@ -180,6 +181,7 @@ def _tempo_beneath_tremor(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
     if spread > _EQUALLY_LONG:
         return ()
+    # Widths of convolved Gaussians add in squares, so the smoothing can be subtracted again.
     widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
     durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
     return _judged(durations, motion_set.fps, "steps", _SWING_RANGE)
@@ -225,6 +227,7 @@ def _durations(path: np.ndarray) -> np.ndarray:
             continue
         last = stop
         if np.linalg.norm(path[stop] - path[start + 1]) > _FAR:
+            # Between frames, by a straight line: whole frames would be too coarse for swings of six of them.
             begin = start + (edge - speed[start]) / (speed[start + 1] - speed[start])
             end = stop - (edge - speed[stop]) / (speed[stop - 1] - speed[stop])
             durations.append(end - begin)

@@ -35,6 +35,7 @@ def examine_left_right(motion_set: MotionSet) -> Finding:
         "where toes, knees and head point has a mean cosine of"
         f" {by_hips:+.2f} with the front that left and right hip give, {by_shoulders:+.2f} with that of the shoulders"
     )
+    # Hips and shoulders disagree: only the arms or only the legs are exchanged.
     if by_hips * by_shoulders < 0:
         return _half(motion_set, evidence, arms=by_shoulders < by_hips)
     return _whole(motion_set, evidence)
@@ -74,6 +75,7 @@ def _whole(motion_set: MotionSet, evidence: str) -> Finding:
         kind = "left-right"
         cause = f"left and right joints are exchanged ({reason})"
         remedy = remedy_names
+    # Where the toes point backwards too, negating that axis undoes both, and exchanging names would undo one.
     undo_by_axis = mirrored or toes_backwards
     signs = np.where(np.arange(3) == axis, -1.0, 1.0)
     found = Diagnosis(kind, True, evidence, cause, remedy)
@@ -137,6 +139,7 @@ def _apart(poses: np.ndarray, others: np.ndarray) -> float:
 
 def _by_bones(motion_set: MotionSet) -> tuple[bool | None, str]:
     """Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one."""
+    # Logarithms: ratios of left to right do not depend on the size of the body.
     lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
     people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
     one = [joint - 1 for joint, mirrored in enumerate(MIRRORED_JOINTS) if joint < mirrored]

@@ -11,6 +11,12 @@ from jaxtyping import Float
 
 from prbench.methods.coordinates import spread_poses
 
+AT_RATE = (
+    "Resample to the asked rate (prbench.representation.converters.at_rate), or let the method declare native_fps: an"
+    " attribute of an adapter, a key in the hello of a program."
+)
+AT_TIMES = "Resample on the frames' own times: prbench.representation.converters.at_times."
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -122,13 +128,6 @@ Examination = Callable[[MotionSet], Finding]
 def no_finding(motion_set: MotionSet) -> Finding:
     """Return the finding of an examination that found no fault."""
     return Finding((), motion_set)
-
-
-AT_RATE = (
-    "Resample to the asked rate (prbench.representation.converters.at_rate), or let the method declare native_fps: an"
-    " attribute of an adapter, a key in the hello of a program."
-)
-AT_TIMES = "Resample on the frames' own times: prbench.representation.converters.at_times."
 
 
 def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 from prbench.skeleton import CHAINS, Joint
 
-_NAMES = tuple(joint.name.lower() for joint in Joint)
 _LEG = ("hip", "knee", "ankle", "foot")
 _ARM = ("collar", "shoulder", "elbow", "wrist")
 _TRUNK = ("spine1", "spine2", "spine3")
 _TOP = ("neck", "head")
+_FOREIGN = (
+    "Write its map for prbench.representation.converters.JointMap, which turns joints of other skeletons into the 22."
+)
+_NAMES = tuple(joint.name.lower() for joint in Joint)
 
 
 @dataclass(frozen=True)
@@ -38,17 +41,6 @@ class Order:
         return tuple(places[name] for name in _NAMES)
 
 
-def _side(side: str, parts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"{side}_{part}" for part in parts)
-
-
-def _depth_first(name: str, first: str, second: str, *, trunk_first: bool, arms_before_head: bool) -> Order:
-    legs = _side(first, _LEG) + _side(second, _LEG)
-    arms = _side(first, _ARM) + _side(second, _ARM)
-    upper = _TRUNK + (arms + _TOP if arms_before_head else _TOP + arms)
-    return Order(name, ("pelvis", *(upper + legs if trunk_first else legs + upper)))
-
-
 def _unique(joints: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(joints))
 
@@ -69,13 +61,20 @@ def _depth_first_orders() -> tuple[Order, ...]:
     return tuple(orders)
 
 
+def _depth_first(name: str, first: str, second: str, *, trunk_first: bool, arms_before_head: bool) -> Order:
+    legs = _side(first, _LEG) + _side(second, _LEG)
+    arms = _side(first, _ARM) + _side(second, _ARM)
+    upper = _TRUNK + (arms + _TOP if arms_before_head else _TOP + arms)
+    return Order(name, ("pelvis", *(upper + legs if trunk_first else legs + upper)))
+
+
+def _side(side: str, parts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{side}_{part}" for part in parts)
+
+
 _CHAIN_ORDER = Order(
     "kinematic chain order of HumanML3D", _unique(tuple(_NAMES[joint] for chain in CHAINS for joint in chain))
 )
-_FOREIGN = (
-    "Write its map for prbench.representation.converters.JointMap, which turns joints of other skeletons into the 22."
-)
-
 ORDERS_OF_22: tuple[Order, ...] = (
     _CHAIN_ORDER,
     *_depth_first_orders(),
@@ -88,7 +87,6 @@ ORDERS_OF_22: tuple[Order, ...] = (
     Order("pelvis at the end", (*_NAMES[1:], "pelvis")),
 )
 """Full orders of the 22 joints other than HumanML3D's own."""
-
 OTHER_ORDERS: tuple[Order, ...] = (
     Order(
         "OpenPose COCO (18 joints)",

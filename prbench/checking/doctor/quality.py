@@ -36,9 +36,11 @@ class Tremor:
         for motion in motions:
             if len(motion) <= 4:
                 continue
+            # Relative to the pelvis, whose own path may be smoothed by another part of a model.
             limbs = motion - motion[:, :1]
             first, second = (np.linalg.norm(np.diff(limbs, n, axis=0), axis=-1).mean(axis=-1) for n in (1, 2))
             ratios.append(float(np.median(second) / max(float(np.median(first)), 1e-9)))
+            # The second difference of independent noise has a variance of 1 + 4 + 1 = 6 times its own.
             sizes.append(float(np.median(second)) / np.sqrt(6))
         if not ratios or np.median(ratios) < _TREMBLING or np.median(sizes) < _TREMOR:
             return None

@@ -58,6 +58,7 @@ def read_motions(path: Path, *, limit: int | None = None) -> _MotionsRead:
     motions = list(_from_folder(path) if path.is_dir() else _from_file(path))
     if not motions:
         raise InputFileError(path, "", expected="motions", found="none")
+    # Evenly spread: the first motions of a file are often those of one recording.
     count = min(len(motions), limit or len(motions))
     chosen = [motions[place] for place in np.linspace(0, len(motions) - 1, count).round().astype(int)]
     return _MotionsRead(tuple(chosen), len(motions))

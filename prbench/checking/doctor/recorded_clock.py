@@ -41,6 +41,7 @@ def examine_recorded_clock(motion_set: MotionSet) -> Finding:
         if float(np.linalg.norm(recorded - recorded[0], axis=-1).mean(axis=1).max()) > _MOVES:
             matches.append(_matched(motion_set.motions[row], recorded))
     copies = [match for match in matches if match.left < _COPY and match.left < _BETTER * match.before]
+    # A method of its own may come near a few recordings by chance; copies do so in nearly all.
     if len(copies) < 0.6 * len(matches) or not copies:
         return no_finding(motion_set)
     return Finding(tuple(_judged(copies, motion_set)), motion_set)
@@ -80,6 +81,7 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
     for row in range(len(motion)):
         total[row + 1, 0] = total[row, 0] + apart[row, 0]
         reachable = np.minimum(total[row, :-1], total[row, 1:])
+        # Steps along a row cost their distances: with the cumulative sum the best start is a running minimum.
         walked = np.cumsum(apart[row])
         total[row + 1, 1:] = walked + np.minimum.accumulate(reachable - walked + apart[row])
     places = _traced(total)
@@ -112,6 +114,7 @@ def _line(match: _Match) -> tuple[float, float, float]:
     frames = np.flatnonzero(match.moves)
     if len(frames) < 8:
         frames = np.arange(len(match.places))
+    # Only frames in movement: while a body stands still, any of its frames match.
     slope, start = np.polyfit(frames, match.places[frames], 1)
     off = np.abs(match.places[frames] - slope * frames - start)
     return float(slope), float(start), float(np.percentile(off, 95))

@@ -15,11 +15,6 @@ from prbench.representation import N_FEATURES, decode
 from prbench.representation.converters import JOINT_MAPS
 from prbench.skeleton import N_JOINTS, Joint
 
-_KNOWN_JOINTS = frozenset(
-    {N_JOINTS}
-    | {len(order.joints) for order in OTHER_ORDERS}
-    | {len(each.source_joints) for each in JOINT_MAPS.values()}
-)
 _BODY_PARAMETERS = {
     72: "SMPL: 24 rotations as axis-angle",
     75: "SMPL: 24 rotations as axis-angle and a translation",
@@ -35,6 +30,11 @@ _BODY_PARAMETERS = {
     322: "SMPL-X: pose, face, translation and shape as Motion-X has them",
 }
 _CONVERT = "prbench.representation.converters"
+_KNOWN_JOINTS = frozenset(
+    {N_JOINTS}
+    | {len(order.joints) for order in OTHER_ORDERS}
+    | {len(each.source_joints) for each in JOINT_MAPS.values()}
+)
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,7 @@ def _features(motion_set: MotionSet, evidence: str) -> Finding:
     pooled = np.concatenate(rows.motions)
     rotations = pooled[:, 67:193].reshape(-1, 6)
     lengths = np.linalg.norm(rotations[:, :3], axis=1)
+    # Columns of a rotation have length 1; after standardisation they have any other.
     off = float(np.median(np.abs(lengths - 1)))
     numbers = f"{evidence}; the 6-D rotations have columns of length {np.median(lengths):.2f} (1 in raw features)"
     if off < 0.1:
@@ -143,6 +144,7 @@ def _best_reading(motions: tuple[np.ndarray, ...]) -> _Reading | None:
     some = motions[:8]
     if not candidates:
         return None
+    # A few motions decide; all are converted once the reading is chosen.
     read = {reading: tuple(reading.convert(motion) for motion in some) for reading in candidates}
     restless = {reading: _restlessness(joints) for reading, joints in read.items()}
     best = min(candidates, key=lambda reading: (not _is_a_body(read[reading]), restless[reading]))

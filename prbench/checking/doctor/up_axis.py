@@ -67,6 +67,7 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
         return no_finding(motion_set)  # no common direction
     if name == "+y":
         return no_finding(motion_set) if angle < _TILTED else Finding((_leaning(evidence),), motion_set)
+    # Handedness shows in the front and the left side together, whichever axis points up.
     mirrored = float(sidedness(poses, left_of_hips(poses)).mean()) < -0.5
     exchange = _best(motion_set, axis, mirrored=mirrored)
     if mirrored and not exchange.plain:  # two faults: the second is found later
@@ -88,6 +89,7 @@ def _best(motion_set: MotionSet, axis: np.ndarray, *, mirrored: bool) -> _Exchan
     """Return the exchange that takes ``axis`` to +Y and leaves first poses facing +Z most nearly."""
     facing = front(motion_set.first_poses()).mean(axis=0)
     fitting = [each for each in _EXCHANGES if (each(axis) == _UP).all() and each.mirrors is mirrored]
+    # Rounded, so that equally good turns are told apart by being plain and not by noise.
     return max(fitting, key=lambda each: (round(float(each(facing)[2]), 1), each.plain, each.signs))
 
 

@@ -4,9 +4,9 @@ The metrics are NumPy; the networks (:mod:`.networks`, :mod:`.extractor`) import
 needs them.
 """
 
-from prbench.evaluation.text_to_motion.measure import Repeated
 from prbench.evaluation.text_to_motion.metrics import (
     FewSamplesWarning,
+    Repeated,
     RPrecision,
     diversity,
     draw_diversity_pairs,

@@ -98,6 +98,7 @@ def cut_tokens(
 
 def _similar(lengths: Int[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " rows"]]:
     """Rows in batches of similar length."""
+    # Similar lengths together: batches differ in padding, never in what they embed.
     order = np.argsort(lengths, kind="stable")
     for start in range(0, len(order), BATCH):
         yield order[start : start + BATCH]

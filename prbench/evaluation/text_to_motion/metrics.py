@@ -1,4 +1,4 @@
-"""The text-to-motion metrics: FID, matching distance, R-precision, diversity and multimodality."""
+"""The text-to-motion metrics (FID, matching distance, R-precision, diversity, multimodality); one repetition of all."""
 
 from __future__ import annotations
 
@@ -12,6 +12,19 @@ from jaxtyping import Float, Int
 
 FEWEST = 1000
 """Below this many samples a warning says that the number is biased upwards."""
+DIVERSITY_PAIRS = 300
+MULTIMODALITY_PROMPTS = 100
+MULTIMODALITY_SAMPLES = 30
+"""Motions generated for each prompt."""
+_MULTIMODALITY_PAIRS = 10
+"""Pairs of them that are compared."""
+BATCH = 32
+"""Pairs that are ranked together. Part of the metric: the number means nothing with another one."""
+TOP = 3
+FID = "fid"
+_DISTANCE = "multimodal_distance"
+_DIVERSITY = "diversity"
+MULTIMODALITY = "multimodality"
 
 
 class FewSamplesWarning(UserWarning):
@@ -46,14 +59,6 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     second = np.atleast_2d(np.cov(generated, rowvar=False))
     means = np.square(real.mean(axis=0) - generated.mean(axis=0)).sum()
     return float(means + np.trace(first) + np.trace(second) - 2.0 * _trace_of_root(first, second))
-
-
-DIVERSITY_PAIRS = 300
-MULTIMODALITY_PROMPTS = 100
-MULTIMODALITY_SAMPLES = 30
-"""Motions generated for each prompt."""
-_MULTIMODALITY_PAIRS = 10
-"""Pairs of them that are compared."""
 
 
 def multimodal_distance(
@@ -109,11 +114,6 @@ def draw_multimodality_pairs(
     return np.stack([generator.choice(n_samples, n_pairs, replace=False) for _ in range(2)])
 
 
-BATCH = 32
-"""Pairs that are ranked together. Part of the metric: the number means nothing with another one."""
-TOP = 3
-
-
 @dataclass(frozen=True, eq=False)
 class RPrecision:
     """R-precision and what it was counted over."""
@@ -155,6 +155,7 @@ def r_precision(
 
 
 def _trace_of_root(first: Float[np.ndarray, "d d"], second: Float[np.ndarray, "d d"]) -> float:
+    # The root of a symmetric matrix instead of that of C1 C2: no complex numbers, no jitter.
     values, vectors = np.linalg.eigh(first)
     root = vectors * np.sqrt(np.clip(values, 0.0, None))
     eigenvalues = np.linalg.eigvalsh(root.T @ second @ root)
@@ -171,9 +172,93 @@ def _ranks(
 ) -> Int[np.ndarray, " batch"]:
     """Count the other motions that are as near to each text as its own, or nearer."""
     difference = text[:, None].astype(np.float64) - motion[None].astype(np.float64)
+    # Differences, not the expanded square, whose cancellation would break ties by rounding.
     distances = np.sqrt(np.square(difference).sum(axis=-1))  # (texts, motions)
     return (distances <= distances.diagonal()[:, None]).sum(axis=1) - 1
 
 
 def _duplicates(captions: Sequence[str]) -> int:
     return sum(count for count in Counter(captions).values() if count > 1)
+
+
+_R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
+METRICS = (*_R_PRECISION, FID, _DISTANCE, _DIVERSITY, MULTIMODALITY)
+"""Ids in the order in which they are shown; R-precision as shares from 0 to 1."""
+
+
+@dataclass(frozen=True)
+class EmbeddedPairs:
+    """Texts with their motions in the evaluator's space."""
+
+    captions: tuple[str, ...]
+    text: Float[np.ndarray, "pairs dimension"]
+    motion: Float[np.ndarray, "pairs dimension"]
+
+    def shuffled(self, generator: np.random.Generator) -> EmbeddedPairs:
+        """Return the same pairs in another order: it decides which 32 are ranked together."""
+        order = generator.permutation(len(self.captions))
+        return EmbeddedPairs(tuple(self.captions[i] for i in order), self.text[order], self.motion[order])
+
+    def mismatched(self) -> EmbeddedPairs:
+        """Every motion with the text of the pair before: what chance scores."""
+        captions = (self.captions[-1], *self.captions[:-1])
+        return EmbeddedPairs(captions, np.roll(self.text, 1, axis=0), self.motion)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One repetition."""
+
+    values: dict[str, float]
+    """Values by the ids of :data:`METRICS`."""
+    ranking: RPrecision
+
+
+def measure_pairs(pairs: EmbeddedPairs) -> Measured:
+    """R-precision and multimodal distance.
+
+    Raises:
+        ValueError: if there are fewer than 32 pairs.
+    """
+    ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
+    values = dict(zip(_R_PRECISION, ranking.top.tolist()))
+    return Measured(values | {_DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking)
+
+
+def measure_motions(
+    motion: Float[np.ndarray, "motions dimension"],
+    recorded: Float[np.ndarray, "recorded dimension"],
+    generator: np.random.Generator,
+    *,
+    diversity_pairs: int = DIVERSITY_PAIRS,
+) -> dict[str, float]:
+    """FID to recorded motions, and diversity. That few samples bias FID is said once, by whoever reports it.
+
+    Raises:
+        ValueError: if there are not more motions than pairs.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)
+        distance = fid(recorded, motion)
+    pairs = draw_diversity_pairs(len(motion), generator, n_pairs=diversity_pairs)
+    return {FID: distance, _DIVERSITY: diversity(motion, pairs)}
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """One number over repetitions of the whole evaluation. The interval says how far chance moves the mean of these
+    repetitions; it knows nothing of the choice of recordings or of training.
+    """  # noqa: D205
+
+    mean: float
+    half_width: float | None
+    """1.96 · population standard deviation / √repetitions; None for a single one."""
+    values: tuple[float, ...]
+    """One a repetition."""
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Repeated:
+        """Summarise the values of at least one repetition."""
+        numbers = np.asarray(values, dtype=np.float64)
+        half = 1.96 * float(numbers.std()) / float(np.sqrt(len(numbers))) if len(numbers) > 1 else None
+        return cls(float(numbers.mean()), half, tuple(float(number) for number in numbers))

@@ -19,6 +19,10 @@ MOVEMENT_FEATURES = FOOT_CONTACTS.start
 SNIPPET = 4
 """Frames that become one snippet."""
 GLOVE = "glove"
+_SLOPE = 0.2
+_DROPOUT = 0.2
+
+
 assert N_FEATURES - MOVEMENT_FEATURES == 4
 
 
@@ -51,10 +55,6 @@ class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
                 raise ValueError(f"`{name}` must be 1 or more")
         if self.max_frames < SNIPPET:
             raise ValueError(f"`max_frames` must be {SNIPPET} or more")
-
-
-_SLOPE = 0.2
-_DROPOUT = 0.2
 
 
 class MovementEncoder(nn.Module):
@@ -170,6 +170,7 @@ class TextEncoder(nn.Module):
 
 
 def _halving(inputs: int, outputs: int) -> nn.Sequential:
+    # Kernel 4, stride 2, padding 1 halves the frames exactly, so four frames are one snippet after two.
     convolution = nn.Conv1d(inputs, outputs, 4, stride=2, padding=1)
     return nn.Sequential(convolution, nn.Dropout(_DROPOUT), nn.LeakyReLU(_SLOPE))
 

@@ -9,6 +9,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+_PROCESS = "process"
+BUBBLEWRAP = "bubblewrap"
+HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
+_WORK = "/tmp/work"
+_NAMESPACES = ("--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL")
+_DEVICES = ("nvidia*", "dri", "kfd", "dxg")
+_PROBE_TIMEOUT = 10.0  # seconds; it takes 10 ms
 _SYSTEM_FOLDERS = tuple(
     Path(name) for name in ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/etc", "/nix/store")
 )
@@ -50,16 +57,8 @@ def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount | Mask
     secrets = [path.resolve() for path in dict.fromkeys(hidden)]
     mounts = _without_nested(list(_mounts(shown, secrets)), secrets)
     masks = list(dict.fromkeys(_masks([*mounts, *_of_system()], secrets)))
+    # A mask comes after the mount of the same depth, or the mount would uncover it.
     return sorted([*mounts, *masks], key=lambda step: (len(step.place.parts), isinstance(step, Mask)))
-
-
-_PROCESS = "process"
-BUBBLEWRAP = "bubblewrap"
-HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
-_WORK = "/tmp/work"
-_NAMESPACES = ("--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL")
-_DEVICES = ("nvidia*", "dri", "kfd", "dxg")
-_PROBE_TIMEOUT = 10.0  # seconds; it takes 10 ms
 
 
 @dataclass(frozen=True)
@@ -119,6 +118,7 @@ def bubblewrap_words(
         elif folder.is_dir():
             words += ["--ro-bind", str(folder), str(folder)]
     words += ["--proc", "/proc", "--dev", "/dev", "--ro-bind", "/sys", "/sys", "--tmpfs", "/tmp"]
+    # /dev is empty inside, and a GPU is reached through these files.
     for device in sorted(path for pattern in _DEVICES for path in Path("/dev").glob(pattern)):
         words += ["--dev-bind-try", str(device), str(device)]
     words += ["--dir", HOME, "--dir", _WORK]

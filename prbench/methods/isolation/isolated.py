@@ -56,6 +56,7 @@ def worker_program(
         timeout: Seconds for a batch.
     """
     environment = isolated_environment(users_environment()) | text_encoder(os.environ)
+    # The worker finds prbench where this process found it, installed or not; it drops the variable again.
     environment["PYTHONPATH"] = os.pathsep.join(import_path())
     words = [sys.executable, "-P", "-m", _WORKER, name]
     shown = [Shown(path) for path in (*python_folders(target), *readable_folders(environment))]

@@ -16,6 +16,8 @@ from prbench.methods.names import name_problem
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0)]
 _Text = Annotated[str, msgspec.Meta(min_length=1)]
+_PLACES = ("virtual_environment", "conda", "container")
+_OF_CONTAINERS = ("engine", "gpus", "user", "volumes")
 
 
 class _MethodTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,8 +79,6 @@ _TABLES: dict[str, type[msgspec.Struct]] = {
     "environment": EnvironmentTable,
     "limits": _LimitsTable,
 }
-_PLACES = ("virtual_environment", "conda", "container")
-_OF_CONTAINERS = ("engine", "gpus", "user", "volumes")
 
 
 @foreign_input()

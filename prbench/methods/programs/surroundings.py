@@ -12,6 +12,8 @@ from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.methods.programs.description import EnvironmentTable
 
 _INTERPRETERS = {".py": "python", ".js": "node", ".mjs": "node", ".cjs": "node", ".jl": "julia", ".r": "Rscript"}
+_METHOD_FOLDER = "/method"  # where a container finds the program's folder
+_BIN = "Scripts" if os.name == "nt" else "bin"
 
 
 def find_executable(word: str, *, directory: Path, path: str, where: str) -> str:
@@ -49,10 +51,6 @@ def require_script(words: tuple[str, ...], *, directory: Path, where: str) -> No
         raise UsageError(
             f"{where}: expected the file {words[1]} in {directory}, found none.{did_you_mean(file.name, beside)}"
         )
-
-
-_METHOD_FOLDER = "/method"  # where a container finds the program's folder
-_BIN = "Scripts" if os.name == "nt" else "bin"
 
 
 @dataclass(frozen=True)
@@ -157,6 +155,7 @@ def _in_virtual_environment(start: Surroundings, named: str, file: Path) -> Surr
         )
     path = os.pathsep.join([str(programs), start.environment.get("PATH", os.defpath)])
     environment = {**start.environment, "PATH": path, "VIRTUAL_ENV": str(folder)}
+    # It would send the environment's own interpreter to another library.
     environment.pop("PYTHONHOME", None)
     found = replace(start, environment=environment, readable=(*start.readable, folder)).found()
     return replace(found, place=f"virtual environment {folder.name}")

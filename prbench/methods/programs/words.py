@@ -12,6 +12,9 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from prbench.errors import UsageError
 
 _WINDOWS_TOKEN = re.compile(r'(?P<slashes>\\*)(?P<quote>"{1,2})|(?P<space>[ \t]+)|(?P<other>\\+|[^\\" \t]+)')
+PREFIX = "cmd:"
+_SUFFIX = ".toml"
+_LONGEST = 60  # characters of a command in messages
 
 
 def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> tuple[str, ...]:
@@ -48,11 +51,6 @@ def without_folders(word: str) -> str:
         if kind(word).is_absolute() or word.startswith(("~/", "~\\")):
             return kind(word).name or word
     return word
-
-
-PREFIX = "cmd:"
-_SUFFIX = ".toml"
-_LONGEST = 60  # characters of a command in messages
 
 
 def is_command(method: str) -> bool:
@@ -94,6 +92,7 @@ def _split_on_windows(text: str) -> list[str]:
         if not token["quote"]:
             word += token[0]
             continue
+        # An odd number of backslashes escapes the quote; pairs of them stand for one each.
         escaped = len(token["slashes"]) % 2 == 1
         word += "\\" * (len(token["slashes"]) // 2)
         quotes = len(token["quote"])

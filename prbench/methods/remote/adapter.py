@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import prbench
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
+from prbench.methods.motions import asked_for
 from prbench.methods.remote.answers import Introduction, RemoteWeights, error_text, motions_in
 from prbench.methods.remote.faults import Ended, Fault, ReportedError, TimedOut
 from prbench.methods.remote.log import ProgramLog
@@ -82,7 +83,7 @@ class RemoteAdapter:
         try:
             return self._asked(batch, seed, origin)
         except Ended as fault:
-            raise AdapterError(self._told(f"{origin}, twice", fault, _asked_for(batch.opaque_id))) from fault
+            raise AdapterError(self._told(f"{origin}, twice", fault, asked_for(batch.opaque_id))) from fault
 
     @property
     def exit_status(self) -> int | None:
@@ -118,6 +119,7 @@ class RemoteAdapter:
             "fps": float(batch.fps),
             "seed": seed,
         }
+        # Twice the size in float64: room for any list type, and still a bound on what is read.
         limit = 2 * len(batch) * int(batch.n_frames.max()) * N_JOINTS * 3 * 8 + _MEGABYTE
         try:
             answer, payload = self._process.ask(
@@ -129,7 +131,7 @@ class RemoteAdapter:
         except Fault as fault:
             if not isinstance(fault, ReportedError):
                 self._process.kill()
-            raise AdapterError(self._told(origin, fault, _asked_for(batch.opaque_id))) from fault
+            raise AdapterError(self._told(origin, fault, asked_for(batch.opaque_id))) from fault
 
     def _launch(self, origin: str) -> Introduction:
         process = self._process = ProgramProcess(self._program)
@@ -160,12 +162,6 @@ class RemoteAdapter:
                 f" It ran apart (--isolate, {self._program.fence}): paths and variables of this machine may be hidden."
             )
         return text + asked_for + _log_story(self._process.log, even_if_empty=isinstance(fault, Ended | TimedOut))
-
-
-def _asked_for(ids: Sequence[str]) -> str:
-    """Say what was asked for; ids are long, so it comes behind the reason."""
-    batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
-    return f" It was asked for {batch}."
 
 
 def _log_story(log: ProgramLog, *, even_if_empty: bool) -> str:

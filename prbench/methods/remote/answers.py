@@ -15,6 +15,7 @@ from prbench.methods.remote.faults import BrokenProtocol, ReportedError
 from prbench.methods.remote.messages import WIRE_VERSION, Header, motions_of, shown_json
 
 _SHOWN_TEXT = 2000  # characters of what a program says about its own error
+_TEXT_LIMIT = 100
 
 
 def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, number: int) -> Motions:
@@ -65,9 +66,6 @@ def error_text(header: Header) -> str:
         letter if letter.isprintable() or letter == "\n" else "\N{REPLACEMENT CHARACTER}" for letter in said
     )
     return shown or "no reason given"
-
-
-_TEXT_LIMIT = 100
 
 
 @dataclass(frozen=True)

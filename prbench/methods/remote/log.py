@@ -90,6 +90,7 @@ class _BoundedFile:
         return True
 
     def _begin_latest_part(self, file: IO[bytes]) -> None:
+        # The beginning tells how the program was set up, the end why it failed; the middle goes.
         kept = min(_PART, self._size)
         self._cut += self._size - kept
         file.seek(kept)

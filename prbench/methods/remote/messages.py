@@ -20,6 +20,24 @@ from prbench.skeleton import N_JOINTS
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float64(), 3)
 _POSES = ("initial_joints", "previous_joints", "goal_joints")
+__all__ = [
+    "HEADER_LIMIT",
+    "WIRE_VERSION",
+    "Header",
+    "batch_of",
+    "conditions_payload",
+    "encode_message",
+    "motions_of",
+    "motions_payload",
+    "parse_header",
+    "read_message",
+    "shown_json",
+    "write_message",
+]
+WIRE_VERSION = 1
+HEADER_LIMIT = 65_536
+"""Bytes of a header line, its end included."""
+Header = dict[str, Any]
 
 
 def conditions_payload(batch: ConditionBatch) -> bytes:
@@ -87,6 +105,7 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
         raise ValueError(
             f"expected {len(ids)} motions with a length each, found {len(joints)} and lengths of shape {n_frames.shape}"
         )
+    # A method may claim more frames than its array holds; the harness then says which are missing.
     lengths = np.clip(n_frames, 0, joints.shape[1])
     offsets = np.concatenate([[0], np.cumsum(lengths)]) * (N_JOINTS * 3)
     valid = [motion[:length] for motion, length in zip(joints, lengths, strict=True)]
@@ -109,27 +128,6 @@ def motions_of(payload: bytes, batch: ConditionBatch) -> Motions:
         ValueError: expected, found and what to do, if they are not one motion for each sequence of the batch.
     """
     return ReceivedMotions.read(payload).in_order_of(batch.opaque_id)
-
-
-__all__ = [
-    "HEADER_LIMIT",
-    "WIRE_VERSION",
-    "Header",
-    "batch_of",
-    "conditions_payload",
-    "encode_message",
-    "motions_of",
-    "motions_payload",
-    "parse_header",
-    "read_message",
-    "shown_json",
-    "write_message",
-]
-
-WIRE_VERSION = 1
-HEADER_LIMIT = 65_536
-"""Bytes of a header line, its end included."""
-Header = dict[str, Any]
 
 
 def encode_message(header: Header, payload: bytes | None = None) -> list[bytes]:

@@ -78,6 +78,7 @@ class Outbox:
                         return
 
     def _write_piece(self, stdin: int, piece: bytes) -> bool:
+        # Without a copy, and in pieces, so that progress can be told when a program stops reading.
         left = memoryview(piece)
         while left:
             try:

@@ -21,6 +21,11 @@ from prbench.methods.remote.log import ProgramLog
 from prbench.methods.remote.messages import Header, encode_message
 from prbench.methods.remote.pipes import Deadline, Inbox, Outbox
 
+EXIT_SECONDS = 5.0
+"""Time for a program to end after its stdin was closed."""
+TERM_SECONDS = 2.0
+"""Time for it to end after SIGTERM."""
+
 
 @dataclass(frozen=True)
 class Program:
@@ -40,12 +45,6 @@ class Program:
     """Seconds until a batch is answered."""
     fence: str | None = None
     """None for the user's own program; ``process`` or ``bubblewrap`` for an installed method kept at a distance."""
-
-
-EXIT_SECONDS = 5.0
-"""Time for a program to end after its stdin was closed."""
-TERM_SECONDS = 2.0
-"""Time for it to end after SIGTERM."""
 
 
 class ProgramProcess:
@@ -177,6 +176,7 @@ class ProgramProcess:
 
     def _kin(self) -> Iterator[psutil.Process]:
         """Yield the processes that the program has started and that still run: its descendants and its group."""
+        # A grandchild whose parent has ended is no descendant any more, but still in the group.
         seen = {self._popen.pid}
         with contextlib.suppress(psutil.Error):
             for process in psutil.Process(self._popen.pid).children(recursive=True):

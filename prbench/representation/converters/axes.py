@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.representation.clips import IN_MEMORY
+from prbench.representation.clips import IN_MEMORY, check_rate
 from prbench.representation.features import FRAME_RATE
 from prbench.timelines import interpolate
 
@@ -111,8 +111,7 @@ def at_rate(
         InputFileError: if a rate is no positive number, or the motion ends before the last frame that is asked for.
     """
     for rate in (fps, wanted_fps):
-        if not (np.isfinite(rate) and rate > 0):
-            raise InputFileError(source, "", expected="a frame rate above 0", found=f"{rate:g}")
+        check_rate(rate, source)
     return at_times(np.arange(len(values)) / fps, values, n_frames=n_frames, wanted_fps=wanted_fps, source=source)
 
 

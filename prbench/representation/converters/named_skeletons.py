@@ -124,69 +124,66 @@ _ANIMATION_LIMBS = {
 }  # fmt: skip
 
 
-def _maps() -> dict[str, JointMap]:
-    maps = (
-        _smpl("humanml3d-22", 22),
-        _chains(),
-        _smpl("smpl-24", 24),
-        _smpl("smpl-45", 45),
-        _smpl("smplh-52", 52),
-        _smpl("smplh-73", 73),
-        _smpl("smplx-55", 55),
-        _smpl("smplx-127", 127),
-        _smpl("smplx-144", 144),
-        JointMap.of("coco-17", _COCO, {**_LIMBS, "head": _EARS}),
-        JointMap.of(
-            "openpose-25",
-            _BODY_25,
-            {
-                **_LIMBS,
-                **_paired(foot="0.35 {side}_ankle + 0.4 {side}_big_toe + 0.25 {side}_small_toe"),
-                "head": _EARS,
-            },
-        ),
-        JointMap.of(
-            "mediapipe-33",
-            _MEDIAPIPE,
-            {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.65 {side}_foot_index"), "head": _EARS},
-        ),
-        JointMap.of(
-            "ntu-25",
-            _NTU,
-            {**_LIMBS, **_paired(foot="{side}_foot"), "neck": "neck", "head": "0.65 neck + 0.35 head + 0.08 @forward"},
-        ),
-        JointMap.of(
-            "h36m-17",
-            _H36M_17,
-            {**_LIMBS, "neck": "0.35 thorax + 0.65 neck", "head": "0.9 neck + 0.1 head + 0.08 @forward"},
-        ),
-        JointMap.of(
-            "h36m-32",
-            _H36M_32,
-            {**_ANIMATION_LIMBS, "neck": "0.35 Neck + 0.65 Head", "head": "0.9 Head + 0.1 HeadSite + 0.08 @forward"},
-        ),
-        JointMap.of(
-            "xsens-23",
-            XSENS_SEGMENTS,
-            {
-                **_paired(
-                    hip="{}_UpperLeg", knee="{}_LowerLeg", ankle="{}_Foot", foot="{}_Toe", collar="{}_Shoulder",
-                    shoulder="{}_UpperArm", elbow="{}_Forearm", wrist="{}_Hand",
-                ),
-                "pelvis": "L5", "spine1": "L3", "spine2": "T12", "spine3": "T8", "neck": "Neck", "head": "Head",
-            },
-        ),
-        JointMap.of(
-            "mixamo",
-            _MIXAMO,
-            {
-                **_ANIMATION_LIMBS, "pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2",
-                "neck": "Neck", "head": "Head", "left_collar": "LeftShoulder", "right_collar": "RightShoulder",
-            },
-        ),
-    )  # fmt: skip
-    return {one.name: one for one in maps}
+_ALL = (
+    _smpl("humanml3d-22", 22),
+    _chains(),
+    _smpl("smpl-24", 24),
+    _smpl("smpl-45", 45),
+    _smpl("smplh-52", 52),
+    _smpl("smplh-73", 73),
+    _smpl("smplx-55", 55),
+    _smpl("smplx-127", 127),
+    _smpl("smplx-144", 144),
+    JointMap.of("coco-17", _COCO, {**_LIMBS, "head": _EARS}),
+    JointMap.of(
+        "openpose-25",
+        _BODY_25,
+        {
+            **_LIMBS,
+            **_paired(foot="0.35 {side}_ankle + 0.4 {side}_big_toe + 0.25 {side}_small_toe"),
+            "head": _EARS,
+        },
+    ),
+    JointMap.of(
+        "mediapipe-33",
+        _MEDIAPIPE,
+        {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.65 {side}_foot_index"), "head": _EARS},
+    ),
+    JointMap.of(
+        "ntu-25",
+        _NTU,
+        {**_LIMBS, **_paired(foot="{side}_foot"), "neck": "neck", "head": "0.65 neck + 0.35 head + 0.08 @forward"},
+    ),
+    JointMap.of(
+        "h36m-17",
+        _H36M_17,
+        {**_LIMBS, "neck": "0.35 thorax + 0.65 neck", "head": "0.9 neck + 0.1 head + 0.08 @forward"},
+    ),
+    JointMap.of(
+        "h36m-32",
+        _H36M_32,
+        {**_ANIMATION_LIMBS, "neck": "0.35 Neck + 0.65 Head", "head": "0.9 Head + 0.1 HeadSite + 0.08 @forward"},
+    ),
+    JointMap.of(
+        "xsens-23",
+        XSENS_SEGMENTS,
+        {
+            **_paired(
+                hip="{}_UpperLeg", knee="{}_LowerLeg", ankle="{}_Foot", foot="{}_Toe", collar="{}_Shoulder",
+                shoulder="{}_UpperArm", elbow="{}_Forearm", wrist="{}_Hand",
+            ),
+            "pelvis": "L5", "spine1": "L3", "spine2": "T12", "spine3": "T8", "neck": "Neck", "head": "Head",
+        },
+    ),
+    JointMap.of(
+        "mixamo",
+        _MIXAMO,
+        {
+            **_ANIMATION_LIMBS, "pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2",
+            "neck": "Neck", "head": "Head", "left_collar": "LeftShoulder", "right_collar": "RightShoulder",
+        },
+    ),
+)  # fmt: skip
 
-
-JOINT_MAPS: Mapping[str, JointMap] = MappingProxyType(_maps())
+JOINT_MAPS: Mapping[str, JointMap] = MappingProxyType({one.name: one for one in _ALL})
 """All named maps."""

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.errors import InputFileError
-from prbench.representation.clips import IN_MEMORY, canonicalise, check_joints
+from prbench.representation.clips import IN_MEMORY, canonicalise, check_joints, no_heading
 from prbench.representation.converters.axes import at_rate, to_y_up
 from prbench.representation.converters.plausibility import check_limbs, check_sides
 from prbench.representation.features import FRAME_RATE
@@ -161,6 +160,4 @@ def _yaw(pose: np.ndarray, source: Path | str) -> float:
     try:
         return facing_yaw(pose)
     except ValueError as error:
-        raise InputFileError(
-            source, "frame 0", expected="a pose with a heading", found=str(error), remedy="Start at another frame."
-        ) from error
+        raise no_heading(source, error) from error

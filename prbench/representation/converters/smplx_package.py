@@ -39,18 +39,8 @@ _FACE = ("lmk_faces_idx", "lmk_bary_coords")
 _AT_ONCE = 64  # frames whose surface is held in memory
 _MOST_SHAPES = 300  # the package takes as many of them as the model has
 _SURFACE_POINTS = (
-    "nose",
-    "reye",
-    "leye",
-    "rear",
-    "lear",
-    "LBigToe",
-    "LSmallToe",
-    "LHeel",
-    "RBigToe",
-    "RSmallToe",
-    "RHeel",
-)
+    "nose", "reye", "leye", "rear", "lear", "LBigToe", "LSmallToe", "LHeel", "RBigToe", "RSmallToe", "RHeel",
+)  # fmt: skip
 _FINGERS = tuple(f"{side}{finger}" for side in "lr" for finger in ("thumb", "index", "middle", "ring", "pinky"))
 _ANY_VERTEX = dict.fromkeys((*_SURFACE_POINTS, *_FINGERS), 0)
 """Surface points that the package appends to the joints; they come behind the 22 and are cut away."""

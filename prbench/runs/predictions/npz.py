@@ -21,7 +21,7 @@ from jaxtyping import Int
 from prbench.errors import InputFileError, PredictionsError
 from prbench.limits import MOST_MOTIONS
 from prbench.numpy_files import Archive, ArrayHeader
-from prbench.runs.predictions.rows import IndexedRows, as_float32, leading_axes
+from prbench.runs.predictions.rows import IndexedRows, as_float32, is_floating, leading_axes
 from prbench.skeleton import N_JOINTS
 
 _ID_COLUMNS = ("sequence_id", "opaque_id")
@@ -118,6 +118,7 @@ class _Unpacked:
         self._array: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
+        # Neither a temporary folder nor a mapping can travel; the path of the unpacked file can.
         return {"_path": self._path, "_folder": None, "_array": None}
 
     def prepare(self, archive: Archive, name: str) -> None:
@@ -197,7 +198,7 @@ def _whole_numbers(archive: Archive, name: str, n: int, *, smallest: int) -> np.
 def _is_padded(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> bool:
     """Return True if ``joints`` has a row a motion, False if it has the frames of all after one another."""
     leading = leading_axes(header.shape)
-    if leading is None or len(leading) not in (1, 2) or not _is_float(header.dtype):
+    if leading is None or len(leading) not in (1, 2) or not is_floating(header.dtype):
         raise PredictionsError(f"{path}, 'joints': expected {_FORMS}, found {header.shape} of {header.dtype}.")
     if len(leading) == 1:
         if leading[0] != n_frames.sum():
@@ -207,6 +208,7 @@ def _is_padded(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> bool:
         return False
     if leading[0] != len(n_frames):
         raise PredictionsError(f"{path}, 'joints': expected {len(n_frames)} motions, one an id, found {leading[0]}.")
+    # Only the header has been read so far: a tiny file may announce terabytes of zeros.
     widest = max(_PADDED_FRAMES, 4 * int(n_frames.max(initial=0)))
     if leading[1] > widest:
         raise PredictionsError(
@@ -231,7 +233,7 @@ def _index_named(archive: Archive) -> IndexedRows:
     lengths: list[int] = []
     for name, header in archive.headers().items():
         leading = leading_axes(header.shape)
-        if leading is None or len(leading) not in (1, 2) or not _is_float(header.dtype):
+        if leading is None or len(leading) not in (1, 2) or not is_floating(header.dtype):
             raise PredictionsError(
                 f"{path}, '{name}': expected (frames, 22, 3), or (samples, frames, 22, 3), of float32 or float64, found"
                 f" {header.shape} of {header.dtype}. Instead of one array a motion, the arrays opaque_id, joints and"
@@ -250,10 +252,6 @@ def _index_named(archive: Archive) -> IndexedRows:
     id_column = "opaque_id" if all(map(_OPAQUE.fullmatch, keys)) else "sequence_id"
     store = NamedMotions(archive, tuple(keys), tuple(samples))
     return IndexedRows((path,), id_column, tuple(keys), tuple(samples), np.array(lengths, dtype=np.int64), store)
-
-
-def _is_float(dtype: np.dtype) -> bool:
-    return dtype.kind == "f" and dtype.itemsize in (4, 8)
 
 
 @contextlib.contextmanager

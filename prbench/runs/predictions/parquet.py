@@ -71,6 +71,7 @@ class ParquetMotions:
         """See :class:`MotionStore`; every row group is read once, whatever the order of the rows."""
         found: list[np.ndarray] = [np.empty(0)] * len(rows)
         opened: dict[Path, pq.ParquetFile] = {}
+        # In the order of the file, so that no row group is read twice.
         for place in sorted(range(len(rows)), key=lambda i: rows[i]):
             group = self._group_of(rows[place])
             motions = self._read(group, opened)
@@ -96,6 +97,7 @@ class ParquetMotions:
             with _naming(group.path):
                 column = opened[group.path].read_row_group(group.number, columns=["joints"])["joints"].combine_chunks()
             self._cache[group] = _as_rows(column, group.path, first_row=group.start_in_file)
+            # The group at hand always stays, however large it is.
             while len(self._cache) > 1 and sum(rows.values.nbytes for rows in self._cache.values()) > _CACHED_BYTES:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(group)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
 
 from prbench.boundary import foreign_input
 from prbench.bounded import open_regular
@@ -16,19 +16,12 @@ from prbench.errors import InputFileError, PredictionsError
 from prbench.numpy_files import ArrayHeader, map_array, read_header
 from prbench.runs.predictions.npz import index_npz
 from prbench.runs.predictions.parquet import index_parquet
-from prbench.runs.predictions.rows import IndexedRows, MotionStore, Numbering, PredictionRows, as_float32, leading_axes
+from prbench.runs.predictions.rows import IndexedRows, Numbering, PredictionRows, as_float32, is_floating, leading_axes
 from prbench.skeleton import N_JOINTS
 
 FOLDER = "motions"
 _NAME = re.compile(r"\d+\.npy", re.ASCII)
 _FORM = "the shape (frames, 22, 3) or (frames, 66) of float32 or float64"
-
-
-def _numbered_folder(path: Path) -> Path | None:
-    """The folder of numbered motions that a path means: itself or its ``motions``; None if there is none."""
-    if (path / FOLDER).is_dir():
-        return path / FOLDER
-    return path if path.name == FOLDER or any(path.glob("*.npy")) else None
 
 
 def index_numbered(folder: Path, numbering: Numbering | None) -> IndexedRows:
@@ -71,20 +64,8 @@ class _NumberedMotions:
 
 
 @dataclass(frozen=True)
-class Predictions:
+class Predictions(IndexedRows):
     """Finished motions with an index of them."""
-
-    paths: tuple[Path, ...]
-    id_column: str
-    """``sequence_id`` or ``opaque_id``."""
-    ids: tuple[str, ...]
-    """Id of every motion, in the order of the files."""
-    samples: tuple[int, ...]
-    n_frames: Int[np.ndarray, " n"] | None
-    """Length of every motion; None where only the motions themselves tell (Parquet)."""
-    _store: MotionStore = field(repr=False)
-    _row_of: dict[tuple[str, int], int] = field(repr=False)
-    """(id, sample) → row; of repeated ones the last."""
 
     @classmethod
     @foreign_input()
@@ -99,10 +80,12 @@ class Predictions:
         Raises:
             PredictionsError: if there is none, or it is not of one of these forms.
         """
-        path = Path(path)
-        rows = _indexed(path, numbering)
-        row_of = {key: row for row, key in enumerate(zip(rows.ids, rows.samples))}
-        return cls(rows.paths, rows.id_column, rows.ids, rows.samples, rows.n_frames, rows.store, row_of)
+        return cls(**vars(_indexed(Path(path), numbering)))
+
+    @cached_property
+    def _row_of(self) -> dict[tuple[str, int], int]:
+        """Maps (id, sample) to the row; of repeated ones to the last."""
+        return {key: row for row, key in enumerate(zip(self.ids, self.samples))}
 
     def __contains__(self, key: tuple[str, int]) -> bool:
         return key in self._row_of
@@ -110,7 +93,7 @@ class Predictions:
     @foreign_input()
     def make_ready(self) -> None:
         """Unpack what single motions cannot be read from; call it before the motions go to several processes."""
-        self._store.make_ready()
+        self.store.make_ready()
 
     def length(self, name: str, sample: int) -> int | None:
         """Frames of a motion, if they are known without reading it."""
@@ -118,7 +101,7 @@ class Predictions:
 
     def where(self, name: str, sample: int) -> str:
         """The file that a motion stands in and its place there, for messages."""
-        return self._store.where(self._row_of[name, sample])
+        return self.store.where(self._row_of[name, sample])
 
     @foreign_input()
     def motions(self, ids: Sequence[str], sample: int) -> PredictionRows:
@@ -128,11 +111,11 @@ class Predictions:
             PredictionsError: if a motion is empty, damaged, or a frame does not have 22 joints.
         """
         rows = [self._row_of[name, sample] for name in ids]
-        found = self._store.motions(rows)
+        found = self.store.motions(rows)
         lengths = [len(motion) for motion in found]
         if 0 in lengths:
             i = lengths.index(0)
-            raise PredictionsError(f"{self._store.where(rows[i])}, {ids[i]}: expected a motion, found no frames.")
+            raise PredictionsError(f"{self.store.where(rows[i])}, {ids[i]}: expected a motion, found no frames.")
         return PredictionRows(as_float32(np.concatenate(found)), np.concatenate(([0], np.cumsum(lengths))))
 
 
@@ -168,7 +151,7 @@ def _header(path: Path) -> ArrayHeader:
     except InputFileError as error:
         raise PredictionsError(str(error)) from error
     leading = leading_axes(header.shape)
-    if leading is None or len(leading) != 1 or header.dtype.kind != "f" or header.dtype.itemsize not in (4, 8):
+    if leading is None or len(leading) != 1 or not is_floating(header.dtype):
         raise PredictionsError(f"{path}: expected {_FORM}, found {header.shape} of {header.dtype}.")
     return header
 
@@ -206,3 +189,10 @@ def _require_parquet(path: Path) -> None:
         f"{path}: expected Parquet, .npz, or a folder of motions/0000000000.npy …, found a file of another kind."
         " Pickles and torch files are never loaded: save the arrays with np.savez."
     )
+
+
+def _numbered_folder(path: Path) -> Path | None:
+    """The folder of numbered motions that a path means: itself or its ``motions``; None if there is none."""
+    if (path / FOLDER).is_dir():
+        return path / FOLDER
+    return path if path.name == FOLDER or any(path.glob("*.npy")) else None

@@ -61,9 +61,10 @@ class IndexedRows:
     id_column: str
     """``sequence_id`` or ``opaque_id``."""
     ids: tuple[str, ...]
+    """Id of every motion, in the order of the files."""
     samples: tuple[int, ...]
     n_frames: Int[np.ndarray, " n"] | None
-    """None where only the motions themselves tell."""
+    """Length of every motion; None where only the motions themselves tell (Parquet)."""
     store: MotionStore
 
 
@@ -85,8 +86,14 @@ def leading_axes(shape: tuple[int, ...]) -> tuple[int, ...] | None:
     return shape[:-1] if shape and shape[-1] == POSE_SIZE else None
 
 
+def is_floating(dtype: np.dtype) -> bool:
+    """Return True for the two types that coordinates may have in a file, float32 and float64."""
+    return dtype.kind == "f" and dtype.itemsize in (4, 8)
+
+
 def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
     """The numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
+    # Infinity is refused later, in words that name the sequence.
     with np.errstate(over="ignore"):
         return np.asarray(joints, dtype=np.float32)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +13,14 @@ from jaxtyping import Float, Int
 
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import InputFileError, UsageError
+from prbench.evaluation.planning import rows_of
 from prbench.storage import text_digest
 
 FORMAT_VERSION = 1
 METADATA_KEY = "prbench_conditions"
 """Key of the Parquet metadata, and name of the array in an ``.npz``, that holds the information as JSON."""
+DEFAULT_BATCH_SIZE = 64
+_SUFFIXES = (".parquet", ".npz")
 
 
 class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -82,10 +84,6 @@ def fingerprints(identities: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(text_digest("prbench conditions", identity) for identity in identities))
 
 
-DEFAULT_BATCH_SIZE = 64
-_SUFFIXES = (".parquet", ".npz")
-
-
 @dataclass(frozen=True)
 class SampledBatch:
     """Some rows of a conditions file as a method gets them."""
@@ -123,9 +121,7 @@ class ConditionsFile:
 
     def rows(self, rows: Int[np.ndarray, " rows"]) -> ConditionsFile:
         """Some of the rows, in the order given."""
-        names = [field.name for field in dataclasses.fields(self) if field.name != "info"]
-        columns: dict[str, Any] = {name: _taken(getattr(self, name), rows) for name in names}
-        return ConditionsFile(info=self.info, **columns)
+        return rows_of(self, rows)
 
     def batches(self, batch_size: int = DEFAULT_BATCH_SIZE) -> Iterator[SampledBatch]:
         """All rows in batches of one sample and one frame rate, each as long as the file's order allows.
@@ -140,16 +136,16 @@ class ConditionsFile:
                 rows = np.flatnonzero((self.sample == sample) & (self.fps == fps))
                 for start in range(0, len(rows), batch_size):
                     part = rows[start : start + batch_size]
-                    yield SampledBatch(int(sample), part, self._batch(part, float(fps)))
+                    yield SampledBatch(int(sample), part, self.rows(part)._as_batch(float(fps)))
 
-    def _batch(self, rows: np.ndarray, fps: float) -> ConditionBatch:
-        given: dict[str, Any] = {name: _taken(getattr(self, name), rows) for name in self.given}
+    def _as_batch(self, fps: float) -> ConditionBatch:
+        given: dict[str, Any] = {name: getattr(self, name) for name in self.given}
         return ConditionBatch(
             condition=self.info.condition,
-            n_frames=self.n_frames[rows].astype(np.int64),
+            n_frames=self.n_frames.astype(np.int64),
             fps=fps,
-            opaque_id=tuple(self.opaque_id[row] for row in rows),
-            noise_seed=tuple(int(seed) for seed in self.noise_seed[rows]),
+            opaque_id=self.opaque_id,
+            noise_seed=tuple(self.noise_seed.tolist()),
             **given,
         )
 
@@ -168,9 +164,3 @@ def require_suffix(path: Path) -> None:
     """
     if path.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}, found '{path.suffix}'.")
-
-
-def _taken(values: tuple[str, ...] | np.ndarray | None, rows: np.ndarray) -> tuple[str, ...] | np.ndarray | None:
-    if isinstance(values, tuple):
-        return tuple(values[row] for row in rows)
-    return None if values is None else values[rows]

@@ -13,11 +13,11 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, RedistributionError, UsageError
 from prbench.evaluation.conditions import ConditionSource, derangement, run_salt
 from prbench.evaluation.controls import SHUFFLED_GOAL
-from prbench.evaluation.planning import Selection, select
+from prbench.evaluation.planning import Selection, open_tables, select
 from prbench.evaluation.preparation import supported
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
-from prbench.methods.native_rate import at_native_rate
+from prbench.methods.motions import at_native_rate
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.storage import turn_into_paths, write_text
@@ -137,6 +137,7 @@ class MadeConditions:
 
 def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeConditions:
     """The rows of a conditions file, in its order; nothing is written."""
+    # Several datasets become one file, in which nothing tells which rows are of which.
     selections = []
     left_out = []
     batches = []
@@ -163,21 +164,6 @@ def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeCo
         tables=fingerprints(table.identity for table in tables),
     )
     return MadeConditions(_sorted_rows(info, batches), tuple(selections), tuple(left_out))
-
-
-def open_tables(folders: Collection[Path]) -> list[SequenceTable]:
-    """Open the tables that are asked for.
-
-    Raises:
-        TableError: if one is missing, empty or of an unknown version.
-        UsageError: if two are of one dataset.
-    """
-    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
-    names = [table.info.dataset for table in tables]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
-    return tables
 
 
 def _batches(selection: Selection, request: ExportRequest) -> list[ConditionBatch]:
@@ -211,6 +197,7 @@ def _sorted_rows(info: ConditionsInfo, batches: list[ConditionBatch]) -> Conditi
         text=None if text is None else tuple(line for lines in text for line in lines),
         **{name: np.concatenate(arrays) for name, arrays in columns.items()},
     )
+    # lexsort takes the last key first: by opaque id, then by sample.
     return unsorted.rows(np.lexsort((samples, np.array(names))))
 
 

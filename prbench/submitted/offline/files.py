@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -41,22 +42,7 @@ _FORMS: dict[str, tuple[str, tuple[int, ...]]] = {
 }
 """Kind of each array, and the shape of one row of it."""
 _ALWAYS = ("opaque_id", "sample", "noise_seed", "n_frames", "fps")
-
-
 _ROW_GROUP_ROWS = 1024
-_POSE_TYPE = pa.list_(pa.float32(), N_JOINTS * 3)
-_TYPES = {
-    "opaque_id": pa.string(),
-    "sample": pa.int32(),
-    "noise_seed": pa.int64(),
-    "n_frames": pa.int32(),
-    "fps": pa.float64(),
-    "text": pa.string(),
-    "initial_joints": _POSE_TYPE,
-    "previous_joints": _POSE_TYPE,
-    "goal_joints": _POSE_TYPE,
-    "goal_location": pa.list_(pa.float64(), 3),
-}
 
 
 def write_conditions(conditions: ConditionsFile, path: Path) -> None:
@@ -150,12 +136,6 @@ def _require_form(path: Path, name: str, values: np.ndarray, *, rows: int) -> No
         )
 
 
-def _schema_of(condition: Condition) -> pa.Schema:
-    """The columns of a condition."""
-    names = (*_ALWAYS, *given_columns(condition))
-    return pa.schema([pa.field(name, _TYPES[name], nullable=False) for name in names])
-
-
 def _write_parquet(conditions: ConditionsFile, path: Path) -> None:
     """Write a conditions file; the same rows give the same bytes.
 
@@ -172,9 +152,21 @@ def _write_parquet(conditions: ConditionsFile, path: Path) -> None:
             row_group_size=_ROW_GROUP_ROWS,
             compression="zstd",
             compression_level=1,
+            # Ids and numbers hardly repeat, so that dictionaries would only make the file larger.
             use_dictionary=["text"],  # type: ignore[arg-type] - the stub knows bool only
             write_page_checksum=True,
         )
+
+
+def _schema_of(condition: Condition) -> pa.Schema:
+    """The columns of a condition."""
+    names = (*_ALWAYS, *given_columns(condition))
+    return pa.schema([pa.field(name, _arrow_type(*_FORMS[name]), nullable=False) for name in names])
+
+
+def _arrow_type(kind: str, shape: tuple[int, ...]) -> pa.DataType:
+    item = pa.string() if kind == "U" else pa.from_numpy_dtype(np.dtype(kind))
+    return pa.list_(item, math.prod(shape)) if shape else item
 
 
 @foreign_input()

@@ -15,7 +15,7 @@ from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.lengths import length_problem
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.scoring import SAME_LENGTH
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import native_frames
 from prbench.runs import record as run_record
 from prbench.runs.predictions import Predictions
 
@@ -47,11 +47,13 @@ def require_complete(predictions: Predictions, wanted: Wanted) -> list[int]:
     """
     names = [_names(predictions, selection, wanted.seed) for selection in wanted.selections]
     splits = {(one.table.folder, one.split): one for one in wanted.selections}
+    # The whole split is known, not only what --limit chose: a complete file may be scored in part.
     known = {
         name
         for one in splits.values()
         for name in _names(predictions, select(one.table, split=one.split, limit=None), wanted.seed)
     }
+    # Every sequence needs the same samples, or means over them would weigh sequences differently.
     samples = sorted(set(predictions.samples)) if wanted.samples is None else list(range(wanted.samples))
     counts = Counter(zip(predictions.ids, predictions.samples))
     sequence_of = dict(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError, UsageError
-from prbench.evaluation.planning import Selection, select
+from prbench.evaluation.planning import Selection, open_tables, select
 from prbench.evaluation.preparation import supported
 from prbench.evaluation.request import ProgressCallback, silent
 from prbench.evaluation.scoring import ScoringRules
@@ -19,13 +19,17 @@ from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Numbering, Predictions
 from prbench.sequences import SequenceTable
 from prbench.shown import clean
-from prbench.submitted.offline.export import open_tables
 from prbench.submitted.offline.files import read_conditions_file
 from prbench.submitted.score_predictions.again import score_run
 from prbench.submitted.score_predictions.complete import Wanted, require_complete, require_lengths
-from prbench.submitted.score_predictions.request import ScoreReport, ScoreRequest
+from prbench.submitted.score_predictions.request import (
+    ScoreReport,
+    ScoreRequest,
+    Stated,
+    stated_by_conditions,
+    stated_by_request,
+)
 from prbench.submitted.score_predictions.scored import UNSTATED, About, Scored, Work, offline_record, write_submission
-from prbench.submitted.score_predictions.stated import Stated, stated_by_conditions, stated_by_request
 
 
 def score_predictions(

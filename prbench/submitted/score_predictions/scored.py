@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 
 import prbench
 from prbench.engine import Engine
 from prbench.errors import StorageError
 from prbench.evaluation.planning import Selection
-from prbench.evaluation.request import Progress, ProgressCallback
+from prbench.evaluation.preparation import table_record
+from prbench.evaluation.request import ProgressCallback
 from prbench.evaluation.results import ScoredSet, summarise
-from prbench.evaluation.scoring import ScoringRules, score_selection
+from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.manifests import load_protocol
 from prbench.runs import record as run_record
 from prbench.runs.cost import total_cost
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
-from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord
 from prbench.runs.scores import RUN_SCHEMA_VERSION, write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.storage import file_digest, remove_half_written, text_digest
-from prbench.submitted.score_predictions.stated import Stated
+from prbench.submitted.score_predictions.request import Stated
+
+_ELSEWHERE = "offline"
+"""Device of a method whose motions came as a file."""
+_NO_BATCHES = BatchPlanRecord(batch_size=0, batches=0, digest="")
+UNSTATED = "unstated"
+"""Condition of motions of which nobody said what they were made from; never ranked."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class Scored:
     ) -> Scored:
         """Score the motions of a table and summarise them."""
         windows = score_selection(selection, predictions, samples=samples, rules=rules, engine=work.engine)
-        scores = pa.concat_tables(_reported(windows, selection, work.progress)).combine_chunks()
+        scores = pa.concat_tables(reported(windows, selection, work.progress)).combine_chunks()
         scored = ScoredSet(
             info=selection.table.info,
             recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
@@ -82,12 +88,6 @@ class Scored:
             samples=len(samples),
         )
         return cls(chosen, selection, scores, summarise(scores, scored))
-
-
-_ELSEWHERE = "offline"
-"""Device of a method whose motions came as a file."""
-UNSTATED = "unstated"
-"""Condition of motions of which nobody said what they were made from; never ranked."""
 
 
 def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, ...]) -> RunRecord:
@@ -119,7 +119,7 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
         device=_ELSEWHERE,
         threads=0,
         packages={},
-        tables=tuple(_table_record(one) for one in scored),
+        tables=tuple(table_record(one.chosen, one.selection, _NO_BATCHES) for one in scored),
     )
 
 
@@ -166,31 +166,6 @@ def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
     return tuple(parts)
 
 
-def _reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
-    done = 0
-    for window in windows:
-        yield window
-        done += len(np.unique(window["sequence_id"].to_numpy()))
-        progress(Progress(selection.table.info.dataset, "score", done, len(selection)))
-
-
 def _require_no_run(folder: Path) -> None:
     if (folder / run_record.FILE_NAME).is_file() and RunRecord.read(folder).method.kind != FILE:
         raise StorageError(f"{folder}: is a run folder with scores of its own. Choose another folder for --out.")
-
-
-def _table_record(scored: Scored) -> TableRecord:
-    table = scored.selection.table
-    chosen = scored.chosen
-    return TableRecord(
-        dataset=table.info.dataset,
-        title=table.info.title,
-        synthetic=table.info.synthetic,
-        redistribution=table.info.redistribution,
-        identity_digest=table.identity,
-        content_digest=table.content,
-        sequences=len(chosen),
-        unsupported=len(chosen) - len(scored.selection),
-        selection_digest=chosen.digest,
-        batch_plan=BatchPlanRecord(batch_size=0, batches=0, digest=""),
-    )

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePose, Segment, plan_segment
 from prbench.synthetic.people.gaze_plan import Look
-from prbench.synthetic.people.geometry import direction
 from prbench.synthetic.people.grasp import solve_posture
+from prbench.synthetic.people.kinematics import direction
 from prbench.synthetic.people.person import Person
 
 Place = Literal["rest", "shoulder", "world", "thigh", "head", "middle"]

@@ -1,12 +1,13 @@
 """Defects: what real copies of a dataset suffer from, done to one recording of a freshly written synthetic tree.
 
-A new layout's defects are a new module with a ``DEFECTS`` and one line in :data:`_DEFECT_MODULES`.
+The defects of a layout are the ``DEFECTS`` of the module with its name; a new module is found by itself.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
+import pkgutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,17 +20,6 @@ Damage = Callable[[Path, str], None]
 """Damages the recording of that id below the tree's root; deterministic."""
 Row = dict[str, str]
 """One line of a CSV file by column."""
-
-_DEFECT_MODULES: dict[str, str] = {
-    "adt": "prbench.synthetic.defects.adt",
-    "gimo": "prbench.synthetic.defects.gimo",
-    "hd-epic": "prbench.synthetic.defects.hd_epic",
-    "hot3d": "prbench.synthetic.defects.hot3d",
-    "mogaze": "prbench.synthetic.defects.mogaze",
-    "nymeria": "prbench.synthetic.defects.nymeria",
-    "humanml3d": "prbench.synthetic.defects.humanml3d",
-}
-"""Module of each preset's defects."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +39,10 @@ class Defect:
 
 def defects_of(preset: str) -> tuple[Defect, ...]:
     """Return all defects of a preset's layout."""
-    if preset not in _DEFECT_MODULES:
+    name = preset.replace("-", "_")
+    if name not in {module.name for module in pkgutil.iter_modules(__path__)}:
         return ()
-    return importlib.import_module(_DEFECT_MODULES[preset]).DEFECTS
+    return importlib.import_module(f"{__name__}.{name}").DEFECTS
 
 
 def defect(preset: str, name: str) -> Defect:
@@ -69,13 +60,23 @@ def defect(preset: str, name: str) -> Defect:
 
 def missing(name: str) -> Damage:
     """Return a damage that removes one file of the recording's folder."""
-    return lambda root, recording: (root / recording / name).unlink()
+    return removed(lambda root, recording: root / recording / name)
 
 
-def cut_in_half(path: Path) -> None:
-    """Drop the second half of a file, as a copy that stopped."""
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
+def removed(find: Callable[[Path, str], Path]) -> Damage:
+    """Return a damage that removes the file that ``find`` names for a tree and a recording."""
+    return lambda root, recording: find(root, recording).unlink()
+
+
+def cut_in_half(find: Callable[[Path, str], Path]) -> Damage:
+    """Return a damage that drops the second half of a file, as a copy that stopped."""
+
+    def apply(root: Path, recording: str) -> None:
+        path = find(root, recording)
+        content = path.read_bytes()
+        path.write_bytes(content[: len(content) // 2])
+
+    return apply
 
 
 def change_json(path: Path, change: Callable[[dict[str, Any]], object]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import format as mps
 from prbench.storage import write_json
-from prbench.synthetic.defects import Damage, Defect, Row, change_json, changed_rows, cut_in_half, missing
+from prbench.synthetic.defects import Damage, Defect, Row, change_json, changed_rows, cut_in_half, missing, removed
 
 
 def _truncated(name: str) -> Damage:
@@ -106,18 +106,10 @@ def _skeleton(root: Path, recording: str) -> Path:
     return folder / f"{name}.json"
 
 
-def _missing_skeleton(root: Path, recording: str) -> None:
-    _skeleton(root, recording).unlink()
-
-
 def _no_skeleton(root: Path, recording: str) -> None:
     """Remove the suit, which nobody wore in more than half of the dataset."""
-    _missing_skeleton(root, recording)
+    _skeleton(root, recording).unlink()
     write_json(root / recording / adt.ASSOCIATION_FILE, {"SkeletonMetadata": []})
-
-
-def _truncated_skeleton(root: Path, recording: str) -> None:
-    cut_in_half(_skeleton(root, recording))
 
 
 def _frames(change: Callable[[list[Any]], None]) -> Damage:
@@ -172,7 +164,7 @@ DEFECTS = (
     Defect("missing-boxes", "boxes of objects are not there", missing(adt.BOXES_FILE), "failed", adt.BOXES_FILE),
     Defect("missing-gaze", "gaze is not there", missing(_GAZE), "failed", _GAZE),
     Defect("mps-gaze", "gaze of the services in place of the release's", _mps_gaze, "read", ""),
-    Defect("missing-skeleton", "the wearer's skeleton is not there", _missing_skeleton, "failed", "Skeleton_"),
+    Defect("missing-skeleton", "the wearer's skeleton is not there", removed(_skeleton), "failed", "Skeleton_"),
     Defect("no-skeleton", "nobody wore the suit", _no_skeleton, "read", "no skeleton belongs to the wearer"),
     Defect(
         "strange-serial",
@@ -184,7 +176,7 @@ DEFECTS = (
     Defect("truncated-trajectory", "poses of the glasses are cut off", _truncated(_TRAJECTORY), "failed", "truncated"),
     Defect("truncated-objects", "poses of objects are cut off", _truncated(_OBJECTS), "failed", "truncated"),
     Defect("truncated-gaze", "gaze is cut off", _truncated(_GAZE), "failed", "truncated"),
-    Defect("truncated-skeleton", "the skeleton is cut off", _truncated_skeleton, "failed", "truncated"),
+    Defect("truncated-skeleton", "the skeleton is cut off", cut_in_half(_skeleton), "failed", "truncated"),
     Defect(
         "empty-trajectory",
         "a header without poses",

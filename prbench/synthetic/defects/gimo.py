@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
-from prbench.synthetic.defects import Defect
-from prbench.synthetic.layouts.file_forms import pickled_tensors
+from prbench.synthetic.defects import Defect, removed
+from prbench.synthetic.layouts.gimo import pickled_tensors
 
 _SHORT_GAP = 3  # frames
 _LONG_GAP = 15
@@ -19,6 +19,10 @@ _FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."
 def _sequence(root: Path, name: str) -> Path:
     """Return the sequence's folder, in whichever scene it lies."""
     return next(path for path in sorted(root.glob(f"*/{name}")) if path.is_dir())
+
+
+def _skeleton(root: Path, name: str) -> Path:
+    return _sequence(root, name) / gimo.SKELETON_FILE
 
 
 def _numbered(folder: Path, ending: str) -> list[Path]:
@@ -83,26 +87,22 @@ def _stray_names(root: Path, name: str) -> None:
 
 
 def _cut_skeleton(root: Path, name: str) -> None:
-    path = _sequence(root, name) / gimo.SKELETON_FILE
+    path = _skeleton(root, name)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 2 // 3])
 
 
 def _renamed_joints(root: Path, name: str) -> None:
-    path = _sequence(root, name) / gimo.SKELETON_FILE
+    path = _skeleton(root, name)
     path.write_text(path.read_text("utf-8").replace("LeftForeArm", "Unterarm_links"), encoding="utf-8")
 
 
 def _other_skeleton(root: Path, name: str) -> None:
     """Give the suit the hips of another walk: the same one, played backwards."""
-    path = _sequence(root, name) / gimo.SKELETON_FILE
+    path = _skeleton(root, name)
     head, _, motion = path.read_text("utf-8").partition("Frame Time:")
     seconds, *rows = motion.strip().splitlines()
     path.write_text("\n".join([f"{head}Frame Time: {seconds.strip()}", *rows[::-1]]) + "\n", encoding="utf-8")
-
-
-def _no_skeleton(root: Path, name: str) -> None:
-    (_sequence(root, name) / gimo.SKELETON_FILE).unlink()
 
 
 def _not_annotated(root: Path, name: str) -> None:
@@ -142,7 +142,7 @@ DEFECTS: tuple[Defect, ...] = (
     Defect("cut-gaze", "cut gaze files", _cut_gaze, "read", "damaged gaze files are left out"),
     Defect("stray-names", "files without frame number", _stray_names, "read", "files without frame number left out"),
     Defect("repeated-row", "a row of dataset.csv twice", _repeated_row, "read", "the repetition is left out"),
-    Defect("no-skeleton", "no way to the joints", _no_skeleton, "failed", "bvh lacks skeleton.bvh"),
+    Defect("no-skeleton", "no way to the joints", removed(_skeleton), "failed", "bvh lacks skeleton.bvh"),
     Defect("cut-skeleton", "a cut BVH file", _cut_skeleton, "failed", "MOTION"),
     Defect(
         "renamed-joints", "joints under unknown names", _renamed_joints, "failed", "unmatched names: Unterarm_links"

@@ -15,24 +15,20 @@ from prbench.synthetic.defects import Damage, Defect, change_cells, change_json,
 from prbench.synthetic.layouts.hot3d import LIBRARY
 
 _TRAJECTORY = f"{hot3d.MPS_FOLDER}/{SLAM_FOLDER}/{TRAJECTORY_FILE}"
+_GAZE_FILES = f"{hot3d.MPS_FOLDER}/{GAZE_FOLDER}/*_eye_gaze.csv"
 _BROKEN_LINES = slice(100, 130)
 
 Rows = list[list[str]]
 
 
-def _remove_gaze(root: Path, recording: str) -> None:
-    for path in (root / recording / hot3d.MPS_FOLDER / GAZE_FOLDER).glob("*_eye_gaze.csv"):
-        path.unlink()
+def _without(pattern: str) -> Damage:
+    """Return a damage that removes all files of a pattern, in which ``{}`` stands for the recording."""
 
+    def apply(root: Path, recording: str) -> None:
+        for path in list(root.glob(pattern.format(recording))):
+            path.unlink()
 
-def _remove_bodies(root: Path, recording: str) -> None:
-    for path in (root / recording / OUTPUT_FOLDER).glob("*"):
-        path.unlink()
-
-
-def _remove_models(root: Path, _recording: str) -> None:
-    for path in (root / LIBRARY).glob("*.glb"):
-        path.unlink()
+    return apply
 
 
 def _cut_in_half(name: str) -> Damage:
@@ -117,7 +113,7 @@ def _lose_slam(rows: Rows) -> Rows:
 
 def _lose_gaze_angles(root: Path, recording: str) -> None:
     """Empty the angles of every row, as while eyes are closed."""
-    for path in (root / recording / hot3d.MPS_FOLDER / GAZE_FOLDER).glob("*_eye_gaze.csv"):
+    for path in (root / recording).glob(_GAZE_FILES):
         change_cells(path, lambda rows: [[row[0], "", "", "", *row[4:]] for row in rows])
 
 
@@ -150,10 +146,12 @@ DEFECTS: tuple[Defect, ...] = (
     Defect("missing-headset", "no headset trajectory", missing(hot3d.HEADSET_FILE), "failed", hot3d.HEADSET_FILE),
     Defect("missing-hands", "no hand poses", missing(hot3d.UMETRACK_FILE), "failed", hot3d.UMETRACK_FILE),
     Defect("missing-slam", "no trajectory of the services", missing(_TRAJECTORY), "failed", TRAJECTORY_FILE),
-    Defect("missing-gaze", "no gaze file", _remove_gaze, "failed", "gaze"),
+    Defect("missing-gaze", "no gaze file", _without(f"{{}}/{_GAZE_FILES}"), "failed", "gaze"),
     Defect("missing-profile", "no hand model: wrists only", missing(hot3d.PROFILE_FILE), "read", "wrists only"),
-    Defect("missing-bodies", "no outputs of EgoAllo", _remove_bodies, "read", "no EgoAllo outputs"),
-    Defect("missing-models", "no object models", _remove_models, "read", "objects without a model"),
+    Defect(
+        "missing-bodies", "no outputs of EgoAllo", _without(f"{{}}/{OUTPUT_FOLDER}/*"), "read", "no EgoAllo outputs"
+    ),
+    Defect("missing-models", "no object models", _without(f"{LIBRARY}/*.glb"), "read", "objects without a model"),
     Defect("cut-objects", "dynamic_objects.csv ends early", _cut_in_half(hot3d.OBJECTS_FILE), "failed", "truncated"),
     Defect("cut-model", "an object model ends early", _cut_a_model, "failed", "binary glTF"),
     Defect("withheld", "a test participant", _metadata(_withhold), "skipped", "withholds the ground truth"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from prbench.corpora.humanml3d import files as layout
 from prbench.storage import atomic_path
-from prbench.synthetic.defects import Damage, Defect
+from prbench.synthetic.defects import Damage, Defect, removed
 
 
 def _joints(root: Path, name: str) -> Path:
@@ -68,9 +68,7 @@ DEFECTS = (
     Defect(
         "features-only", "the features are there, the joints are not", _features_only, "failed", "263 features only"
     ),
-    Defect(
-        "missing-texts", "the text file is missing", lambda root, name: _texts(root, name).unlink(), "failed", ".txt"
-    ),
+    Defect("missing-texts", "the text file is missing", removed(_texts), "failed", ".txt"),
     Defect("cut-texts", "the text file is cut", _cut_line, "failed", "caption#tokens#from#to"),
     Defect("not-listed", "the motion stands in no split list", _not_listed, "skipped", "not listed"),
     Defect("nan-times", "nan instead of 0.0 for whole motions", _nan_times, "read", ""),

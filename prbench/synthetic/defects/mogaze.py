@@ -11,7 +11,7 @@ import numpy as np
 
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
-from prbench.synthetic.defects import Damage, Defect, cut_in_half
+from prbench.synthetic.defects import Damage, Defect, cut_in_half, removed
 from prbench.synthetic.sensors.mogaze import GOGGLES_ID
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
@@ -26,12 +26,12 @@ def _file(root: Path, recording: str, part: str) -> Path:
     return root / f"{recording}_{part}.hdf5"
 
 
-def _remove(part: str) -> Damage:
-    return lambda root, recording: _file(root, recording, part).unlink()
+def _objects(root: Path, recording: str) -> Path:
+    return _file(root, recording, OBJECTS)
 
 
-def _cut_objects(root: Path, recording: str) -> None:
-    cut_in_half(_file(root, recording, OBJECTS))
+def _gaze(root: Path, recording: str) -> Path:
+    return _file(root, recording, GAZE)
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
@@ -121,8 +121,8 @@ def _add_stray_files(root: Path, _recording: str) -> None:
 
 
 DEFECTS: tuple[Defect, ...] = (
-    Defect("missing-gaze", "no gaze file, as for p3_1", _remove(GAZE), "failed", "gaze_data.hdf5"),
-    Defect("truncated-objects", "half of the object file", _cut_objects, "failed", "truncated"),
+    Defect("missing-gaze", "no gaze file, as for p3_1", removed(_gaze), "failed", "gaze_data.hdf5"),
+    Defect("truncated-objects", "half of the object file", cut_in_half(_objects), "failed", "truncated"),
     Defect(
         "foreign-gaze",
         "a gaze file much too short",

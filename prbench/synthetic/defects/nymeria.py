@@ -12,7 +12,7 @@ import numpy as np
 from prbench.corpora.nymeria import format as nymeria
 from prbench.joint_names import XSENS_SEGMENTS
 from prbench.storage import atomic_path
-from prbench.synthetic.defects import Damage, Defect, change_cells, cut_in_half
+from prbench.synthetic.defects import Damage, Defect, change_cells, cut_in_half, removed
 
 _ATOMIC = nymeria.NARRATION_FILES["atomic_action"]
 Arrays = dict[str, np.ndarray]
@@ -105,10 +105,6 @@ def _swapped(arrays: Arrays) -> None:
         arrays[key] = turned.reshape(len(values), -1)
 
 
-def _cut_suit(root: Path, recording: str) -> None:
-    cut_in_half(_suit(root, recording))
-
-
 def _empty_texts(root: Path, recording: str) -> None:
     for name in nymeria.NARRATION_FILES.values():
         path = _narration(root, recording, name)
@@ -154,19 +150,13 @@ DEFECTS = (
     Defect("clock-there-and-back", "jumps that cancel out", _on_arrays(_back_and_forth), "read", "cut at 2 jumps"),
     Defect("zero-quaternions", "a segment loses its rotation", _on_arrays(_no_rotation), "read", "repeat the frame"),
     Defect("nan-positions", "positions of 30 frames are NaN", _on_arrays(_no_position), "read", "30 frames without"),
-    Defect(
-        "missing-suit",
-        "the suit's file is missing",
-        lambda root, name: _suit(root, name).unlink(),
-        "failed",
-        "xdata.npz",
-    ),
+    Defect("missing-suit", "the suit's file is missing", removed(_suit), "failed", "xdata.npz"),
     Defect("no-timestamps", "the suit has no times", _on_arrays(_without("timestamps_us")), "failed", "timestamps_us"),
     Defect("frames-mismatch", "fewer rotations than times", _on_arrays(_fewer_frames), "failed", "of the shape"),
     Defect("wrong-rate", "the suit ran at 60 Hz", _on_arrays(_another_rate), "failed", "frameRate"),
     Defect("upside-down", "another axis is up", _on_arrays(_y_up), "failed", "Z up"),
     Defect("swapped-sides", "left and right are exchanged", _on_arrays(_swapped), "failed", "Left and right"),
-    Defect("cut-archive", "the suit's file is cut in half", _cut_suit, "failed", "xdata.npz"),
+    Defect("cut-archive", "the suit's file is cut in half", cut_in_half(_suit), "failed", "xdata.npz"),
     Defect("empty-narrations", "text files without a byte", _empty_texts, "read", "no texts of the chosen kinds"),
     Defect(
         "no-narrations",

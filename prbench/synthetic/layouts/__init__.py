@@ -1,6 +1,6 @@
 """Layouts: what each dataset's sensors make of a performance, as a ``Recording`` in memory and as native files.
 
-A new layout is a new module with a ``LAYOUT`` and one line in :data:`LAYOUT_MODULES`.
+The layout of a preset is the ``LAYOUT`` of the module with its name.
 """
 
 from __future__ import annotations
@@ -15,17 +15,9 @@ from prbench.errors import UsageError
 from prbench.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
+from prbench.synthetic.people.presets import PRESETS
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Switches
-
-LAYOUT_MODULES: dict[str, str] = {
-    "adt": "prbench.synthetic.layouts.adt",
-    "gimo": "prbench.synthetic.layouts.gimo",
-    "hd-epic": "prbench.synthetic.layouts.hd_epic",
-    "hot3d": "prbench.synthetic.layouts.hot3d",
-    "mogaze": "prbench.synthetic.layouts.mogaze",
-}
-"""Module of each preset's layout; of presets that are not listed there is motion only."""
 
 SHARED_PARTS = ".shared-parts"
 """Folder of a tree that is being written; see :meth:`Layout.finish`."""
@@ -85,12 +77,12 @@ def layout_for(preset: str) -> Layout:
     """Return the layout of a preset.
 
     Raises:
-        UsageError: for a preset of which there is motion only, naming those that have a layout.
+        UsageError: for an unknown preset, naming those there are.
     """
-    if preset not in LAYOUT_MODULES:
-        known = ", ".join(LAYOUT_MODULES)
-        raise UsageError(f"there are no native files of '{preset}'; use one of: {known}.")
-    return importlib.import_module(LAYOUT_MODULES[preset]).LAYOUT
+    if preset not in PRESETS:
+        raise UsageError(f"there are no native files of '{preset}'; use one of: {', '.join(sorted(PRESETS))}.")
+    # Imported on demand: a layout needs its dataset's reader, and h5py or torch with it.
+    return importlib.import_module(f"{__name__}.{preset.replace('-', '_')}").LAYOUT
 
 
 def synthetic_recording(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Recording:

@@ -16,11 +16,11 @@ from prbench.readers.egoallo import format as ego
 from prbench.storage import atomic_folder, write_bytes, write_json
 from prbench.synthetic.egoallo import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
-from prbench.synthetic.layouts.file_forms import split_columns, write_csv
+from prbench.synthetic.layouts.aria_mps import split_columns, write_csv
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import adt as sensors
 from prbench.synthetic.sensors.aria_mps import gaze_bias
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.errors import Switches, device_start_us
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
 _GRAVITY = (0.0, -9.81, 0.0)
@@ -40,7 +40,7 @@ def estimated_outputs(
         prepared_trajectory(readings.glasses),
         noise=noise,
         switches=switches,
-        start_us=sensors.clock_start_us(performance),
+        start_us=device_start_us(performance),
         size=sensors.GLASSES_SIZE,
         native_from_world=adt.Z_UP_FROM_SCENE,
     )
@@ -228,7 +228,7 @@ LAYOUT = Layout(
     to_recording=recording_from_adt,
     write=lambda readings, root: write(readings, root / readings.recording_id),
     events=lambda performance: performance.events,
-    clock_start=lambda performance: sensors.clock_start_us(performance) / 1e6,
+    clock_start=lambda performance: device_start_us(performance) / 1e6,
     object_id=lambda object_id: str(sensors.native_object_id(object_id)),
     gaze_bias=gaze_bias,
     write_estimates=_write_estimates,

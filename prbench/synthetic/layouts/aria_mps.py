@@ -1,18 +1,22 @@
-"""Files of the Machine Perception Services (docs/specification/aria-mps.md), as HOT3D and HD-EPIC hold them."""
+"""Files of the Machine Perception Services (docs/specification/aria-mps.md), as HOT3D and HD-EPIC hold them.
+
+The CSV files of all datasets that were recorded with Aria glasses are written here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
 from prbench.storage import atomic_path, write_json
-from prbench.synthetic.layouts.file_forms import split_columns, write_csv
 from prbench.synthetic.sensors.aria_mps import GRAVITY
 
 _ROLES = (
@@ -199,3 +203,22 @@ def _imu_record(label: str) -> dict[str, object]:
         },
         "T_Device_Imu": _pose_record(np.eye(4)),
     }
+
+
+def split_columns(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:
+    """Return the columns of an array under their names."""
+    return {name: columns[:, index] for index, name in enumerate(names)}
+
+
+def write_csv(path: Path, columns: Mapping[str, object]) -> None:
+    """Write a table: plain header, no quotes, empty cells for NaN.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write((",".join(columns) + "\n").encode())
+        pyarrow.csv.write_csv(
+            table, file, pyarrow.csv.WriteOptions(include_header=False, quoting_style="none", batch_size=65536)
+        )

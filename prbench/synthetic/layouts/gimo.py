@@ -6,10 +6,16 @@ Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
 from __future__ import annotations
 
 import csv
+import io
 import json
-from collections.abc import Sequence
+import pickle
+import re
+import struct
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +26,6 @@ from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.skeleton import WRISTS, Joint
 from prbench.storage import atomic_folder, atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.layouts.file_forms import pickled_tensors
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import gimo as sensors
@@ -29,6 +34,8 @@ from prbench.timelines import interpolate
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8
 _UNNAMED_COLUMNS = 3
+_TEXT = re.compile(rb"X(?P<length>.{4})(?P<key>\d{6,20})", re.DOTALL)
+_KEY = b"X" + struct.pack("<I", 1) + b"0"
 
 
 def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
@@ -56,6 +63,54 @@ def _write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
     for row, frame in enumerate(poses.frames):
         pose = {"orient": poses.orient[row], "trans": poses.trans[row], "latent": poses.latent[row], **zeros}
         (folder / f"{frame}.pkl").write_bytes(pickled_tensors(pose, requires_grad=("orient",)))
+
+
+def pickled_tensors(values: Mapping[str, np.ndarray], *, requires_grad: Collection[str] = ()) -> bytes:
+    """Return a pickled dictionary of torch tensors.
+
+    Args:
+        values: float32 arrays of one axis by name.
+        requires_grad: Names of those that the writing program had optimised.
+    """
+    import torch
+
+    tensors = {
+        name: torch.tensor(array, dtype=torch.float32, requires_grad=name in requires_grad)
+        for name, array in values.items()
+    }
+    buffer = io.BytesIO()
+    _Pickler(buffer, protocol=4).dump(tensors)
+    return buffer.getvalue()
+
+
+class _Pickler(pickle.Pickler):
+    """Writes storages from templates, everything else as usual."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        import torch
+        from torch.storage import TypedStorage, _load_from_bytes
+
+        if not isinstance(obj, TypedStorage):
+            return NotImplemented
+        raw = torch.empty(0, dtype=torch.float32).set_(obj._untyped_storage).numpy().astype("<f4").tobytes()
+        return _load_from_bytes, (_storage_head(len(raw) // 4) + raw,)
+
+
+# torch writes the memory address of a storage as its key, so that equal tensors would give other bytes each time.
+@cache
+def _storage_head(size: int) -> bytes:
+    """Return what ``torch.save`` writes before float32 numbers, with a fixed key for the memory address."""
+    import torch
+
+    buffer = io.BytesIO()
+    torch.save(torch.zeros(size)._typed_storage(), buffer, _use_new_zipfile_serialization=False)
+    head = buffer.getvalue()[: -4 * size]
+    return _TEXT.sub(_fixed_key, head)
+
+
+def _fixed_key(match: re.Match[bytes]) -> bytes:
+    known = struct.unpack("<I", match["length"])[0]
+    return _KEY + match["key"][known:] if known <= len(match["key"]) else match[0]
 
 
 def _write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:

@@ -23,16 +23,16 @@ from prbench.recording import Recording
 from prbench.storage import atomic_path, write_json
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.file_forms import write_csv
+from prbench.synthetic.layouts.aria_mps import write_csv, write_mps
 from prbench.synthetic.sensors import hd_epic as sensors
+from prbench.synthetic.sensors.errors import device_start_us
 from prbench.synthetic.sensors.smplh import synthetic_smplh
 
 _SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
 _GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
 _UNORDERED = 8  # one in so many objects lists its tracks backwards
 _COMPRESSION = 1
-_CREATED = (2000, 1, 1, 0, 0, 0)
+_CREATED = (2000, 1, 1, 0, 0, 0)  # of every entry of an archive: the time of writing would change its bytes
 
 
 class _Share(msgspec.Struct):
@@ -208,7 +208,7 @@ LAYOUT = Layout(
     write=_write_below,
     finish=_finish,
     events=sensors.known_events,
-    clock_start=lambda performance: sensors.clock_start_us(performance) / 1e6,
+    clock_start=lambda performance: device_start_us(performance) / 1e6,
     object_id=sensors.association_id,
     gaze_bias=sensors.gaze_bias,
 )

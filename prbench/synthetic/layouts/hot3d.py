@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 
 import msgspec
@@ -15,8 +17,7 @@ from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.layouts.aria_mps import write_mps
-from prbench.synthetic.layouts.file_forms import glb_bytes, split_columns, write_csv
+from prbench.synthetic.layouts.aria_mps import split_columns, write_csv, write_mps
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import hot3d as sensors
@@ -29,6 +30,15 @@ _OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
 _OF_AN_EVENT = ("sequence", "not_primed", "too_short", "minimum_movement")
 _UNSET = 255.0
 """Of the hand model's unused tables of joints."""
+_SCALE = 0.001  # the models of the release are in millimetres, scaled by their node
+_QUARTER_TURN = (0.0, -np.sqrt(0.5), 0.0, np.sqrt(0.5))  # x y z w, about the vertical
+_SHIFT = (0.0045, -0.0205, -0.0155)
+_MAGIC = 0x46546C67
+_JSON = 0x4E4F534A
+_BINARY = 0x004E4942
+_FLOAT = 5126
+_SHORT = 5123
+_TRIANGLES = 4
 
 
 def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
@@ -72,6 +82,56 @@ def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         if entry.mesh is not None:
             content = glb_bytes(entry.mesh, name=entry.name, turned=int(entry.object_id) % 2 == 1)
             write_bytes(folder / f"{entry.object_id}.glb", content)
+
+
+def glb_bytes(mesh: hot3d.ObjectMesh, *, name: str, turned: bool) -> bytes:
+    """Return the file of one model: the node's transform brings its raw vertices into the object's frame.
+
+    Args:
+        mesh: In the object's frame, metres; less than 65,536 vertices.
+        name: Of the node.
+        turned: Whether the node turns and shifts what it holds, besides scaling it.
+    """
+    node: dict[str, object] = {"name": name, "mesh": 0, "scale": [_SCALE] * 3}
+    raw = mesh.vertices
+    if turned:
+        node |= {"rotation": list(_QUARTER_TURN), "translation": list(_SHIFT)}
+        x, y, z = (raw - _SHIFT).T
+        raw = np.column_stack([z, y, -x])  # the node turns it back: (x, y, z) becomes (-z, y, x)
+    vertices = (raw / _SCALE).astype("<f4")  # glTF knows single precision only
+    faces = mesh.faces.astype("<u2")
+    content = vertices.tobytes() + faces.tobytes()
+    description = {
+        "asset": {"version": "2.0", "generator": "prbench"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": _TRIANGLES}]}],
+        "accessors": [
+            {
+                "type": "VEC3",
+                "componentType": _FLOAT,
+                "count": len(vertices),
+                "bufferView": 0,
+                "min": vertices.min(axis=0).tolist(),
+                "max": vertices.max(axis=0).tolist(),
+            },
+            {"type": "SCALAR", "componentType": _SHORT, "count": faces.size, "bufferView": 1},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": vertices.nbytes},
+            {"buffer": 0, "byteOffset": vertices.nbytes, "byteLength": faces.nbytes},
+        ],
+        "buffers": [{"byteLength": len(content)}],
+    }
+    text = json.dumps(description).encode()
+    chunks = _chunk(_JSON, text, b" ") + _chunk(_BINARY, content, b"\0")
+    return struct.pack("<III", _MAGIC, 2, 12 + len(chunks)) + chunks
+
+
+def _chunk(kind: int, content: bytes, padding: bytes) -> bytes:
+    content += padding * (-len(content) % 4)
+    return struct.pack("<II", len(content), kind) + content
 
 
 def _finish(root: Path) -> None:

@@ -21,9 +21,8 @@ from prbench.skeleton import PARENTS, Joint, bone_lengths
 from prbench.storage import atomic_path, write_bytes, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.layouts.file_forms import split_columns, write_csv
-from prbench.synthetic.people.channels import wobble
-from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation_quaternion
+from prbench.synthetic.layouts.aria_mps import split_columns, write_csv
+from prbench.synthetic.people.kinematics import matrix_of, quaternion, rotation_quaternion, wobble
 
 _GLASSES_STRIDE = 1
 """Suit frames for one pose of the glasses: 240 Hz instead of the real 1 kHz, which nothing here needs."""

@@ -8,11 +8,9 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.people.channels import add_bump, blend, minimum_jerk
-from prbench.synthetic.people.geometry import UP, frame_of_bone, turn, two_bone, unit
-from prbench.synthetic.people.movements import DOOR
+from prbench.synthetic.people.kinematics import UP, add_bump, blend, frame_of_bone, minimum_jerk, turn, two_bone, unit
 from prbench.synthetic.people.person import Body, Trunk
-from prbench.synthetic.people.plan import Plan, Reach
+from prbench.synthetic.people.plan import DOOR, Plan, Reach
 from prbench.synthetic.people.posture import Sway
 
 _ARM_LIMIT = (0.95, 0.995)

@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.people.channels import blend, eased_trapezoid, wrap
+from prbench.synthetic.people.kinematics import blend, eased_trapezoid, wrap
 from prbench.synthetic.people.person import Habits
 
-_WALK_FROM = 0.7
-_STAY_WITHIN = 0.04
+_WALK_FROM = 0.7  # metres; shorter ways are shuffled
+_STAY_WITHIN = 0.04  # metres; nearer, and turned by less than 12 degrees, the feet stay
 _STAY_TURN = np.deg2rad(12.0)
 
 
@@ -91,6 +91,7 @@ def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, b
         The segment, with ``goal`` unwrapped so that the person turns the short way; None if the feet may stay.
     """
     distance = float(np.hypot(goal.x - start.x, goal.z - start.z))
+    # Short ways are walked more slowly: the speed nears the usual one over about three quarters of a metre.
     speed = habits.walk_speed * pace * (1.0 - np.exp(-(distance + 0.15) / 0.75))
     if distance > _WALK_FROM:
         return _plan_walk(habits, speed, distance, start, goal, begin)

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.synthetic.people.arms import HANDING_TIME, MEETING_TIME, moved_along, opened
-from prbench.synthetic.people.channels import minimum_jerk
-from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation
+from prbench.synthetic.people.kinematics import matrix_of, minimum_jerk, quaternion, rotation
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.world import Item
 from prbench.synthetic.performance import ObjectMotion

@@ -11,11 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePath
-from prbench.synthetic.people.channels import wrap
-from prbench.synthetic.people.geometry import direction
+from prbench.synthetic.people.kinematics import direction, wrap
 from prbench.synthetic.people.plan import Plan
 
-_LONGEST_FILL = 1.6
+_LONGEST_FILL = 1.6  # s
 _SHORTEST_FILL = 0.15
 _WALKING = 0.3  # metres per second
 _BEARING_AT_START = np.deg2rad(69.0)

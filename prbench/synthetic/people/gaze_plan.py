@@ -11,19 +11,18 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePath
-from prbench.synthetic.people.channels import wrap
 from prbench.synthetic.people.fills import Avoidance, FillDrawer
-from prbench.synthetic.people.geometry import direction, yaw_and_pitch
+from prbench.synthetic.people.kinematics import direction, wrap, yaw_and_pitch
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.presets import Preset
 
-_SHORTEST_LOOK = 0.15
+_SHORTEST_LOOK = 0.15  # s
 WINDOW = 10.0
 """Seconds before an event in which a look can prime."""
-_GAP_LIMITS = (0.35, 9.7)
+_GAP_LIMITS = (0.35, 9.7)  # s from the first look to the event; inside the window of ten seconds with a margin
 _SEEN_BEFORE_TOUCHED = 0.7
-_WIDEST_BEARING = np.deg2rad(86.0)
-_SWEEP = np.deg2rad(13.0)
+_WIDEST_BEARING = np.deg2rad(86.0)  # from the heading; what lies further back cannot be looked at
+_SWEEP = np.deg2rad(13.0)  # on either side of the goal
 
 
 @dataclass(frozen=True)
@@ -100,6 +99,7 @@ def plan_gaze(
         for reach, prime, kind in zip(plan.reaches, primes, kinds, strict=True)
         if prime is not None
     ]
+    # All first looks claim their time before any guiding look does, and those before returns.
     for priority in range(3):
         for parts in looks:
             for look in parts[priority]:

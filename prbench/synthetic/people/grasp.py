@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePose
-from prbench.synthetic.people.channels import wrap
-from prbench.synthetic.people.geometry import UP, frame_of_bone, orthogonal_unit, turn, unit
+from prbench.synthetic.people.kinematics import UP, frame_of_bone, orthogonal_unit, turn, unit, wrap
 from prbench.synthetic.people.person import Body, Person, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.presets import Preset
 

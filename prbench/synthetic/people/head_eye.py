@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.people.channels import minimum_jerk, smooth, wobble, wrap
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
-from prbench.synthetic.people.geometry import direction, yaw_and_pitch
+from prbench.synthetic.people.kinematics import direction, minimum_jerk, smooth, wobble, wrap, yaw_and_pitch
 from prbench.synthetic.people.person import Habits
 from prbench.synthetic.people.presets import Preset
 
@@ -21,8 +20,8 @@ _FASTEST_PURSUIT = np.deg2rad(120.0)
 _EYE_YAW = np.deg2rad(45.0)
 _EYE_UP = np.deg2rad(-32.0)
 _EYE_DOWN = np.deg2rad(40.0)
-_LONGEST_SACCADE = 0.3
-_SHORT_FILL = 0.35
+_LONGEST_SACCADE = 0.3  # s
+_SHORT_FILL = 0.35  # s; the head does not follow shorter looks
 _SHORT_GOAL_LOOK = 0.5
 
 
@@ -122,6 +121,7 @@ def _plan_commands(
         if commands and start - commands[-1].start < 0.7:
             amplitude = max(amplitude, float(np.hypot(*(target[0] - commands[-1].target[0]))))
         degrees = np.rad2deg(amplitude)
+        # A head that turns together with the body takes longer, up to 1.6 times.
         slower = 1.0 + min(float(np.rad2deg(turn_rate[first])) / 250.0, 0.6)
         duration = max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower
         commands.append(_Command(int(first), frozen, start, duration, target))
@@ -201,6 +201,7 @@ def move_eyes(
         yaw += wrap(yaw[0] - head.yaw[first]) + head.yaw[first] - yaw[0]
         target = np.stack([yaw, pitch], axis=-1) + drift[first:last]
         amplitude = float(np.rad2deg(np.hypot(*(target[0] - gaze[first]))))
+        # 21 ms and 2.2 ms a degree: the duration of saccades grows linearly with their amplitude.
         saccade = 0.021 + 0.0022 * amplitude
         progress = minimum_jerk((times[first:last] - look.start) / saccade)[:, None]
         blended = np.where(progress < 1.0, gaze[first:last] + progress * (target - gaze[first:last]), target)

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.synthetic.people.base import BasePath, BasePose, Segment
-from prbench.synthetic.people.channels import eased_trapezoid, minimum_jerk, smooth
-from prbench.synthetic.people.geometry import direction, turn, two_bone
+from prbench.synthetic.people.kinematics import direction, eased_trapezoid, minimum_jerk, smooth, turn, two_bone
 from prbench.synthetic.people.person import BALL_HEIGHT, Body, Person
 
 _ROLL_BEFORE_LIFT = 0.05  # the ball begins to rise before it moves, as a rolling foot does
@@ -55,6 +54,7 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> tuple[Step, ...
 def _steps_of(person: Person, segment: Segment) -> list[Step]:
     duration = segment.end - segment.begin
     walking = segment.kind == "walk"
+    # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is cadence².
     cadence = np.sqrt(60.0 * segment.speed / person.habits.walk_ratio)
     cadence = np.clip(cadence, 78.0 + 32.0 * min(1.0, segment.total_turn / 1.2), 128.0)
     n_steps = max(int(np.ceil(duration * cadence / 60.0)), 3 if segment.distance > 0.5 else 2)

@@ -16,16 +16,16 @@ from prbench.skeleton import N_JOINTS, Joint
 from prbench.synthetic.people.arms import Arms, move_wrists, pose_arms, turn_hands
 from prbench.synthetic.people.base import BasePath, sample_base
 from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze
-from prbench.synthetic.people.geometry import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.grasp import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.head_eye import Head, move_head
+from prbench.synthetic.people.kinematics import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.legs import Feet, Legs, place_feet, plan_steps, pose_legs
 from prbench.synthetic.people.person import Trunk
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.posture import bend, draw_sway, move_trunk
 
-_WRIST_TOLERANCE = 0.008
-_CORRECTIONS = 2
+_WRIST_TOLERANCE = 0.008  # metres
+_CORRECTIONS = 2  # rounds; what is left decides whether the recording is planned anew
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,8 @@ from prbench.synthetic.people.gaze_plan import GazePlan, Look, repaired
 from prbench.synthetic.people.head_eye import move_eyes
 from prbench.synthetic.people.legs import plan_steps
 from prbench.synthetic.people.motion import Generators, Motion, synthesise
-from prbench.synthetic.people.movements import shares_for
 from prbench.synthetic.people.person import Person, draw_person
-from prbench.synthetic.people.plan import OPENING, Plan
+from prbench.synthetic.people.plan import OPENING, Plan, shares_for
 from prbench.synthetic.people.planner import plan_recording
 from prbench.synthetic.people.presets import PRESETS, Preset
 from prbench.synthetic.people.truth import Scene, events_of_others, true_events
@@ -30,6 +29,11 @@ from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, P
 _EVENTS = 2
 _PLANS_OF_BYSTANDER = 8
 _POLITE_DISTANCE = 0.9  # metres between two people
+_CLOSING = 2.0  # seconds after the last movement
+_WORST_WRIST = 0.020  # metres between wrist and target, beyond which a recording is planned anew
+_ATTEMPTS = 6
+_REPAIRS = 3  # rounds of moving fills that would prime a goal too early
+_OTHERS_OBJECTS = 4  # ids kept for what a bystander moves
 
 
 @dataclass(frozen=True)
@@ -39,66 +43,6 @@ class _Bystander:
     person: OtherPerson
     plan: Plan
     objects: list[ObjectMotion]
-
-
-def _bystander_acts(
-    source: Source, index: int, wearer: Plan, motion: Motion, times: np.ndarray, object_ids: list[str]
-) -> _Bystander | None:
-    """Let somebody else pick and put one object in the same room at the same time.
-
-    Args:
-        source: Names the generators.
-        index: Of the recording.
-        wearer: Whose objects must not be in the way.
-        motion: Of the wearer, to keep away from.
-        times: Frame times of the recording, seconds.
-        object_ids: Ids for the objects of the other person.
-
-    Returns:
-        None if the recording is too short for it.
-    """
-    preset = wearer.preset
-    participant = f"B{index:04d}"
-    person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
-    taken = [_stand_in(wearer, reach.item, reach.centre) for reach in wearer.reaches]
-    room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
-    best: tuple[float, Plan] | None = None
-    for attempt in range(_PLANS_OF_BYSTANDER):
-        plan = plan_recording(
-            preset, person, room, _EVENTS, source.generator("recording", index, f"bystander-plan{attempt}")
-        )
-        if len(plan.reaches) < _EVENTS or plan.reaches[-1].event > times[-1] - 1.5:
-            continue
-        path = sample_base(plan.start, plan.segments, times)
-        distance = float(np.hypot(path.x - motion.base.x, path.z - motion.base.z).min())
-        if best is None or distance > best[0]:
-            best = distance, plan
-        if distance > _POLITE_DISTANCE:
-            break
-    return None if best is None else _move_bystander(source, index, best[1], times, object_ids)
-
-
-def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
-    """Return something that stands where the wearer's object was or will be."""
-    return replace(wearer.items[item], position=centre, rides_on=None)
-
-
-def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> _Bystander:
-    purposes = (source.generator("recording", index, f"bystander-{name}") for name in ("sway", "gaze", "head"))
-    motion = synthesise(plan, times, Generators(*purposes))
-    handled = 1 + max(reach.item for reach in plan.reaches)
-    plan = replace(plan, items=plan.items[:handled])
-    objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, object_ids[:handled])
-    held = [replace(item, held_by=np.where(item.held_by >= 0, 2, -1)) for item in objects]
-    person = OtherPerson(plan.person.participant_id, motion.joints, motion.finger_bases)
-    return _Bystander(person, plan, held)
-
-
-_CLOSING = 2.0  # seconds after the last movement
-_WORST_WRIST = 0.020
-_ATTEMPTS = 6
-_REPAIRS = 3
-_OTHERS_OBJECTS = 4  # ids kept for what a bystander moves
 
 
 def perform(
@@ -227,15 +171,6 @@ def _looked(source: Source, index: int, plan: Plan, motion: Motion, times: np.nd
     return gaze_plan, gaze
 
 
-def _duration(plan: Plan) -> float:
-    ends = [
-        reach.event + 1.2 + (0.0 if reach.carries else reach.dwell) for reach in plan.reaches if isfinite(reach.dwell)
-    ]
-    ends += [step.landing for step in plan_steps(plan.person, plan.segments)]
-    tenths = np.ceil(10.0 * (max(ends, default=OPENING) + _CLOSING))  # streams of 10, 30 and 120 Hz end together
-    return float(tenths) / 10.0
-
-
 def _object_ids(source: Source, index: int, count: int) -> list[str]:
     """Draw ids of sixteen decimal digits, distinct within the recording."""
     rng = source.generator("object", index, "id")
@@ -252,6 +187,59 @@ def name_of_recording(preset: str, seed: int, index: int) -> str:
     if preset == "adt":
         return f"Apartment_release_synthetic_seed{seed}_seq{index:03d}_M1292"
     return f"{preset}_synthetic_seed{seed}_{index:04d}"
+
+
+def _bystander_acts(
+    source: Source, index: int, wearer: Plan, motion: Motion, times: np.ndarray, object_ids: list[str]
+) -> _Bystander | None:
+    """Let somebody else pick and put one object in the same room at the same time.
+
+    Args:
+        source: Names the generators.
+        index: Of the recording.
+        wearer: Whose objects must not be in the way.
+        motion: Of the wearer, to keep away from.
+        times: Frame times of the recording, seconds.
+        object_ids: Ids for the objects of the other person.
+
+    Returns:
+        None if the recording is too short for it.
+    """
+    preset = wearer.preset
+    participant = f"B{index:04d}"
+    person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
+    taken = [_stand_in(wearer, reach.item, reach.centre) for reach in wearer.reaches]
+    room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
+    best: tuple[float, Plan] | None = None
+    for attempt in range(_PLANS_OF_BYSTANDER):
+        plan = plan_recording(
+            preset, person, room, _EVENTS, source.generator("recording", index, f"bystander-plan{attempt}")
+        )
+        if len(plan.reaches) < _EVENTS or plan.reaches[-1].event > times[-1] - 1.5:
+            continue
+        path = sample_base(plan.start, plan.segments, times)
+        distance = float(np.hypot(path.x - motion.base.x, path.z - motion.base.z).min())
+        if best is None or distance > best[0]:
+            best = distance, plan
+        if distance > _POLITE_DISTANCE:
+            break
+    return None if best is None else _move_bystander(source, index, best[1], times, object_ids)
+
+
+def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
+    """Return something that stands where the wearer's object was or will be."""
+    return replace(wearer.items[item], position=centre, rides_on=None)
+
+
+def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> _Bystander:
+    purposes = (source.generator("recording", index, f"bystander-{name}") for name in ("sway", "gaze", "head"))
+    motion = synthesise(plan, times, Generators(*purposes))
+    handled = 1 + max(reach.item for reach in plan.reaches)
+    plan = replace(plan, items=plan.items[:handled])
+    objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, object_ids[:handled])
+    held = [replace(item, held_by=np.where(item.held_by >= 0, 2, -1)) for item in objects]
+    person = OtherPerson(plan.person.participant_id, motion.joints, motion.finger_bases)
+    return _Bystander(person, plan, held)
 
 
 def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion]:
@@ -281,3 +269,12 @@ def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion
 def _fixation(look: Look, recording_id: str) -> Fixation:
     event = None if look.reach is None else f"{recording_id}/{look.reach:03d}"
     return Fixation(float(look.start), float(look.end), look.point, "goal" if look.is_goal else "fill", event)
+
+
+def _duration(plan: Plan) -> float:
+    ends = [
+        reach.event + 1.2 + (0.0 if reach.carries else reach.dwell) for reach in plan.reaches if isfinite(reach.dwell)
+    ]
+    ends += [step.landing for step in plan_steps(plan.person, plan.segments)]
+    tenths = np.ceil(10.0 * (max(ends, default=OPENING) + _CLOSING))  # streams of 10, 30 and 120 Hz end together
+    return float(tenths) / 10.0

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from prbench.synthetic.people.geometry import turn
+from prbench.synthetic.people.kinematics import turn
 from prbench.synthetic.people.presets import Preset
 from prbench.synthetic.performance import PersonStyle, Side
 

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePose, Segment, plan_segment
-from prbench.synthetic.people.geometry import turn
 from prbench.synthetic.people.grasp import (
     Grasp,
     Posture,
@@ -21,13 +20,14 @@ from prbench.synthetic.people.grasp import (
     solve_posture,
     take_hold,
 )
+from prbench.synthetic.people.kinematics import turn
 from prbench.synthetic.people.person import Person, seated_pelvis_height
 from prbench.synthetic.people.presets import Preset
 from prbench.synthetic.people.world import Room, Surface
 
-_WITHIN_REACH = 0.92
-_STEP_NEARER_ABOVE = 0.905
-_STEP = 0.06
+_WITHIN_REACH = 0.92  # of the arm's length
+_STEP_NEARER_ABOVE = 0.905  # of new places a little more is asked: one that is barely enough is left for a nearer one
+_STEP = 0.06  # metres between two places that are tried
 _DEEP_BEND = np.deg2rad(57.0)  # people step nearer rather than bend like this for a high goal
 _LOW_GOAL = 0.60
 _NEAREST = 0.34  # metres; nearer, the wrist would pass through the shoulder

@@ -13,25 +13,28 @@ from typing import cast
 import numpy as np
 
 from prbench.synthetic.people.base import BasePose, Segment
-from prbench.synthetic.people.geometry import UP, turn
 from prbench.synthetic.people.grasp import kept_away
-from prbench.synthetic.people.movements import (
+from prbench.synthetic.people.kinematics import UP, turn
+from prbench.synthetic.people.person import Person
+from prbench.synthetic.people.places import Goal, Held, Reachability, Stand
+from prbench.synthetic.people.plan import (
     DOOR,
     DOOR_HANDLE,
     EXTRA,
     HANDLE_HALF,
+    OPENING,
     TRAY,
     TRAY_HANDLE,
     TRAY_LOAD,
+    Action,
     Movement,
     Pair,
+    Plan,
+    Reach,
     draw_tag,
     make_reach,
     tag_of,
 )
-from prbench.synthetic.people.person import Person
-from prbench.synthetic.people.places import Goal, Held, Reachability, Stand
-from prbench.synthetic.people.plan import OPENING, Action, Plan, Reach
 from prbench.synthetic.people.presets import ObjectKind, Preset
 from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot
 

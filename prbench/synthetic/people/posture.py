@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.synthetic.people.base import BasePath
-from prbench.synthetic.people.channels import blend, smooth, two_pole_low_pass, wobble
 from prbench.synthetic.people.grasp import Posture, pelvis_setback
 from prbench.synthetic.people.head_eye import Head
+from prbench.synthetic.people.kinematics import blend, smooth, two_pole_low_pass, wobble
 from prbench.synthetic.people.legs import Feet, Step, lowered_pelvis
 from prbench.synthetic.people.person import Trunk, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan

@@ -42,7 +42,7 @@ def true_events(
     events = []
     for reach, prime, kind in zip(plan.reaches, gaze.primes, gaze.kinds, strict=True):
         if reach.action == "hover":
-            continue
+            continue  # a hovering hand moves nothing; the pick after it is the event
         tag = reach.tag if reach.tag != "plain" else kind
         actions: tuple[Action, ...] = ("pick", "put") if reach.action == "hinge" else (reach.action,)
         for action in actions:

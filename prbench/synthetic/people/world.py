@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.people.geometry import UP
+from prbench.synthetic.people.kinematics import UP
 from prbench.synthetic.people.presets import ObjectKind, Preset, SurfaceKind
 
 _SEATED_TABLE_HEIGHT = 0.74

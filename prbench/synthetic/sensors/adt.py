@@ -1,7 +1,8 @@
 """The sensors of Aria Digital Twin (docs/specification/synthetic-recordings.md#sensors, rows "adt").
 
-Readings are rounded to the resolution of the written files (micrometres, microradians, 1e-9 for quaternions), so that
-files and memory hold the same numbers.
+The optical suit has 51 joints and 57 markers (docs/specification/adt.md#joints); they follow from the 22 joints and the
+finger bases of a performance. Readings are rounded to the resolution of the written files (micrometres, microradians,
+1e-9 for quaternions), so that files and memory hold the same numbers.
 """
 
 from __future__ import annotations
@@ -10,39 +11,54 @@ import hashlib
 import re
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.adt import format as adt
-from prbench.readers.aria_mps.format import device_from_cpf
-from prbench.skeleton import invert_rigid
-from prbench.synthetic.people.channels import wobble
+from prbench.skeleton import Joint
+from prbench.synthetic.people.kinematics import UP, unit, wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
-from prbench.synthetic.sensors.aria_mps import (
-    GAZE_MARGIN,
-    gaze_clock_us,
-    gaze_measurements,
-    lost_gaze,
-)
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.synthetic.sensors.suit import suit_joints, suit_markers, suit_segments
+from prbench.synthetic.sensors.aria_mps import device_poses, gaze_rows
+from prbench.synthetic.sensors.errors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
 from prbench.timelines import interpolate, slerp
 
+_DIRECT = {
+    "Skeleton": Joint.PELVIS, "Ab": Joint.SPINE1, "Chest": Joint.SPINE3, "Neck": Joint.NECK, "Head": Joint.HEAD,
+    "LShoulder": Joint.LEFT_COLLAR, "LUArm": Joint.LEFT_SHOULDER, "LFArm": Joint.LEFT_ELBOW, "LHand": Joint.LEFT_WRIST,
+    "RShoulder": Joint.RIGHT_COLLAR, "RUArm": Joint.RIGHT_SHOULDER, "RFArm": Joint.RIGHT_ELBOW,
+    "RHand": Joint.RIGHT_WRIST,
+    "LThigh": Joint.LEFT_HIP, "LShin": Joint.LEFT_KNEE, "LFoot": Joint.LEFT_ANKLE, "LToe": Joint.LEFT_FOOT,
+    "RThigh": Joint.RIGHT_HIP, "RShin": Joint.RIGHT_KNEE, "RFoot": Joint.RIGHT_ANKLE, "RToe": Joint.RIGHT_FOOT,
+}  # fmt: skip
+# Straight fingers: base beside the middle-finger base (towards the thumb), and the two further joints along the hand.
+_FINGERS = {
+    "Thumb": (0.035, (-0.055, -0.030, -0.005)),
+    "Index": (0.022, (0.0, 0.042, 0.066)),
+    "Middle": (0.0, (0.0, 0.045, 0.072)),
+    "Ring": (-0.020, (0.0, 0.042, 0.067)),
+    "Pinky": (-0.038, (-0.006, 0.028, 0.047)),
+}
+_MARKED_BONES = (
+    ("Skeleton", "Ab"), ("Ab", "Chest"), ("Chest", "Neck"), ("Neck", "Head"),
+    ("LShoulder", "LUArm"), ("LUArm", "LFArm"), ("LFArm", "LHand"), ("LHand", "LMiddle1"),
+    ("RShoulder", "RUArm"), ("RUArm", "RFArm"), ("RFArm", "RHand"), ("RHand", "RMiddle1"),
+    ("Skeleton", "LThigh"), ("LThigh", "LShin"), ("LShin", "LFoot"), ("LFoot", "LToe"),
+    ("Skeleton", "RThigh"), ("RThigh", "RShin"), ("RShin", "RFoot"),
+)  # fmt: skip
+_MARKERS_ALONG_BONE = (0.2, 0.5, 0.8)
 RATE = 30.0
 """Glasses, gaze and objects, Hz."""
 _BODY_RATE = 120.0
 GLASSES_SIZE = "DVT-L"
-
-_CLOCK_START = (100.0, 60_000.0)  # s, device time of the first frame
-_POSE_NOISE = 0.5e-3
+_POSE_NOISE = 0.5e-3  # m
 _POSE_TURN = np.deg2rad(0.05)
 _POSE_LOSS = 0.01
 _BODY_NOISE = 0.8e-3
 _BODY_WOBBLE = 3e-3
 _BODY_WOBBLE_HZ = (0.05, 0.3)
-_BODY_LOSS = 1e-4  # share, share, m
-_MARKER_LOSS = 0.01
-_THROW = 0.5
+_BODY_LOSS = 1e-4  # share of the frames at the origin or with a joint thrown off
+_MARKER_LOSS = 0.01  # share of the markers that are occluded
+_THROW = 0.5  # m
 _OBJECT_NOISE = 0.3e-3
 _OBJECT_TURN = np.deg2rad(0.1)
 _ROOM_HALF_EXTENTS = (6.0, 1.5, 6.0)
@@ -58,29 +74,21 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
         switches: Which errors are on; all if None.
     """
-    switches = switches or Switches()
-    times = performance.times[0] + np.arange(int((performance.duration + 1e-9) * RATE) + 1) / RATE
-    pose_us = clock_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
+    sensing = Sensing(performance, noise, switches or Switches())
+    times = sensing.times(RATE)
+    pose_us = device_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
     return adt.AdtReadings(
         recording_id=performance.recording_id,
         serial=_glasses_serial(performance),
         concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
         glasses_size=None,
         device_from_rgb=None,
-        glasses=_sense_glasses(performance, times, pose_us, noise, switches),
-        gaze=_sense_gaze(performance, times, pose_us, noise, switches),
-        objects=_sense_objects(performance, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS, noise, switches),
-        skeletons=_sense_people(performance, noise, switches),
+        glasses=_sense_glasses(sensing, times, pose_us),
+        # The file's depth is 0, "unknown", between fixations.
+        gaze=gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
+        objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
+        skeletons=_sense_people(sensing),
     )
-
-
-def clock_start_us(performance: Performance) -> int:
-    """Return the device time of the performance's first instant, microseconds.
-
-    Device seconds = performance seconds - ``performance.times[0]`` + this / 1e6: what turns the truth's times into
-    those of the recording.
-    """
-    return round(sensor_generator(performance, "clock").uniform(*_CLOCK_START) * 1e6)
 
 
 def _glasses_serial(performance: Performance, other: int = 0) -> str:
@@ -88,31 +96,15 @@ def _glasses_serial(performance: Performance, other: int = 0) -> str:
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
 
-def native_object_id(object_id: str) -> int:
-    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
-    if re.fullmatch(r"[1-9]\d{14,15}", object_id):
-        return int(object_id)
-    return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
-
-
 def _sense_glasses(
-    performance: Performance,
-    times: Float[np.ndarray, " n"],
-    time_us: Int[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
+    sensing: Sensing, times: Float[np.ndarray, " n"], time_us: Int[np.ndarray, " n"]
 ) -> adt.GlassesPoses:
-    cpf = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    cpf_from_device = invert_rigid(device_from_cpf(GLASSES_SIZE))
-    rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
-    position = interpolate(performance.times, performance.eye, times) + cpf.apply(cpf_from_device[:3, 3])
-    rng = sensor_generator(performance, "pose-noise")
-    scale = strength(switches.pose_noise, noise)
+    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
+    rng = sensing.generator("pose-noise")
+    scale = sensing.strength("pose_noise")
     offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
     turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
-    lost = sensor_generator(performance, "pose-losses").random(len(times)) < _POSE_LOSS * strength(
-        switches.pose_losses, noise
-    )
+    lost = sensing.generator("pose-losses").random(len(times)) < _POSE_LOSS * sensing.strength("pose_losses")
     quality = np.clip(1.0 - np.linalg.norm(offset, axis=1) / 5e-3, 0.2, 1.0)
     return adt.GlassesPoses(
         time_us,
@@ -122,57 +114,19 @@ def _sense_glasses(
     )
 
 
-def _sense_gaze(
-    performance: Performance,
-    times: Float[np.ndarray, " n"],
-    pose_us: Int[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
-) -> adt.GazeAngles:
-    angles = gaze_measurements(performance, times, noise=noise, switches=switches)
-    lost = lost_gaze(performance, len(times), noise=noise, switches=switches)
-    shift = gaze_clock_us(performance, len(times), noise=noise, switches=switches)
-    time_us = pose_us - adt.GAZE_BEFORE_POSE_US + shift
-    kept = ~lost
-    yaw, pitch = np.round(angles[kept], _METRES).T
-    margin = np.array([-GAZE_MARGIN, GAZE_MARGIN])
-    return adt.GazeAngles(
-        time_us[kept],
-        yaw,
-        pitch,
-        np.round(_gaze_depth(performance, times), _METRES)[kept],
-        np.round(yaw[:, None] + margin, _METRES),
-        np.round(pitch[:, None] + margin, _METRES),
-    )
-
-
-def _gaze_depth(performance: Performance, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return the distance from the eyes to the point fixated; 0, the file's "unknown", between fixations."""
-    depth = np.zeros(len(times))
-    eye = interpolate(performance.times, performance.eye, times)
-    for look in performance.fixations:
-        rows = slice(*np.searchsorted(times, (look.start, look.end)))
-        depth[rows] = np.linalg.norm(look.target - eye[rows], axis=1)
-    return depth
-
-
 def _sense_objects(
-    performance: Performance,
-    times: Float[np.ndarray, " n"],
-    time_ns: Int[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
+    sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
 ) -> tuple[adt.AdtObject, ...]:
-    scale = strength(switches.object_noise, noise)
+    performance = sensing.performance
+    scale = sensing.strength("object_noise")
     objects = [_room_object()]
     for motion in performance.objects:
-        seen = ~_untracked(performance, motion, times) if motion.movable else np.ones(1, dtype=bool)
+        seen = ~untracked(performance, motion, times) if motion.movable else np.ones(1, dtype=bool)
         query = times if motion.movable else times[:1]
         position, rotation = _object_poses(performance, motion, query)
         if motion.movable:
-            rng = sensor_generator(performance, f"object-noise-{motion.object_id}")
-            position = position + rng.normal(0.0, _OBJECT_NOISE, position.shape) * scale
-            rotation = rotation * Rotation.from_rotvec(rng.normal(0.0, _OBJECT_TURN, position.shape) * scale)
+            size = (_OBJECT_NOISE, _OBJECT_TURN)
+            position, rotation = tracked(sensing, motion.object_id, position, rotation, size=size, scale=scale)
         quaternion = rotation.as_quat(canonical=True, scalar_first=True)
         height = 2 * motion.half_extents[1]
         x, _, z = motion.half_extents
@@ -193,6 +147,13 @@ def _sense_objects(
     return tuple(sorted(objects, key=lambda entry: entry.object_id))
 
 
+def native_object_id(object_id: str) -> int:
+    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
+    if re.fullmatch(r"[1-9]\d{14,15}", object_id):
+        return int(object_id)
+    return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
+
+
 def _object_poses(
     performance: Performance, motion: ObjectMotion, query: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
@@ -201,15 +162,6 @@ def _object_poses(
     rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
     centre = interpolate(track, motion.position, query)
     return centre - rotation.apply((0.0, motion.half_extents[1], 0.0)), rotation
-
-
-def _untracked(
-    performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Return the instants of ``lost`` events, at which nobody sees the object."""
-    spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
-    hidden = [(times >= start) & (times <= end) for start, end in spans]
-    return np.any(hidden, axis=0) if hidden else np.zeros(len(times), dtype=bool)
 
 
 def _room_object() -> adt.AdtObject:
@@ -229,57 +181,96 @@ def _room_object() -> adt.AdtObject:
     )
 
 
-def _sense_people(performance: Performance, noise: float, switches: Switches) -> tuple[adt.AdtSkeleton, ...]:
-    wearer = _sense_suit(
-        performance, performance.joints, performance.finger_bases, performance.person.participant_id, 0, noise, switches
-    )
-    others = [
-        _sense_suit(performance, person.joints, person.finger_bases, person.participant_id, number, noise, switches)
-        for number, person in enumerate(performance.other_people, start=1)
-    ]
-    return wearer, *others
+def _sense_people(sensing: Sensing) -> tuple[adt.AdtSkeleton, ...]:
+    performance = sensing.performance
+    wearer = performance.person.participant_id
+    suits = [_sense_suit(sensing, performance.joints, performance.finger_bases, wearer, 0)]
+    for number, person in enumerate(performance.other_people, start=1):
+        suits.append(_sense_suit(sensing, person.joints, person.finger_bases, person.participant_id, number))
+    return tuple(suits)
 
 
 def _sense_suit(
-    performance: Performance,
+    sensing: Sensing,
     joints: Float[np.ndarray, "n 22 3"],
     finger_bases: Float[np.ndarray, "n 2 3"],
     participant_id: str,
     number: int,
-    noise: float,
-    switches: Switches,
 ) -> adt.AdtSkeleton:
-    times = performance.times[0] + np.arange(int((performance.duration + 1e-9) * _BODY_RATE) + 1) / _BODY_RATE
+    performance = sensing.performance
+    times = sensing.times(_BODY_RATE)
     native = interpolate(performance.times, suit_joints(joints, finger_bases), times)
-    native += _suit_noise(performance, times, number, noise, switches)
+    native += _suit_noise(sensing, times, number)
     markers = suit_markers(native)
-    scale = strength(switches.body_losses, noise)
-    rng = sensor_generator(performance, f"body-losses-{number}")
+    scale = sensing.strength("body_losses")
+    rng = sensing.generator(f"body-losses-{number}")
     bad = np.flatnonzero(rng.random(len(times)) < _BODY_LOSS * scale)
     thrown = rng.integers(adt.N_NATIVE_JOINTS, size=len(times))[bad]
     native[bad, thrown] += (0.0, _THROW, 0.0)
-    native[bad[::2]] = 0.0
+    native[bad[::2]] = 0.0  # every other bad frame is lost as a whole: the suit writes zeros
     markers[rng.random(markers.shape[:2]) < _MARKER_LOSS * scale] = 0.0
     since_start = np.rint((times - performance.times[0]) * 1e9).astype(np.int64)
     return adt.AdtSkeleton(
         name=f"Skeleton_{participant_id}",
         skeleton_id=native_object_id(f"skeleton {participant_id}"),
         serial=_glasses_serial(performance, number),
-        time_ns=clock_start_us(performance) * 1000 + since_start,
+        time_ns=device_start_us(performance) * 1000 + since_start,
         joints=np.round(native, _METRES),
         markers=np.round(markers, _METRES),
     )
 
 
-def _suit_noise(
-    performance: Performance, times: Float[np.ndarray, " n"], number: int, noise: float, switches: Switches
+def suit_joints(
+    joints: Float[np.ndarray, "n 22 3"], finger_bases: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 51 3"]:
-    rng = sensor_generator(performance, f"body-noise-{number}")
-    shift = rng.normal(0.0, _BODY_NOISE, (len(times), adt.N_NATIVE_JOINTS, 3)) * strength(switches.body_noise, noise)
-    scale = strength(switches.body_wobble, noise)
+    """Return the 51 native joints: 21 of the body as they are, and straight fingers.
+
+    Args:
+        joints: The 22 joints, metres; spine2 has no native joint, the reader takes it between spine1 and spine3.
+        finger_bases: Middle-finger bases, left and right.
+    """
+    native = np.zeros((len(joints), adt.N_NATIVE_JOINTS, 3))
+    for name, joint in _DIRECT.items():
+        native[:, adt.JOINT_NAMES.index(name)] = joints[:, joint]
+    for side, letter in enumerate("LR"):
+        elbow, wrist = (joints[:, joint + side] for joint in (Joint.LEFT_ELBOW, Joint.LEFT_WRIST))
+        shoulder = joints[:, Joint.LEFT_SHOULDER + side]
+        base = finger_bases[:, side]
+        along = unit(base - wrist)
+        # The normal of the arm's plane is the palm's side axis; a straight arm has none, any steady one will do.
+        plane = np.cross(wrist - elbow, elbow - shoulder)
+        is_bent = np.linalg.norm(plane, axis=-1, keepdims=True) > 1e-4
+        aside = unit(np.cross(np.where(is_bent, plane, UP), along))
+        for finger, (beside, places) in _FINGERS.items():
+            for number, place in enumerate(places, start=1):
+                index = adt.JOINT_NAMES.index(f"{letter}{finger}{number}")
+                native[:, index] = base + beside * aside + place * along
+    return native
+
+
+def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -> Float[np.ndarray, "n 51 3"]:
+    rng = sensing.generator(f"body-noise-{number}")
+    shift = rng.normal(0.0, _BODY_NOISE, (len(times), adt.N_NATIVE_JOINTS, 3)) * sensing.strength("body_noise")
+    scale = sensing.strength("body_wobble")
     if scale == 0:
         return shift
-    rng = sensor_generator(performance, f"body-wobble-{number}")
+    rng = sensing.generator(f"body-wobble-{number}")
     segments = suit_segments()
     slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * (segments.max() + 1))]
     return shift + np.stack(slow, axis=1).reshape(len(times), -1, 3)[:, segments] * scale
+
+
+def suit_segments() -> Int[np.ndarray, "51"]:
+    """Return which joints the suit shifts together: a hand with its fingers, every other joint alone."""
+    hands = {"L": adt.JOINT_NAMES.index("LHand"), "R": adt.JOINT_NAMES.index("RHand")}
+    is_finger = [name[1:-1] in _FINGERS for name in adt.JOINT_NAMES]
+    owner = [hands[n[0]] if finger else i for i, (n, finger) in enumerate(zip(adt.JOINT_NAMES, is_finger, strict=True))]
+    return np.unique(owner, return_inverse=True)[1]
+
+
+def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:
+    """Return synthetic markers: three along each of 19 bones."""
+    first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
+    share = np.array(_MARKERS_ALONG_BONE)[:, None]
+    points = joints[:, first, None] * (1 - share) + joints[:, second, None] * share
+    return points.reshape(len(joints), adt.N_MARKERS, 3)

@@ -12,84 +12,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.format import GazeKind, gaze_angles
 from prbench.skeleton import WRISTS, invert_rigid
-from prbench.synthetic.people.channels import wobble
+from prbench.synthetic.people.kinematics import wobble
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
-from prbench.timelines import interpolate, slerp
-
-GAZE_MARGIN = 0.02
-"""Radians, half of the written uncertainty interval."""
-_GAZE_BIAS = np.deg2rad(1.0) / np.sqrt(2)
-_GAZE_JITTER = np.deg2rad(0.5)
-_GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
-_GAZE_LOSS = 0.03
-_GAZE_CLOCK_US = 16
-_BLINKS_A_MINUTE = 15.0  # s
-_BLINK = 0.15
-
-
-def gaze_bias(
-    performance: Performance, *, noise: float, switches: Switches, gaze_kind: GazeKind = "personalized"
-) -> tuple[float, float]:
-    """Return the recording's constant gaze error, yaw and pitch, radians."""
-    size = _GAZE_BIAS * (_GENERAL if gaze_kind == "general" else 1.0)
-    bias = sensor_generator(performance, "gaze-bias").normal(0.0, size, 2)
-    yaw, pitch = bias * strength(switches.gaze_bias, noise)
-    return float(yaw), float(pitch)
-
-
-def gaze_measurements(
-    performance: Performance,
-    times: Float[np.ndarray, " n"],
-    *,
-    noise: float,
-    switches: Switches,
-    gaze_kind: GazeKind = "personalized",
-) -> Float[np.ndarray, "n 2"]:
-    """Return the yaw and pitch with bias and jitter, radians; NaN while the eyes are closed.
-
-    Args:
-        performance: The truth.
-        times: When the eyes are looked at, performance seconds.
-        noise: Multiplies every error.
-        switches: Which errors are on.
-        gaze_kind: Without the wearer's own calibration the bias is larger.
-    """
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    angles = np.column_stack(gaze_angles(head.inv().apply(interpolate(performance.times, performance.gaze, times))))
-    angles += gaze_bias(performance, noise=noise, switches=switches, gaze_kind=gaze_kind)
-    jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, (len(times), 2))
-    angles += jitter * strength(switches.gaze_jitter, noise)
-    angles[_blinks(performance, times, strength(switches.blinks, noise))] = np.nan
-    return angles
-
-
-def lost_gaze(performance: Performance, n: int, *, noise: float, switches: Switches) -> Bool[np.ndarray, " n"]:
-    """Return rows that the files lack."""
-    share = _GAZE_LOSS * strength(switches.gaze_losses, noise)
-    return np.asarray(sensor_generator(performance, "gaze-losses").random(n) < share)
-
-
-def gaze_clock_us(performance: Performance, n: int, *, noise: float, switches: Switches) -> Int[np.ndarray, " n"]:
-    """Return the errors of the time stamps, microseconds."""
-    shift = sensor_generator(performance, "gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, n)
-    return np.rint(shift * strength(switches.gaze_clock, noise)).astype(np.int64)
-
-
-def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: float) -> Bool[np.ndarray, " n"]:
-    rng = sensor_generator(performance, "blinks")
-    count = rng.poisson(_BLINKS_A_MINUTE / 60.0 * performance.duration)
-    starts = rng.uniform(times[0], times[-1], count)
-    closed = np.minimum(_BLINK * scale, 1.0)
-    return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
-
+from prbench.synthetic.sensors.errors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
+from prbench.timelines import interpolate
 
 POSE_RATE = 1000
 GAZE_RATE = 10
@@ -99,6 +31,13 @@ GLASSES_SIZE: mps.GlassesSize = "DVT-S"
 GRAVITY = (0.0, 0.0, -9.81)
 """In the native world."""
 
+_GAZE_MARGIN = np.array([-0.02, 0.02])
+"""The written uncertainty interval around an angle, radians."""
+_GAZE_BIAS = np.deg2rad(1.0) / np.sqrt(2)
+_GAZE_JITTER = np.deg2rad(0.5)
+_GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
+_GAZE_LOSS = 0.03
+_GAZE_CLOCK_US = 16
 _DRIFT = 5e-3
 _DRIFT_TURN = np.deg2rad(0.3)
 _DRIFT_HZ = (0.01, 0.05)
@@ -139,13 +78,12 @@ def sense_mps(
         hands: Whether the services found hands.
         slam_gaps: Spans without poses, seconds after the first instant.
     """
-    switches = switches or Switches()
-    trajectory = _sense_poses(performance, start_us, noise, switches, step_jitter_us)
+    sensing = Sensing(performance, noise, switches or Switches())
     readings = mps.MpsReadings(
-        trajectory=trajectory,
-        gaze=_sense_gaze(performance, start_us, noise, switches, gaze_kind),
+        trajectory=_sense_poses(sensing, start_us, step_jitter_us),
+        gaze=_sense_gaze(sensing, start_us, gaze_kind),
         gaze_kind=gaze_kind,
-        wrists=_sense_hands(performance, start_us, noise, switches) if hands else None,
+        wrists=_sense_hands(sensing, start_us) if hands else None,
         glasses_size=GLASSES_SIZE,
         device_from_rgb=device_from_rgb(),
     )
@@ -171,129 +109,171 @@ def device_from_rgb() -> Float[np.ndarray, "4 4"]:
     return transform
 
 
-def graph_uid(performance: Performance) -> str:
-    """Return the id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
-    identity = f"{performance.preset}/{performance.seed}/{performance.person.participant_id}"
-    return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
-
-
-def _true_device_poses(
-    performance: Performance, times: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
-    """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
-    cpf = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    cpf_from_device = invert_rigid(mps.device_from_cpf(GLASSES_SIZE))
-    rotation = cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
-    position = interpolate(performance.times, performance.eye, times) + cpf.apply(cpf_from_device[:3, 3])
-    native_from_world = Y_UP_FROM_Z_UP[:3, :3].T
-    return position @ native_from_world.T, Rotation.from_matrix(native_from_world) * rotation
-
-
-def _sense_poses(
-    performance: Performance, start_us: int, noise: float, switches: Switches, step_jitter_us: int
-) -> mps.AriaTrajectory:
+def _sense_poses(sensing: Sensing, start_us: int, step_jitter_us: int) -> mps.AriaTrajectory:
+    performance = sensing.performance
     n = int((performance.duration + 1e-9) * POSE_RATE) + 1
-    since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(performance, n, switches, step_jitter_us)
+    since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(sensing, n, step_jitter_us)
     since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
     times = performance.times[0] + since_start / 1e6
-    position, rotation = _true_device_poses(performance, times)
-    shift, turn = _drift(performance, times, strength(switches.pose_drift, noise))
-    rng = sensor_generator(performance, "mps-pose-noise")
-    scale = strength(switches.pose_noise, noise)
+    position, rotation = _native_poses(sensing, times)
+    shift, turn = _drift(sensing, times)
+    rng = sensing.generator("mps-pose-noise")
+    scale = sensing.strength("pose_noise")
     shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
     turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
-    quality = np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0)
+    turned = Rotation.from_rotvec(turn) * rotation
     return mps.AriaTrajectory(
         time_us=start_us + since_start,
         position=np.round(position + shift, _METRES),
-        rotation=np.round(
-            (Rotation.from_rotvec(turn) * rotation).as_quat(canonical=True, scalar_first=True), _QUATERNION
-        ),
-        quality=quality,
+        rotation=np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
+        quality=np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0),
         up=-np.array(GRAVITY) / np.linalg.norm(GRAVITY),
         graph_uids=(graph_uid(performance),),
         left_out=0,
     )
 
 
-def _step_errors(performance: Performance, n: int, switches: Switches, largest_us: int) -> Int[np.ndarray, " n"]:
-    if not (switches.pose_clock and largest_us):
+def _step_errors(sensing: Sensing, n: int, largest_us: int) -> Int[np.ndarray, " n"]:
+    if not (sensing.switches.pose_clock and largest_us):
         return np.zeros(n, dtype=np.int64)
-    errors = sensor_generator(performance, "mps-pose-clock").integers(-largest_us, largest_us, n, endpoint=True)
+    errors = sensing.generator("mps-pose-clock").integers(-largest_us, largest_us, n, endpoint=True)
     errors[0] = 0
     return errors
 
 
+def _native_poses(sensing: Sensing, times: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
+    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
+    native_from_world = Y_UP_FROM_Z_UP[:3, :3].T
+    return position @ native_from_world.T, Rotation.from_matrix(native_from_world) * rotation
+
+
+def device_poses(
+    sensing: Sensing, times: Float[np.ndarray, " n"], size: mps.GlassesSize
+) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    """Return noise-free positions (metres) and rotations of the glasses' device frame in the performance's world."""
+    cpf = sensing.head(times)
+    cpf_from_device = invert_rigid(mps.device_from_cpf(size))
+    position = sensing.eye(times) + cpf.apply(cpf_from_device[:3, 3])
+    return position, cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
+
+
 def _drift(
-    performance: Performance, times: Float[np.ndarray, " n"], scale: float
+    sensing: Sensing, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Return the slow errors of the estimated world: shift, metres, and rotation vector, radians."""
+    scale = sensing.strength("pose_drift")
     if scale == 0:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
-    rng = sensor_generator(performance, "mps-pose-drift")
+    rng = sensing.generator("mps-pose-drift")
     waves = [wobble(times, rms, *_DRIFT_HZ, rng) * scale for rms in [_DRIFT] * 3 + [_DRIFT_TURN] * 3]
     return np.stack(waves[:3], axis=1), np.stack(waves[3:], axis=1)
 
 
-def _sense_gaze(
-    performance: Performance, start_us: int, noise: float, switches: Switches, gaze_kind: mps.GazeKind
-) -> mps.GazeAngles:
-    since_start = _steps(performance, _GAZE_START_US, GAZE_RATE)
-    times = performance.times[0] + since_start / 1e6
-    n = len(since_start)
-    angles = gaze_measurements(performance, times, noise=noise, switches=switches, gaze_kind=gaze_kind)
-    time_us = start_us + since_start + gaze_clock_us(performance, n, noise=noise, switches=switches)
-    depth = sensor_generator(performance, "mps-gaze-depth").uniform(*_DEPTH, n)
-    kept = ~lost_gaze(performance, n, noise=noise, switches=switches)
-    yaw, pitch = np.round(angles[kept], _RADIANS).T
-    margin = np.array([-GAZE_MARGIN, GAZE_MARGIN])
-    yaw_range = np.round(yaw[:, None] + margin, _RADIANS)
-    return mps.GazeAngles(
-        time_us[kept],
-        mps.combined_yaw(yaw, yaw),  # of two equal eyes, as the files hold them
-        pitch,
-        np.round(depth, _METRES)[kept],
-        mps.combined_yaw(yaw_range, yaw_range),
-        np.round(pitch[:, None] + margin, _RADIANS),
+def graph_uid(performance: Performance) -> str:
+    """Return the id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
+    return uid_of(f"{performance.preset}/{performance.seed}/{performance.person.participant_id}")
+
+
+def uid_of(identity: str) -> str:
+    """Return a UUID that depends on a text alone."""
+    return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
+
+
+def _sense_gaze(sensing: Sensing, start_us: int, gaze_kind: mps.GazeKind) -> mps.GazeAngles:
+    since_start = _steps(sensing.performance, _GAZE_START_US, GAZE_RATE)
+    times = sensing.performance.times[0] + since_start / 1e6
+    depth = sensing.generator("mps-gaze-depth").uniform(*_DEPTH, len(times))
+    gaze = gaze_rows(sensing, times, start_us + since_start, depth, gaze_kind)
+    # Of two equal eyes, as the files hold them: combining them costs the last bit.
+    return replace(
+        gaze,
+        yaw=mps.combined_yaw(gaze.yaw, gaze.yaw),
+        yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range),
     )
 
 
-def _sense_hands(performance: Performance, start_us: int, noise: float, switches: Switches) -> mps.WristPositions:
+def gaze_rows(
+    sensing: Sensing,
+    times: Float[np.ndarray, " n"],
+    time_us: Int[np.ndarray, " n"],
+    depth: Float[np.ndarray, " n"],
+    gaze_kind: mps.GazeKind = "personalized",
+) -> mps.GazeAngles:
+    """Return the gaze rows that the files have: some are lost, those of blinks hold NaN, stamps are a little off.
+
+    Args:
+        sensing: The truth and its errors.
+        times: When the eyes are looked at, performance seconds.
+        time_us: The same instants on the device clock, microseconds.
+        depth: Written distances of the point looked at, metres.
+        gaze_kind: Without the wearer's own calibration ("general") the bias is larger.
+    """
+    angles = measured_gaze(
+        sensing, sensing.head(times), sensing.gaze(times), bias=_bias_size(gaze_kind), jitter=_GAZE_JITTER
+    )
+    angles[closed_eyes(sensing, times)] = np.nan
+    kept = sensing.generator("gaze-losses").random(len(times)) >= _GAZE_LOSS * sensing.strength("gaze_losses")
+    shift = sensing.generator("gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, len(times))
+    stamps = time_us + np.rint(shift * sensing.strength("gaze_clock")).astype(np.int64)
+    yaw, pitch = np.round(angles[kept], _RADIANS).T
+    return mps.GazeAngles(
+        stamps[kept],
+        yaw,
+        pitch,
+        np.round(depth, _METRES)[kept],
+        np.round(yaw[:, None] + _GAZE_MARGIN, _RADIANS),
+        np.round(pitch[:, None] + _GAZE_MARGIN, _RADIANS),
+    )
+
+
+def gaze_bias(
+    performance: Performance, *, noise: float, switches: Switches, gaze_kind: mps.GazeKind = "personalized"
+) -> tuple[float, float]:
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
+    return gaze_bias_of(Sensing(performance, noise, switches), _bias_size(gaze_kind))
+
+
+def _bias_size(gaze_kind: mps.GazeKind) -> float:
+    return _GAZE_BIAS * (_GENERAL if gaze_kind == "general" else 1.0)
+
+
+def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
+    performance = sensing.performance
     since_start = _steps(performance, _HAND_START_US, _HAND_RATE)
     times = performance.times[0] + since_start / 1e6
     wrist = interpolate(performance.times, performance.joints[:, list(WRISTS)], times)
     palm = (wrist + interpolate(performance.times, performance.finger_bases, times)) / 2
-    rng = sensor_generator(performance, "mps-hand-noise")
-    scale = strength(switches.hand_noise, noise)
-    error = rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
-    confidence = _hand_confidence(performance, times, wrist, strength(switches.hand_losses, noise))
+    error = sensing.generator("mps-hand-noise").normal(0.0, _HAND_NOISE, wrist.shape) * sensing.strength("hand_noise")
+    confidence = _hand_confidence(sensing, times, wrist)
     seen = (confidence > 0)[..., None]
     return mps.WristPositions(
         start_us + since_start,
         confidence,
-        np.where(seen, np.round(_in_device(performance, times, wrist + error), _METRES), np.nan),
-        np.where(seen, np.round(_in_device(performance, times, palm + error), _METRES), np.nan),
+        np.where(seen, np.round(_in_device(sensing, times, wrist + error), _METRES), np.nan),
+        np.where(seen, np.round(_in_device(sensing, times, palm + error), _METRES), np.nan),
     )
 
 
 def _hand_confidence(
-    performance: Performance, times: Float[np.ndarray, " n"], wrist: Float[np.ndarray, "n 2 3"], scale: float
+    sensing: Sensing, times: Float[np.ndarray, " n"], wrist: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Return 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 where ``scale`` is 0."""
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    away = wrist - interpolate(performance.times, performance.eye, times)[:, None]
-    ahead = np.einsum("nhk,nk->nh", away, head.apply((0.0, 0.0, 1.0))) / np.linalg.norm(away, axis=2)
+    """Return 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 without losses."""
+    scale = sensing.strength("hand_losses")
+    away = wrist - sensing.eye(times)[:, None]
+    forward = sensing.head(times).apply((0.0, 0.0, 1.0))
+    ahead = np.einsum("nhk,nk->nh", away, forward) / np.linalg.norm(away, axis=2)
     angle = np.arccos(np.clip(ahead, -1.0, 1.0)) / _FIELD_OF_VIEW
-    doubt = np.abs(sensor_generator(performance, "mps-hand-confidence").normal(0.0, 0.03, angle.shape))
+    doubt = np.abs(sensing.generator("mps-hand-confidence").normal(0.0, 0.03, angle.shape))
     confidence = np.round(np.clip(1.0 - scale * (0.5 * angle**4 + doubt), 0.01, 1.0), _METRES)
     return np.where((angle > 1.0) & (scale > 0), -1.0, confidence)
 
 
 def _in_device(
-    performance: Performance, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
+    sensing: Sensing, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n 2 3"]:
     """Return points of the performance's world in the true device frame."""
-    position, rotation = _true_device_poses(performance, times)
+    position, rotation = _native_poses(sensing, times)
     native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
     return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
 

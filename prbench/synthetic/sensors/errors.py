@@ -1,4 +1,4 @@
-"""Sensor errors: switches, and the random stream of each.
+"""Sensor errors: switches, the random stream of each, and the measurements that several datasets have in common.
 
 Sources: docs/specification/synthetic-recordings.md#sensors and
 docs/specification/synthetic-recordings.md#determinism-splits-sizes.
@@ -9,10 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 from prbench.randomness import named_generator
+from prbench.readers.aria_mps.format import gaze_angles
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import ObjectMotion, Performance
+from prbench.timelines import interpolate, slerp
+
+_DEVICE_START = (100.0, 60_000.0)  # s, device time of the first frame
+_BLINKS_A_MINUTE = 15.0
+_BLINK = 0.15  # s
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,47 @@ class Switches:
         return cls(**dict.fromkeys((field.name for field in fields(cls)), False))
 
 
+@dataclass(frozen=True)
+class Sensing:
+    """A performance together with how wrongly its sensors measure it."""
+
+    performance: Performance
+    noise: float
+    """Multiplies every error: its size, or how often it happens; 0 for ideal sensors."""
+    switches: Switches
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """Return the random stream of one purpose (see :func:`sensor_generator`)."""
+        return sensor_generator(self.performance, purpose)
+
+    def strength(self, error: str) -> float:
+        """Return the factor on the size (or probability) of an error: the noise level, or 0 where it is off.
+
+        Args:
+            error: Name of a field of :class:`Switches`.
+        """
+        return self.noise if getattr(self.switches, error) else 0.0
+
+    def times(self, rate: float) -> Float[np.ndarray, " n"]:
+        """Return the instants of a sensor of a steady rate, performance seconds, from the first to the last frame."""
+        # Without the nanosecond, rounding would cost the last frame of a duration that is a multiple of the period.
+        n = int((self.performance.duration + 1e-9) * rate) + 1
+        return self.performance.times[0] + np.arange(n) / rate
+
+    def head(self, times: Float[np.ndarray, " n"]) -> Rotation:
+        """Return the true orientation of the head (x left, y up, z forward) in the performance's world."""
+        turned = slerp(self.performance.times, self.performance.head_rotation, times)
+        return Rotation.from_quat(turned, scalar_first=True)
+
+    def eye(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Return the true eye positions, metres."""
+        return interpolate(self.performance.times, self.performance.eye, times)
+
+    def gaze(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Return the true gaze directions; between frames a little shorter than 1."""
+        return interpolate(self.performance.times, self.performance.gaze, times)
+
+
 def sensor_generator(performance: Performance, purpose: str) -> np.random.Generator:
     """Return the random stream of one purpose of one recording, independent of all others."""
     return named_generator(
@@ -88,6 +137,88 @@ def sensor_generator(performance: Performance, purpose: str) -> np.random.Genera
     )
 
 
-def strength(switch: bool, noise: float) -> float:
-    """Return the factor on the size (or probability) of an error: the noise level, or 0 where it is off."""
-    return noise if switch else 0.0
+def device_start_us(performance: Performance) -> int:
+    """Return the device time of the performance's first instant, microseconds.
+
+    Device seconds = performance seconds - ``performance.times[0]`` + this / 1e6: what turns the truth's times into
+    those of the recording.
+    """
+    return round(sensor_generator(performance, "clock").uniform(*_DEVICE_START) * 1e6)
+
+
+def gaze_bias_of(sensing: Sensing, size: float) -> tuple[float, float]:
+    """Draw the recording's constant gaze error, yaw and pitch, radians; ``size`` is its deviation an axis."""
+    yaw, pitch = sensing.generator("gaze-bias").normal(0.0, size, 2) * sensing.strength("gaze_bias")
+    return float(yaw), float(pitch)
+
+
+def measured_gaze(
+    sensing: Sensing, head: Rotation, gaze: Float[np.ndarray, "n 3"], *, bias: float, jitter: float
+) -> Float[np.ndarray, "n 2"]:
+    """Return yaw and pitch of the gaze in the head, radians, with constant error and jitter.
+
+    Args:
+        sensing: The truth and its errors.
+        head: Orientation of the head at each instant.
+        gaze: True directions at the same instants, world.
+        bias: Deviation of the constant error, radians an axis.
+        jitter: Deviation of the white noise, radians an axis.
+    """
+    angles = np.column_stack(gaze_angles(head.inv().apply(gaze)))
+    angles += gaze_bias_of(sensing, bias)
+    angles += sensing.generator("gaze-jitter").normal(0.0, jitter, angles.shape) * sensing.strength("gaze_jitter")
+    return angles
+
+
+def closed_eyes(sensing: Sensing, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Return the instants at which the wearer blinks."""
+    rng = sensing.generator("blinks")
+    count = rng.poisson(_BLINKS_A_MINUTE / 60.0 * sensing.performance.duration)
+    starts = rng.uniform(times[0], times[-1], count)
+    closed = np.minimum(_BLINK * sensing.strength("blinks"), 1.0)
+    return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
+
+
+def fixation_depth(sensing: Sensing, times: Float[np.ndarray, " n"], otherwise: float) -> Float[np.ndarray, " n"]:
+    """Return the distance from the eyes to the point fixated, metres; ``otherwise`` between fixations."""
+    depth = np.full(len(times), otherwise)
+    eye = sensing.eye(times)
+    for look in sensing.performance.fixations:
+        rows = slice(*np.searchsorted(times, (look.start, look.end)))
+        depth[rows] = np.linalg.norm(look.target - eye[rows], axis=1)
+    return depth
+
+
+def tracked(
+    sensing: Sensing,
+    name: str,
+    position: Float[np.ndarray, "n 3"],
+    rotation: Rotation,
+    *,
+    size: tuple[float, float],
+    scale: float,
+) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    """Return the poses of an object with the white noise of its tracking.
+
+    Args:
+        sensing: Names the random stream.
+        name: Of the object; each has a stream of its own, so that one object more changes no other.
+        position: True positions, metres.
+        rotation: True orientations.
+        size: Deviations of position, metres, and of rotation, radians, an axis.
+        scale: Multiplies both.
+    """
+    rng = sensing.generator(f"object-noise-{name}")
+    moved = position + rng.normal(0.0, size[0], position.shape) * scale
+    return moved, rotation * Rotation.from_rotvec(rng.normal(0.0, size[1], position.shape) * scale)
+
+
+def untracked(performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Return the instants of ``lost`` events, at which nobody sees the object."""
+    spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
+    return within(times, np.array(spans).reshape(-1, 2))
+
+
+def within(times: Float[np.ndarray, " n"], spans: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " n"]:
+    """Return the instants inside any of the spans, ends included."""
+    return np.asarray(((times >= spans[:, :1]) & (times <= spans[:, 1:])).any(axis=0))

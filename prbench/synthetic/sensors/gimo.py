@@ -12,13 +12,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.randomness import named_generator
-from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
+from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.skeleton import PARENTS, Joint, invert_rigid, transform_points
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.errors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
 from prbench.timelines import interpolate, slerp
 
 _SKELETON_RATE = 60.0
@@ -63,7 +63,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
         switches: Which errors are on; all if None.
     """
-    switches = switches or Switches()
+    sensing = Sensing(performance, noise, switches or Switches())
     segment = _segment_of(performance)
     transform = _scene_transform(performance)
     body_from_room = invert_rigid(transform.room_from_body())
@@ -72,10 +72,9 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         segment=segment,
         transform=transform,
         body=gimo.LocalSkeleton(
-            _sense_skeleton(performance, body_from_room, noise, switches),
-            _sense_poses(performance, segment, body_from_room, noise, switches),
+            _sense_skeleton(sensing, body_from_room), _sense_poses(sensing, segment, body_from_room)
         ),
-        gaze=_sense_gaze(performance, segment, transform, noise, switches),
+        gaze=_sense_gaze(sensing, segment, transform),
         events=tuple(gimo.EventFrame(event_frame(performance, event), event.hand) for event in picks(performance)),
     )
 
@@ -116,9 +115,7 @@ def picks(performance: Performance) -> tuple[TrueEvent, ...]:
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
     """Return the recording's constant gaze error, yaw and pitch, radians."""
-    bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
-    yaw, pitch = bias * strength(switches.gaze_bias, noise)
-    return float(yaw), float(pitch)
+    return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
 
 
 def _scene_transform(performance: Performance) -> gimo.SceneTransform:
@@ -190,20 +187,15 @@ def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.
     return performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
 
 
-def _sense_poses(
-    performance: Performance,
-    segment: gimo.Segment,
-    body_from_room: Float[np.ndarray, "4 4"],
-    noise: float,
-    switches: Switches,
-) -> gimo.SmplxPoses:
+def _sense_poses(sensing: Sensing, segment: gimo.Segment, body_from_room: Float[np.ndarray, "4 4"]) -> gimo.SmplxPoses:
+    performance = sensing.performance
     times = _frame_seconds(performance, segment)
     pelvis = transform_points(
         body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     )
-    rng = sensor_generator(performance, "fit-noise")
-    scale = strength(switches.body_noise, noise)
-    pelvis = pelvis + rng.normal(0.0, _ROOT_NOISE, pelvis.shape) * scale
+    pelvis = pelvis + sensing.generator("fit-noise").normal(0.0, _ROOT_NOISE, pelvis.shape) * sensing.strength(
+        "body_noise"
+    )
     turned = Rotation.from_quat(
         slerp(performance.times, performance.rotations[:, Joint.PELVIS], times), scalar_first=True
     )
@@ -216,10 +208,9 @@ def _sense_poses(
     )
 
 
-def _sense_skeleton(
-    performance: Performance, body_from_room: Float[np.ndarray, "4 4"], noise: float, switches: Switches
-) -> BvhMotion:
+def _sense_skeleton(sensing: Sensing, body_from_room: Float[np.ndarray, "4 4"]) -> BvhMotion:
     """Return the suit's own file: centimetres, starting earlier than the segment with the first pose held."""
+    performance = sensing.performance
     lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
     n = int((performance.duration + 1e-9) * _SKELETON_RATE) + 1
     times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / _SKELETON_RATE
@@ -235,11 +226,9 @@ def _sense_skeleton(
         local = turned[joint] if parent < 0 else turned[parent].inv() * turned[joint]
         columns.append(local.as_euler("YXZ", degrees=True))
     values = np.concatenate(columns, axis=1)
-    rng = sensor_generator(performance, "suit-noise")
-    scale = strength(switches.body_noise, noise)
     size = np.full(values.shape[1], _ANGLE_NOISE)
     size[:3] = _ROOT_NOISE * _CENTIMETRES
-    values += rng.normal(0.0, 1.0, values.shape) * size * scale
+    values += sensing.generator("suit-noise").normal(0.0, 1.0, values.shape) * size * sensing.strength("body_noise")
     return BvhMotion(_hierarchy(performance), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
 
 
@@ -258,19 +247,14 @@ def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
     return tuple(joints)
 
 
-def _sense_gaze(
-    performance: Performance, segment: gimo.Segment, transform: gimo.SceneTransform, noise: float, switches: Switches
-) -> gimo.GazePoints:
-    times = _frame_seconds(performance, segment)
-    n = len(times)
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    eye = interpolate(performance.times, performance.eye, times)
-    gaze = interpolate(performance.times, performance.gaze, times)
-    angles = np.column_stack(gaze_angles(head.inv().apply(gaze / np.linalg.norm(gaze, axis=1, keepdims=True))))
-    angles += gaze_bias(performance, noise=noise, switches=switches)
-    jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, (n, 2))
-    angles += jitter * strength(switches.gaze_jitter, noise)
-    points = looked_at(performance, eye, head.apply(gaze_directions_cpf(angles[:, 0], angles[:, 1])))
-    lost = sensor_generator(performance, "gaze-losses").random(n) < _GAZE_LOSS * strength(switches.gaze_losses, noise)
+def _sense_gaze(sensing: Sensing, segment: gimo.Segment, transform: gimo.SceneTransform) -> gimo.GazePoints:
+    times = _frame_seconds(sensing.performance, segment)
+    head = sensing.head(times)
+    gaze = sensing.gaze(times)
+    gaze /= np.linalg.norm(gaze, axis=1, keepdims=True)
+    angles = measured_gaze(sensing, head, gaze, bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    directions = head.apply(gaze_directions_cpf(angles[:, 0], angles[:, 1]))
+    points = looked_at(sensing.performance, sensing.eye(times), directions)
+    lost = sensing.generator("gaze-losses").random(len(times)) < _GAZE_LOSS * sensing.strength("gaze_losses")
     scan_from_room = np.linalg.inv(transform.room_from_scan())
     return gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost])

@@ -23,7 +23,15 @@ from prbench.skeleton import Joint
 from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.errors import (
+    Sensing,
+    Switches,
+    device_start_us,
+    sensor_generator,
+    tracked,
+    untracked,
+    within,
+)
 from prbench.synthetic.sensors.hot3d_hand import finger_angles, synthetic_hand, wrist_rotation
 from prbench.synthetic.sensors.smplh import synthetic_smplh
 from prbench.timelines import interpolate, slerp
@@ -34,10 +42,8 @@ SLAM_DELAY = 91e-6
 """Seconds."""
 
 _TIME_CODE_START = (3_600.0, 80_000.0)  # s
-_DEVICE_START = (100.0, 60_000.0)
 _LARGEST_DRIFT = 1e-6
-_OBJECT_NOISE = 0.5e-3
-_OBJECT_TURN = np.deg2rad(0.1)
+_OBJECT_NOISE = (0.5e-3, np.deg2rad(0.1))  # m, rad
 _GAP_SHARE = 0.03  # of the rows; s
 _GAP_LENGTH = (0.05, 0.5)
 _HAND_NOISE = 2e-3
@@ -62,15 +68,15 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
         switches: Which errors are on; all if None.
     """
-    switches = switches or Switches()
+    sensing = Sensing(performance, noise, switches or Switches())
     since = frame_times(performance)
-    drift = clock_drift(performance, noise=noise, switches=switches)
+    drift = clock_drift(sensing)
     time_ns = round(clock_start(performance) * 1e9) + np.rint(since * 1e9 * (1 + drift)).astype(np.int64)
-    start_us = round(sensor_generator(performance, "clock").uniform(*_DEVICE_START) * 1e6)
+    start_us = device_start_us(performance)
     mps = sense_mps(performance, start_us=start_us, noise=noise, switches=switches, hands=False)
     outputs = sense_egoallo(performance, mps.trajectory, noise=noise, switches=switches, start_us=start_us)
     times = performance.times[0] + since
-    hands = tuple(_sense_hand(performance, side, times, time_ns, noise, switches) for side in (0, 1))
+    hands = tuple(_sense_hand(sensing, side, times, time_ns) for side in (0, 1))
     trajectory = mps.trajectory
     row = _nearest(trajectory.time_us, start_us + np.rint(since * 1e6).astype(np.int64))
     hand_length = float(np.linalg.norm(performance.finger_bases[0, 0] - performance.joints[0, Joint.LEFT_WRIST]))
@@ -78,10 +84,10 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         recording_id=performance.recording_id,
         participant_id=performance.person.participant_id,
         headset=hot3d.PoseRows(time_ns, trajectory.position[row], trajectory.rotation[row]),
-        objects=_sense_objects(performance, times, time_ns, noise, switches),
+        objects=_sense_objects(sensing, times, time_ns),
         hands=hands,
         hand_model=synthetic_hand(hand_length),
-        masks=_masks(performance, time_ns, hands, noise, switches),
+        masks=_masks(sensing, time_ns, hands),
         mps=mps,
         body=body_from_outputs(outputs, synthetic_smplh()),
         egoallo_outputs=outputs,
@@ -93,10 +99,10 @@ def clock_start(performance: Performance) -> float:
     return round(float(sensor_generator(performance, "time-code").uniform(*_TIME_CODE_START)), 6)
 
 
-def clock_drift(performance: Performance, *, noise: float, switches: Switches) -> float:
+def clock_drift(sensing: Sensing) -> float:
     """Return how much faster the ground truth's clock runs than the glasses'."""
-    drift = sensor_generator(performance, "clock-drift").uniform(-_LARGEST_DRIFT, _LARGEST_DRIFT)
-    return float(drift * strength(switches.clock_drift, noise))
+    drift = sensing.generator("clock-drift").uniform(-_LARGEST_DRIFT, _LARGEST_DRIFT)
+    return float(drift * sensing.strength("clock_drift"))
 
 
 def frame_times(performance: Performance) -> Float[np.ndarray, " n"]:
@@ -115,9 +121,9 @@ def _has_quality_mask(performance: Performance) -> bool:
     return performance.index % 2 == 0
 
 
-def _has_wrong_start(performance: Performance, noise: float, switches: Switches) -> bool:
+def _has_wrong_start(sensing: Sensing) -> bool:
     """Return True where the hands of the first 0.7 s are wrong, as in several real recordings."""
-    return strength(switches.hand_start, noise) > 0 and performance.index % _WRONG_EVERY == _WRONG_FIRST
+    return sensing.strength("hand_start") > 0 and sensing.performance.index % _WRONG_EVERY == _WRONG_FIRST
 
 
 def _nearest(time_us: Int[np.ndarray, " n"], query: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
@@ -126,22 +132,17 @@ def _nearest(time_us: Int[np.ndarray, " n"], query: Int[np.ndarray, " m"]) -> In
 
 
 def _sense_objects(
-    performance: Performance,
-    times: Float[np.ndarray, " n"],
-    time_ns: Int[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
+    sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
 ) -> tuple[hot3d.Hot3dObject, ...]:
+    performance = sensing.performance
+    scale = sensing.strength("object_noise")
     objects = []
     for motion in performance.objects:
         track = performance.times[: len(motion.position)]
         rotation = Rotation.from_quat(slerp(track, motion.rotation, times), scalar_first=True)
         position = interpolate(track, motion.position, times) - rotation.apply(_ORIGIN)
-        rng = sensor_generator(performance, f"object-noise-{motion.object_id}")
-        scale = strength(switches.object_noise, noise)
-        position = position + rng.normal(0.0, _OBJECT_NOISE, position.shape) * scale
-        rotation = rotation * Rotation.from_rotvec(rng.normal(0.0, _OBJECT_TURN, position.shape) * scale)
-        seen = ~(_lost(performance, motion, times) | _gaps(performance, motion, times, noise, switches))
+        position, rotation = tracked(sensing, motion.object_id, position, rotation, size=_OBJECT_NOISE, scale=scale)
+        seen = ~(untracked(performance, motion, times) | _gaps(sensing, motion, times))
         uid = native_object_id(motion.object_id)
         objects.append(
             hot3d.Hot3dObject(
@@ -162,63 +163,43 @@ def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.ObjectMesh:
     return hot3d.ObjectMesh(np.round(corners * half_extents + _ORIGIN, _METRES), faces)
 
 
-def _lost(performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Return the instants of ``lost`` events, at which nobody sees the object."""
-    spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
-    return _within(times, np.array(spans).reshape(-1, 2))
-
-
-def _gaps(
-    performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"], noise: float, switches: Switches
-) -> Bool[np.ndarray, " n"]:
+def _gaps(sensing: Sensing, motion: ObjectMotion, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Return the runs of missing rows."""
-    rng = sensor_generator(performance, f"object-gaps-{motion.object_id}")
-    share = _GAP_SHARE * strength(switches.object_gaps, noise)
-    count = rng.poisson(share * performance.duration / np.mean(_GAP_LENGTH))
+    rng = sensing.generator(f"object-gaps-{motion.object_id}")
+    share = _GAP_SHARE * sensing.strength("object_gaps")
+    count = rng.poisson(share * sensing.performance.duration / np.mean(_GAP_LENGTH))
     starts = rng.uniform(times[0], times[-1], count)
-    return _within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
-
-
-def _within(times: Float[np.ndarray, " n"], spans: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " n"]:
-    return np.asarray(((times >= spans[:, :1]) & (times <= spans[:, 1:])).any(axis=0))
+    return within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
 
 
 def _sense_hand(
-    performance: Performance,
-    side: int,
-    times: Float[np.ndarray, " n"],
-    time_ns: Int[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
+    sensing: Sensing, side: int, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
 ) -> hot3d.HandRows:
+    performance = sensing.performance
     joint = Joint.LEFT_WRIST + side
     wrist = interpolate(performance.times, performance.joints[:, joint], times)
     segment = Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
-    rng = sensor_generator(performance, f"hand-noise-{side}")
-    scale = strength(switches.hand_noise, noise)
-    sensed = wrist + rng.normal(0.0, _HAND_NOISE, wrist.shape) * scale
-    if _has_wrong_start(performance, noise, switches):
+    noise = sensing.generator(f"hand-noise-{side}").normal(0.0, _HAND_NOISE, wrist.shape)
+    sensed = wrist + noise * sensing.strength("hand_noise")
+    if _has_wrong_start(sensing):
         sensed[times < times[0] + _WRONG_START] += (0.0, _WRONG_BY, 0.0)
     seen = np.ones(len(times), dtype=bool)
-    if strength(switches.hand_losses, noise):
-        seen = _angle_off_head(performance, wrist, times) <= _HAND_SIGHT
+    if sensing.strength("hand_losses"):
+        seen = _angle_off_head(sensing, wrist, times) <= _HAND_SIGHT
     rows = _native_rows(time_ns, sensed, wrist_rotation(segment, side), seen)
     held = np.any([motion.held_by == side for motion in performance.objects if len(motion.held_by) > 1], axis=0)
-    closed = uniform_filter1d(np.broadcast_to(held, performance.times.shape).astype(float), _frames(performance))
+    # Fingers close and open within a window around the grasp, not in one frame.
+    window = max(1, round(_CLOSING * performance.rate))
+    closed = uniform_filter1d(np.broadcast_to(held, performance.times.shape).astype(float), window)
     angles = finger_angles(interpolate(performance.times, closed, times[seen]))
     name = ("left", "right")[side]
     return hot3d.HandRows(name, rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE), np.empty(0))
 
 
-def _frames(performance: Performance) -> int:
-    return max(1, round(_CLOSING * performance.rate))
-
-
 def _angle_off_head(
-    performance: Performance, points: Float[np.ndarray, "n 3"], times: Float[np.ndarray, " n"]
+    sensing: Sensing, points: Float[np.ndarray, "n 3"], times: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    head = Rotation.from_quat(slerp(performance.times, performance.head_rotation, times), scalar_first=True)
-    local = head.inv().apply(points - interpolate(performance.times, performance.eye, times))
+    local = sensing.head(times).inv().apply(points - sensing.eye(times))
     return np.arctan2(np.linalg.norm(local[:, :2], axis=1), local[:, 2])
 
 
@@ -239,11 +220,7 @@ def _native_rows(
 
 
 def _masks(
-    performance: Performance,
-    time_ns: Int[np.ndarray, " n"],
-    hands: tuple[hot3d.HandRows, ...],
-    noise: float,
-    switches: Switches,
+    sensing: Sensing, time_ns: Int[np.ndarray, " n"], hands: tuple[hot3d.HandRows, ...]
 ) -> dict[hot3d.MaskName, hot3d.MaskRows]:
     """Return flags of the RGB frames."""
     rgb = time_ns[::2]
@@ -254,8 +231,7 @@ def _masks(
         "object_pose_available": hot3d.MaskRows(rgb, good),
         "hand_pose_available": hot3d.MaskRows(rgb, tracked),
     }
-    if _has_quality_mask(performance):
-        wrong = _has_wrong_start(performance, noise, switches)
-        passed = (rgb - rgb[0] >= round(_WRONG_START * 1e9)) | ~np.array(wrong)
+    if _has_quality_mask(sensing.performance):
+        passed = good if not _has_wrong_start(sensing) else rgb - rgb[0] >= round(_WRONG_START * 1e9)
         masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
     return masks

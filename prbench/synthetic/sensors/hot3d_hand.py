@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.format import HandModel
+from prbench.synthetic.people.kinematics import unit
 
 _BASES = ((0.20, -0.10, 0.18), (1.00, 0.00, 0.28), (1.00, 0.02, 0.00), (0.95, 0.00, -0.25), (0.86, -0.04, -0.48))
 _STEPS = (
@@ -43,7 +44,7 @@ def synthetic_hand(length: float) -> HandModel:
     """Return the left hand of somebody whose middle finger begins ``length`` metres from the wrist."""
     joints = _joints()
     bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
-    tips = np.array([joints[first + 3] + _TIP * _unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
+    tips = np.array([joints[first + 3] + _TIP * unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
     points = []
     weights = []
     for bone, joint in enumerate(bones, start=2):
@@ -103,8 +104,8 @@ def _joints() -> Float[np.ndarray, "22 3"]:
 def _ring(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 3"]:
     """Return four points around a bone, a fifth of the way along it."""
     centre = start + 0.2 * (end - start)
-    along = _unit(end - start)
-    aside = _unit(np.cross(along, (0.0, 1.0, 0.0)))
+    along = unit(end - start)
+    aside = unit(np.cross(along, (0.0, 1.0, 0.0)))
     above = np.cross(aside, along)
     return centre + _THICKNESS * np.array([aside, above, -aside, -above])
 
@@ -134,7 +135,3 @@ def _metres(shares: Float[np.ndarray, "n 3"], length: float) -> Float[np.ndarray
 
 def _one_hot(bone: int) -> Float[np.ndarray, "17"]:
     return np.eye(umetrack.N_BONES)[bone]
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)

@@ -8,15 +8,25 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.manifests import load_manifest
-from prbench.readers.aria_mps.format import gaze_angles, gaze_directions_cpf
+from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.mogaze import format as mogaze
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
-from prbench.synthetic.sensors.errors import Switches, sensor_generator, strength
+from prbench.synthetic.sensors.errors import (
+    Sensing,
+    Switches,
+    closed_eyes,
+    fixation_depth,
+    gaze_bias_of,
+    measured_gaze,
+    sensor_generator,
+    tracked,
+    untracked,
+)
 from prbench.synthetic.sensors.mogaze_body import solve_body
 from prbench.timelines import interpolate, slerp
 
@@ -24,16 +34,13 @@ GOGGLES_ID = 1
 
 _GAZE_BIAS = np.deg2rad(0.8) / np.sqrt(2)
 _GAZE_JITTER = np.deg2rad(0.5)
-_BLINKS_A_MINUTE = 15.0  # s
-_BLINK = 0.15
 _DEPTH = (0.4, 2.0)  # m
 _MIRRORED = 0.01  # share of the gaze points that the tracker writes behind itself
 _CONFIDENT = (0.8, 1.0)
 _BLINKING = (0.0, 0.3)
 _BODY_TURN = np.deg2rad(0.1)
 _ROOT_NOISE = 1e-3
-_OBJECT_NOISE = 0.5e-3
-_OBJECT_TURN = np.deg2rad(0.1)
+_OBJECT_NOISE = (0.5e-3, np.deg2rad(0.1))  # m, rad
 
 _TO_NATIVE = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3].T)
 _FACE_FROM_TRACKER = Rotation.from_matrix(np.diag([-1.0, -1.0, 1.0]))
@@ -50,26 +57,24 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
         switches: Which errors are on; all if None.
     """
-    switches = switches or Switches()
-    n = int((performance.duration + 1e-9) * mogaze.RATE) + 1
-    times = performance.times[0] + np.arange(n) / mogaze.RATE
-    state, fixed = _sense_body(performance, times, noise, switches)
+    sensing = Sensing(performance, noise, switches or Switches())
+    times = sensing.times(mogaze.RATE)
+    state, fixed = _sense_body(sensing, times)
     tracker = _calibration(performance)
-    points, confidence = _sense_gaze(performance, times, noise, switches)
+    points, confidence = _sense_gaze(sensing, times)
     names = body_names(performance)
-    bodies = [_sense_object(performance, motion, names[motion.object_id], times, noise, switches) for motion in
-              performance.objects]  # fmt: skip
-    goggles = _sense_goggles(performance, times, tracker, noise, switches)
+    bodies = [_sense_goggles(sensing, times, tracker)]
+    bodies += [_sense_object(sensing, motion, names[motion.object_id], times) for motion in performance.objects]
     return mogaze.MogazeReadings(
         recording_id=performance.recording_id,
         participant_id=performance.person.participant_id,
         state=state,
         fixed=fixed,
-        bodies=tuple(sorted((goggles, *bodies), key=lambda body: body.body_id)),
+        bodies=tuple(sorted(bodies, key=lambda body: body.body_id)),
         gaze_points=points,
         gaze_confidence=confidence,
         calibration=tracker.as_quat(canonical=True),
-        segments=_segments(performance, names, n),
+        segments=_segments(performance, names, len(times)),
     )
 
 
@@ -80,9 +85,7 @@ def events(performance: Performance) -> tuple[TrueEvent, ...]:
 
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
     """Return the recording's constant gaze error, yaw and pitch, radians."""
-    bias = sensor_generator(performance, "gaze-bias").normal(0.0, _GAZE_BIAS, 2)
-    yaw, pitch = bias * strength(switches.gaze_bias, noise)
-    return float(yaw), float(pitch)
+    return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
 
 
 def body_names(performance: Performance) -> dict[str, str]:
@@ -96,17 +99,15 @@ def body_names(performance: Performance) -> dict[str, str]:
     return names
 
 
-def _sense_body(
-    performance: Performance, times: Float[np.ndarray, " n"], noise: float, switches: Switches
-) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]]:
+def _sense_body(sensing: Sensing, times: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]]:
+    performance = sensing.performance
     joints = interpolate(performance.times, performance.joints, times)
     turned = [_turned(performance, performance.rotations[:, joint], times) for joint in range(joints.shape[1])]
     solved = solve_body(joints, np.stack(turned, axis=1))
-    rng = sensor_generator(performance, "body-noise-0")
-    scale = strength(switches.body_noise, noise)
+    rng = sensing.generator("body-noise-0")
     shift = rng.normal(0.0, _ROOT_NOISE, (len(times), 3))
     tremble = rng.normal(0.0, _BODY_TURN, (len(times), solved.state.shape[1] - 3))
-    return solved.state + np.hstack([shift, tremble]) * scale, solved.fixed
+    return solved.state + np.hstack([shift, tremble]) * sensing.strength("body_noise"), solved.fixed
 
 
 def _turned(
@@ -123,70 +124,58 @@ def _calibration(performance: Performance) -> Rotation:
     return Rotation.from_quat(sensor_generator(performance, "calibration").normal(size=4))
 
 
-def _sense_goggles(
-    performance: Performance, times: Float[np.ndarray, " n"], tracker: Rotation, noise: float, switches: Switches
-) -> mogaze.MogazeBody:
-    head = Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
-    turned = _TO_NATIVE * head * _FACE_FROM_TRACKER * tracker.inv()
-    position = _TO_NATIVE.apply(interpolate(performance.times, performance.eye, times))
-    position, rotation = _tracked(performance, "goggles", position, turned, strength(switches.object_noise, noise))
-    return mogaze.MogazeBody(GOGGLES_ID, mogaze.GOGGLES, position, rotation, np.zeros(3), np.zeros(3))
+def _head(performance: Performance, times: Float[np.ndarray, " n"]) -> Rotation:
+    return Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
+
+
+def _sense_goggles(sensing: Sensing, times: Float[np.ndarray, " n"], tracker: Rotation) -> mogaze.MogazeBody:
+    turned = _TO_NATIVE * _head(sensing.performance, times) * _FACE_FROM_TRACKER * tracker.inv()
+    position = _TO_NATIVE.apply(sensing.eye(times))
+    scale = sensing.strength("object_noise")
+    position, rotation = tracked(sensing, "goggles", position, turned, size=_OBJECT_NOISE, scale=scale)
+    quaternion = rotation.as_quat(canonical=True)
+    return mogaze.MogazeBody(GOGGLES_ID, mogaze.GOGGLES, position, quaternion, np.zeros(3), np.zeros(3))
 
 
 def _sense_gaze(
-    performance: Performance, times: Float[np.ndarray, " n"], noise: float, switches: Switches
+    sensing: Sensing, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Return the gaze points in the eye tracker's camera, millimetres, and confidence."""
-    head = Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
-    angles = np.column_stack(gaze_angles(head.inv().apply(interpolate(performance.times, performance.gaze, times))))
-    angles += gaze_bias(performance, noise=noise, switches=switches)
-    jitter = sensor_generator(performance, "gaze-jitter").normal(0.0, _GAZE_JITTER, angles.shape)
-    angles += jitter * strength(switches.gaze_jitter, noise)
-    points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * _depth(performance, times)[:, None] * 1e3
-    rng = sensor_generator(performance, "gaze-quality")
+    head = _head(sensing.performance, times)
+    angles = measured_gaze(sensing, head, sensing.gaze(times), bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    depth = np.clip(fixation_depth(sensing, times, _DEPTH[1]), *_DEPTH)  # as far as the tracker tells distances
+    points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * depth[:, None] * 1e3
+    rng = sensing.generator("gaze-quality")
     points[rng.random(len(times)) < _MIRRORED] *= -1.0
     confidence = rng.uniform(*_CONFIDENT, len(times))
     doubt = rng.uniform(*_BLINKING, len(times))
     garbage = rng.normal(0.0, 300.0, points.shape)
-    closed = _blinks(performance, times, strength(switches.blinks, noise))
+    closed = closed_eyes(sensing, times)
     return np.where(closed[:, None], garbage, points), np.where(closed, doubt, confidence)
 
 
-def _blinks(performance: Performance, times: Float[np.ndarray, " n"], scale: float) -> Bool[np.ndarray, " n"]:
-    rng = sensor_generator(performance, "blinks")
-    count = rng.poisson(_BLINKS_A_MINUTE / 60.0 * performance.duration)
-    starts = rng.uniform(times[0], times[-1], count)
-    closed = np.minimum(_BLINK * scale, 1.0)
-    return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
-
-
-def _depth(performance: Performance, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return the distance from the eyes to the point fixated, as far as the tracker tells distances."""
-    depth = np.full(len(times), _DEPTH[1])
-    eye = interpolate(performance.times, performance.eye, times)
-    for look in performance.fixations:
-        rows = slice(*np.searchsorted(times, (look.start, look.end)))
-        depth[rows] = np.linalg.norm(look.target - eye[rows], axis=1)
-    return np.clip(depth, *_DEPTH)
-
-
 def _sense_object(
-    performance: Performance,
-    motion: ObjectMotion,
-    name: str,
-    times: Float[np.ndarray, " n"],
-    noise: float,
-    switches: Switches,
+    sensing: Sensing, motion: ObjectMotion, name: str, times: Float[np.ndarray, " n"]
 ) -> mogaze.MogazeBody:
+    performance = sensing.performance
     low, high, upright_from_body = _shape(motion, name)
     track = performance.times[: len(motion.position)]
     turned = Rotation.from_quat(_turned(performance, motion.rotation, times), scalar_first=True) * upright_from_body
     origin = interpolate(track, motion.position, times) - turned.apply((low + high) / 2)
-    scale = strength(switches.object_noise, noise) if motion.movable else 0.0
-    position, rotation = _tracked(performance, motion.object_id, _TO_NATIVE.apply(origin), _TO_NATIVE * turned, scale)
-    lost = _untracked(performance, motion, times)
-    position[lost], rotation[lost] = np.nan, 0.0
-    return mogaze.MogazeBody(int(motion.object_id), name, position, rotation, low, high)
+    position, rotation = tracked(
+        sensing,
+        motion.object_id,
+        _TO_NATIVE.apply(origin),
+        _TO_NATIVE * turned,
+        size=_OBJECT_NOISE,
+        scale=sensing.strength("object_noise") if motion.movable else 0.0,
+    )
+    quaternion = rotation.as_quat(canonical=True)
+    # A body out of sight: the release has NaN for its place and zeros for its rotation.
+    lost = untracked(performance, motion, times)
+    position[lost] = np.nan
+    quaternion[lost] = 0.0
+    return mogaze.MogazeBody(int(motion.object_id), name, position, quaternion, low, high)
 
 
 def _shape(motion: ObjectMotion, name: str) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Rotation]:
@@ -197,25 +186,6 @@ def _shape(motion: ObjectMotion, name: str) -> tuple[Float[np.ndarray, "3"], Flo
         return -motion.half_extents, motion.half_extents, upright
     low, high = np.array(load_manifest("mogaze").object_extents[kind]).T
     return low, high, _UPRIGHT_FROM_Z_UP if kind in _Z_UP_KINDS else upright
-
-
-def _tracked(
-    performance: Performance, name: str, position: Float[np.ndarray, "n 3"], rotation: Rotation, scale: float
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
-    """Return the poses with the noise of marker tracking; quaternions x y z w."""
-    rng = sensor_generator(performance, f"object-noise-{name}")
-    moved = position + rng.normal(0.0, _OBJECT_NOISE, position.shape) * scale
-    turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _OBJECT_TURN, position.shape) * scale)
-    return moved, turned.as_quat(canonical=True)
-
-
-def _untracked(
-    performance: Performance, motion: ObjectMotion, times: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Return the instants of ``lost`` events, at which nobody sees the object."""
-    spans = [event.lost_span for event in performance.events if event.object_id == motion.object_id and event.lost_span]
-    hidden = [(times >= start) & (times <= end) for start, end in spans]
-    return np.any(hidden, axis=0) if hidden else np.zeros(len(times), dtype=bool)
 
 
 def _segments(performance: Performance, names: dict[str, str], n_frames: int) -> tuple[mogaze.Segment, ...]:

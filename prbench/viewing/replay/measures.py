@@ -7,12 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.metrics import METRICS, MetricInfo
 from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.replay.scene import Gaze, Goal, Scene, ShownMotion
 
-HEADER = ("", "Prime\nSuccess", "Reach\nSuccess", "nearest\nwrist", "Location\nError", "Goal\nMPJPE", "MPJPE")
+# Rates are shown as yes or no, metres as lengths; a ratio such as Foot Skating says little of one sequence.
+_SHOWN = sorted((info for info in METRICS if info.main and info.unit in ("rate", "m")), key=lambda i: i.unit != "rate")
+_OF_ONE_MOTION = tuple(info for info in _SHOWN if not info.compares_with_recorded)
+_OF_TWO_MOTIONS = tuple(info for info in _SHOWN if info.compares_with_recorded)
+HEADER = (
+    "",
+    *(info.title.replace(" ", "\n") for info in _OF_ONE_MOTION),
+    "nearest\nwrist",
+    *(info.title.replace(" ", "\n") for info in _OF_TWO_MOTIONS),
+)
 """Header of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal."""
+_UNKNOWN = "–"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +81,13 @@ def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
 
     The recorded motion gets no scores that would compare it with itself.
     """
-    scores = motion.scores
     wrist = None if scene.goal is None else measure(motion, scene.goal, scene.head_tilt_deg).reach_distance
     recorded = motion is scene.motions[0] and scene.shows_recorded
     return (
         motion.label,
-        _yes_no(scores.get("prime_success")),
-        _yes_no(scores.get("reach_success")),
+        *(_cell(info, motion) for info in _OF_ONE_MOTION),
         _length(wrist),
-        "–" if recorded else _yes_no(scores.get("location_error")),
-        "–" if recorded else _length(scores.get("goal_mpjpe")),
-        "–" if recorded else _length(scores.get("mpjpe")),
+        *(_UNKNOWN if recorded else _cell(info, motion) for info in _OF_TWO_MOTIONS),
     )
 
 
@@ -88,15 +95,16 @@ def score_sentence(scene: Scene, motion: ShownMotion) -> str:
     """Return the known scores of a motion in one line."""
     names = (name.replace("\n", " ") for name in HEADER[1:])
     values = score_row(scene, motion)[1:]
-    return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True) if value != "–")
+    return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True) if value != _UNKNOWN)
 
 
 def verdict(scene: Scene, motion: ShownMotion) -> str:
     """Return the two main scores in a few words."""
-    _, primed, reached, wrist, *_ = score_row(scene, motion)
-    if primed == "–":
+    _, *cells = score_row(scene, motion)
+    if cells[0] == _UNKNOWN:
         return "not scored"
-    return f"Prime Success {primed}, Reach Success {reached} ({wrist})"
+    scores = ", ".join(f"{info.title} {cell}" for info, cell in zip(_OF_ONE_MOTION, cells))
+    return f"{scores} ({cells[len(_OF_ONE_MOTION)]})"
 
 
 def phase(scene: Scene, frame: int) -> str:
@@ -107,13 +115,14 @@ def phase(scene: Scene, frame: int) -> str:
     return "prime  " if abs(since) <= 0.125 else ""
 
 
-def _yes_no(rate: float | None) -> str:
-    if rate is None:
-        return "–"
-    return "yes" if rate >= 0.5 else "no"
+def _cell(info: MetricInfo, motion: ShownMotion) -> str:
+    value = motion.scores.get(info.id)
+    if info.unit != "rate" or value is None:
+        return _length(value)
+    return "yes" if value >= 0.5 else "no"
 
 
 def _length(metres: float | None) -> str:
     if metres is None:
-        return "–"
+        return _UNKNOWN
     return f"{metres * 100:.0f} cm" if metres < 0.995 else f"{metres:.2f} m"

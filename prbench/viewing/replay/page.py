@@ -39,61 +39,6 @@ HOLD = 1.0
 """Seconds that the last frame of a sequence stays."""
 
 
-def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
-    """Put the overlay into a page: times and scores of each sequence, colours, and the notice of the licence.
-
-    Args:
-        page: A whole HTML document.
-        scenes: Scenes that the page shows, in order.
-        hold: Seconds that the last frame of each stays.
-    """
-    cut = page.rindex("</body>")
-    title = "<title>prbench view</title>"
-    marked = page[:cut] + _overlay(scenes, hold) + page[cut:]
-    return marked.replace("<title>Viser</title>", title, 1)
-
-
-def _overlay(scenes: Sequence[Scene], hold: float) -> str:
-    parts = []
-    start = 0.0
-    for scene in scenes:
-        end = start + scene.n_frames / scene.fps
-        parts.append(_sequence(scene, start, end))
-        start = end + hold
-    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
-    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
-    return (
-        f"<style>{_STYLE}</style>"
-        f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{_key(scenes)}{"".join(parts)}'
-        "</details></div>"
-    )
-
-
-def _key(scenes: Sequence[Scene]) -> str:
-    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
-    if any(scene.gaze is not None for scene in scenes):
-        entries.append(("recorded gaze", GAZE_COLOUR))
-    if any(scene.goal is not None for scene in scenes):
-        entries.append(("goal and its box", GOAL_COLOUR))
-    lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
-    return f"{lines}<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
-
-
-def _sequence(scene: Scene, start: float, end: float) -> str:
-    prime = start + scene.prime_time
-    motions = "".join(
-        f"<div>{_swatch(motion.colour)}<b>{html(motion.label)}</b>:"
-        f" {html(score_sentence(scene, motion) or 'not scored')}</div>"
-        for motion in scene.motions
-    )
-    when = f"{start:.1f} to {end:.1f} s, prime at {prime:.1f} s"
-    return f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>{motions}'
-
-
-def _swatch(colour: str) -> str:
-    return f'<span class="swatch" style="background:{colour}"></span>'
-
-
 def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
     """Show sequences one after another on the time line of a 3-D viewer, and write the page.
 
@@ -141,3 +86,60 @@ def _server() -> Iterator[ViserServer]:
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()
+
+
+def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
+    """Put the overlay into a page: times and scores of each sequence, colours, and the notice of the licence.
+
+    Args:
+        page: A whole HTML document.
+        scenes: Scenes that the page shows, in order.
+        hold: Seconds that the last frame of each stays.
+    """
+    # The last one, in case the viewer's own scripts hold that text, too.
+    cut = page.rindex("</body>")
+    title = "<title>prbench view</title>"
+    marked = page[:cut] + _overlay(scenes, hold) + page[cut:]
+    return marked.replace("<title>Viser</title>", title, 1)
+
+
+def _overlay(scenes: Sequence[Scene], hold: float) -> str:
+    parts = []
+    start = 0.0
+    for scene in scenes:
+        end = start + scene.n_frames / scene.fps
+        parts.append(_sequence(scene, start, end))
+        # The time line of the viewer runs through all sequences, each held at its end.
+        start = end + hold
+    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
+    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
+    return (
+        f"<style>{_STYLE}</style>"
+        f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{_key(scenes)}{"".join(parts)}'
+        "</details></div>"
+    )
+
+
+def _key(scenes: Sequence[Scene]) -> str:
+    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
+    if any(scene.gaze is not None for scene in scenes):
+        entries.append(("recorded gaze", GAZE_COLOUR))
+    if any(scene.goal is not None for scene in scenes):
+        entries.append(("goal and its box", GOAL_COLOUR))
+    lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
+    return f"{lines}<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
+
+
+def _sequence(scene: Scene, start: float, end: float) -> str:
+    prime = start + scene.prime_time
+    motions = "".join(
+        f"<div>{_swatch(motion.colour)}<b>{html(motion.label)}</b>:"
+        f" {html(score_sentence(scene, motion) or 'not scored')}</div>"
+        for motion in scene.motions
+    )
+    when = f"{start:.1f} to {end:.1f} s, prime at {prime:.1f} s"
+    return f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>{motions}'
+
+
+def _swatch(colour: str) -> str:
+    return f'<span class="swatch" style="background:{colour}"></span>'

@@ -33,15 +33,6 @@ _BETWEEN = 0.8  # metres between lanes
 _LEAST_LANE = 1.0
 
 
-def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
-    """Return the offset of each motion's lane, metres: side by side, across the way to the goal, around the middle."""
-    across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
-    spans = [np.ptp(motion.joints[:, Joint.PELVIS] @ across) for motion in scene.motions]
-    step = max(_LEAST_LANE, float(max(spans))) + _BETWEEN
-    places = (np.arange(len(scene.motions)) - (len(scene.motions) - 1) / 2) * step
-    return places[:, None] * across
-
-
 def set_up_scene(server: ViserServer, scenes: Sequence[Scene]) -> None:
     """Add a floor, and a camera that sees the first sequence from the side of its goal."""
     server.scene.set_up_direction("+y")
@@ -75,6 +66,7 @@ def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "
     high = pelvis.max(axis=0)
     look_at = np.array([(low[0] + high[0]) / 2, 0.9, (low[2] + high[2]) / 2])
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
+    # From ahead and a little from the side: the faces can be seen, and the lanes do not cover one another.
     away = 0.8 * scene.picture_axis - 0.6 * across
     distance = 2.2 + 0.75 * float(np.linalg.norm((high - low)[[0, 2]]))
     to_the_left = np.cross(away, [0.0, 1.0, 0.0]) * 0.15 * distance  # of the picture: the overlay stands there
@@ -177,6 +169,7 @@ def _add_still(
             point_size=0.012,
         )
     if scene.goal is not None:
+        # Every lane has its own copy of the goal, because its body reaches for that.
         edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
         server.scene.add_line_segments(f"{name}/goal_box", edges, colors=rgb(BOX_COLOUR), thickness=0.01)
         server.scene.add_icosphere(
@@ -186,3 +179,13 @@ def _add_still(
             subdivisions=2,
             position=tuple(scene.goal.location + offset),
         )
+
+
+def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
+    """Return the offset of each motion's lane, metres: side by side, across the way to the goal, around the middle."""
+    across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
+    spans = [np.ptp(motion.joints[:, Joint.PELVIS] @ across) for motion in scene.motions]
+    # As wide as the widest path, so that no body walks into its neighbour's lane.
+    step = max(_LEAST_LANE, float(max(spans))) + _BETWEEN
+    places = (np.arange(len(scene.motions)) - (len(scene.motions) - 1) / 2) * step
+    return places[:, None] * across

@@ -57,6 +57,7 @@ def draw_strip(
     places = np.arange(len(frames)) * _SPACING
 
     def flat(points: Float[np.ndarray, "poses k 3"]) -> Float[np.ndarray, "poses k 2"]:
+        # Each pose is drawn around its own pelvis; how far the body walked is what the view from above shows.
         moved = side_view(points, axis, around=pelvis[:, None])
         moved[..., 0] += places[:, None]
         return moved
@@ -100,6 +101,7 @@ def _draw_goals(
         shift = np.array([place, 0.0])
         location = side_view(goal.location, axis, around=start) + shift
         side = np.sign(location[0] - place)
+        # Little more than half of the spacing: farther goals would lie beside the next body.
         if abs(location[0] - place) < 0.64 * _SPACING:
             corners = side_view(goal.box_corners, axis, around=start) + shift
             draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
@@ -200,6 +202,7 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
         "angle of head to goal (degrees)",
         f"nearer wrist to goal (m); reached below {scene.thresholds.reach_distance * 100:.0f} cm",
     )
+    # One method with large errors must not flatten the curves of the others.
     limits = (min(highest[ray] * 1.08, _HIGHEST), min(highest[angle] * 1.08, 180.0), highest[wrist] * 1.08)
     for panel, title, limit in zip(panels, titles, limits, strict=True):
         panel.set_ylim(0.0, max(limit, 0.3))

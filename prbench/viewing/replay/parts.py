@@ -145,6 +145,7 @@ def limit_top_view(axes: Axes, scene: Scene, *, least: float, margin: float) -> 
     low, high = extent(scene, top_view)
     x, z = (low + high) / 2
     half = max(float((high - low).max()), least) / 2 + margin
+    # x grows to the left, as for somebody who looks down on a body that faces away from them.
     axes.set(xlim=(x + half, x - half), ylim=(z - half, z + half))
     axes.set_aspect("equal", adjustable="box")
 
@@ -192,5 +193,6 @@ def beside(
         reach: Metres to both sides.
     """
     offset = points - body
+    # The axis and the vertical span the picture; what is left is the distance from its plane.
     depth = offset @ np.cross([0.0, 1.0, 0.0], axis)
     return points[(np.abs(offset @ axis) < reach) & (np.abs(depth) < SLICE)]

@@ -19,7 +19,7 @@ from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
 from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
-from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
+from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion
 
 _SIDES = {"left": 0, "right": 1}
 _Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
@@ -44,6 +44,7 @@ class RunMotions:
             RunError: if the run has no predictions yet, is of other datasets, or drew fewer samples.
         """
         folder = run.dataset(dataset).predictions
+        # The folder is made before its first part is written.
         if not folder.is_dir() or not any(folder.glob("part-*.parquet")):
             raise RunError(
                 f"{folder}: expected the predictions of a run, found none. Run the same `prbench run` again: it resumes"
@@ -82,6 +83,7 @@ class RunMotions:
         Raises:
             RunError: if the scores cannot be read.
         """
+        # A run that was interrupted has motions without scores; those are shown as not scored.
         found: dict[str, dict[str, float]] = {name: {} for name in sequence_ids}
         if not self.files.scores.is_file():
             return found
@@ -130,6 +132,7 @@ def read_scenes(
     """
     _require_something_to_show(table.info, runs, permitted)
     scores = [run.scores(sequence_ids) for run in runs]
+    # One row a chunk, because the order asked for need not be that of the table.
     chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
     for name in sequence_ids:
         motions = [
@@ -171,7 +174,7 @@ def scene_of(
     """
     constants = load_protocol().metrics
     shown = may_pass_on(info, permitted)
-    gaze = _gaze(chunk)
+    gaze = gaze_of(chunk)
     placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything
     scores = _own_scores(chunk, gaze, constants) if placed else {}
     recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores)
@@ -185,8 +188,8 @@ def scene_of(
         prime_time=float(chunk.numbers("prime_time")[0] - chunk.numbers("start_time")[0]),
         head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
         motions=(recorded, *motions) if shown else tuple(motions),
-        thresholds=Thresholds(constants.prime_distance, constants.prime_window, constants.reach_distance),
-        goal=_goal(chunk) if shown and placed else None,
+        thresholds=constants,
+        goal=goal_of(chunk) if shown and placed else None,
         gaze=gaze if shown and gaze.valid.any() else None,
         notice=notice(info, permitted),
         surroundings=around(chunk) if shown and around is not None else None,
@@ -198,7 +201,8 @@ def _title(chunk: SequenceChunk) -> str:
     return f"{action} of {name}, {f'{hand} hand' if hand else 'hand unknown'} ({split})"
 
 
-def _goal(chunk: SequenceChunk) -> Goal:
+def goal_of(chunk: SequenceChunk) -> Goal:
+    """Return the place of the object of one row, with the corners of its box in the canonical frame."""
     low = chunk.vectors("goal_box_world_min")[0]
     high = chunk.vectors("goal_box_world_max")[0]
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
@@ -206,7 +210,8 @@ def _goal(chunk: SequenceChunk) -> Goal:
     return Goal(chunk.vectors("goal_location")[0].astype(np.float64), transform_points(canonical_from_world, corners))
 
 
-def _gaze(chunk: SequenceChunk) -> Gaze:
+def gaze_of(chunk: SequenceChunk) -> Gaze:
+    """Return the recorded gaze of one row."""
     return Gaze(
         chunk.frames("gaze_origin").astype(np.float64),
         chunk.frames("gaze_direction").astype(np.float64),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.manifests import MetricConstants
 from prbench.skeleton import Joint
 from prbench.viewing.figures import horizontal_direction
 
@@ -28,7 +29,7 @@ class ShownMotion:
     joints: Float[np.ndarray, "n 22 3"]
     """Canonical frame, metres."""
     scores: Mapping[str, float] = field(default_factory=dict)
-    """By metric id; rates are 0 or 1. Empty if the motion was not scored."""
+    """Maps metric ids to values; rates are 0 or 1. Empty if the motion was not scored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +51,6 @@ class Goal:
     """In the order that :data:`prbench.viewing.figures.BOX_EDGES` expects."""
 
 
-@dataclass(frozen=True)
-class Thresholds:
-    """The protocol's limits of priming and reaching, drawn beside the measured values."""
-
-    prime_distance: float
-    """Metres between head ray and goal."""
-    prime_window: float
-    """Seconds on both sides of the prime time."""
-    reach_distance: float
-    """Metres between wrist and goal."""
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """One sequence with its motions."""
@@ -80,7 +69,8 @@ class Scene:
     """See :func:`prbench.skeleton.head_forward`."""
     motions: tuple[ShownMotion, ...]
     """The recorded motion first, unless it is withheld."""
-    thresholds: Thresholds
+    thresholds: MetricConstants
+    """The protocol's limits of priming and reaching, drawn beside the measured values."""
     goal: Goal | None = None
     """None where the recorded motion is withheld, and where the goal's place is unknown."""
     gaze: Gaze | None = None
@@ -114,6 +104,7 @@ class Scene:
     @property
     def prime_frame(self) -> int:
         """The frame nearest to the prime time."""
+        # A prime between two frames may round to the frame after the last.
         return int(np.clip(round(self.prime_time * self.fps), 0, self.n_frames - 1))
 
     @property

@@ -94,49 +94,9 @@ class Block:
     def _axes(self, left: float, down: float, width: float, height: float) -> Axes:
         figure_width, figure_height = self.figure.get_size_inches()
         bottom = self.top - down - height
+        # Layout is reckoned in inches from the top; matplotlib takes shares of the figure from the bottom.
         place = (left / figure_width, bottom / figure_height, width / figure_width, height / figure_height)
         return self.figure.add_axes(place)
-
-
-def _draw_scores(axes: Axes, scene: Scene) -> None:
-    """Write the table of scores, one row a motion, in the order of :data:`HEADER`."""
-    axes.set_axis_off()
-    rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
-    colours = ["0.35", *(motion.colour for motion in scene.motions)]
-    for number, (row, colour) in enumerate(zip(rows, colours, strict=True)):
-        height = 1.0 - (number + 1.0) / (len(rows) + 0.5)
-        for column, (place, text) in enumerate(zip(_COLUMNS, row, strict=True)):
-            shown = text if len(text) <= _LABEL else f"{text[: _LABEL - 1]}…"
-            side = "left" if column == 0 else "right"
-            style: dict[str, Any] = {"ha": side, "va": "center", "fontsize": 7.5 if number else 7, "color": colour}
-            axes.text(place, height, figure_text(shown), transform=axes.transAxes, **style)
-
-
-def _draw_key(axes: Axes, scene: Scene) -> None:
-    """Explain the lines and marks that this sequence's picture has."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    grey: dict[str, Any] = {"color": MARK_COLOUR}
-    handles: list[Artist] = [
-        Line2D([], [], linewidth=2.1, label="right limbs and trunk (left: thin)", **grey),
-        Line2D([], [], linewidth=1.1, linestyle=(0, (4, 2)), label="head ray", **grey),
-    ]
-    if scene.gaze is not None:
-        handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="recorded gaze"))
-    if scene.goal is not None:
-        handles.append(Line2D([], [], marker="s", linestyle="", color=GOAL_COLOUR, label="goal and its box"))
-    handles += [
-        Line2D([], [], marker="o", linestyle="", markersize=5, label="first frame", **grey),
-        Line2D([], [], marker="D", linestyle="", markersize=5, label="at prime time", **grey),
-        Line2D([], [], marker="*", linestyle="", markersize=9, label="at the event", **grey),
-        Patch(facecolor="0.88", label=f"prime time ± {scene.thresholds.prime_window:g} s"),
-    ]
-    if scene.surroundings is not None:
-        dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": SURROUNDINGS_COLOUR}
-        handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
-    axes.set_axis_off()
-    axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
 
 
 def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress: Progress | None = None) -> None:
@@ -186,8 +146,51 @@ def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:
     frames = np.unique(np.linspace(0, scene.n_frames - 1, _POSES).round().astype(int))
     if len(frames) > 2:
         inner = np.abs(frames[1:-1] - scene.prime_frame)
+        # Moved and not added, so that all strips have equally many poses; first and last frame stay.
         frames[1 + int(inner.argmin())] = np.clip(scene.prime_frame, 1, scene.n_frames - 2)
     return np.unique(frames)
+
+
+def _draw_scores(axes: Axes, scene: Scene) -> None:
+    """Write the table of scores, one row a motion, in the order of :data:`HEADER`."""
+    axes.set_axis_off()
+    rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
+    colours = ["0.35", *(motion.colour for motion in scene.motions)]
+    for number, (row, colour) in enumerate(zip(rows, colours, strict=True)):
+        height = 1.0 - (number + 1.0) / (len(rows) + 0.5)
+        # Columns beyond those that a sheet has room for are left out.
+        for column, (place, text) in enumerate(zip(_COLUMNS, row, strict=True)):
+            shown = text if len(text) <= _LABEL else f"{text[: _LABEL - 1]}…"
+            side = "left" if column == 0 else "right"
+            style: dict[str, Any] = {"ha": side, "va": "center", "fontsize": 7.5 if number else 7, "color": colour}
+            axes.text(place, height, figure_text(shown), transform=axes.transAxes, **style)
+
+
+def _draw_key(axes: Axes, scene: Scene) -> None:
+    """Explain the lines and marks that this sequence's picture has."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    grey: dict[str, Any] = {"color": MARK_COLOUR}
+    handles: list[Artist] = [
+        Line2D([], [], linewidth=2.1, label="right limbs and trunk (left: thin)", **grey),
+        Line2D([], [], linewidth=1.1, linestyle=(0, (4, 2)), label="head ray", **grey),
+    ]
+    if scene.gaze is not None:
+        handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="recorded gaze"))
+    if scene.goal is not None:
+        handles.append(Line2D([], [], marker="s", linestyle="", color=GOAL_COLOUR, label="goal and its box"))
+    handles += [
+        Line2D([], [], marker="o", linestyle="", markersize=5, label="first frame", **grey),
+        Line2D([], [], marker="D", linestyle="", markersize=5, label="at prime time", **grey),
+        Line2D([], [], marker="*", linestyle="", markersize=9, label="at the event", **grey),
+        Patch(facecolor="0.88", label=f"prime time ± {scene.thresholds.prime_window:g} s"),
+    ]
+    if scene.surroundings is not None:
+        dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": SURROUNDINGS_COLOUR}
+        handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
+    axes.set_axis_off()
+    axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
 
 
 def _write_notices(figure: Figure, scenes: Sequence[Scene]) -> None:

@@ -32,6 +32,7 @@ def file_kind(path: Path) -> str:
         raise StorageError(f"{path}: is a folder. Choose a file for --out.")
     kind = suffix[1:]
     package = _PACKAGES[suffix]
+    # Only looked for, not imported: whether it is there is all that is asked yet.
     if package and find_spec(package.replace("-", "_")) is None:
         raise MissingExtraError(package, "view", f"writing {kind.upper()}")
     return kind

@@ -1,29 +1,33 @@
-"""Run EgoAllo recording by recording, check what it wrote, and put it where readers look."""
+"""Make the bodies that are lacking: run EgoAllo, or write its input folders for whoever runs it by hand.
+
+What EgoAllo wrote is checked before it is put where readers look.
+"""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from prbench.errors import InputFileError, PrbenchError
+from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.locks import lock_file, sole_writer
-from prbench.readers.egoallo import find_model
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.egoallo import find_model, poses_folder
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import EgoalloInputs
 from prbench.readers.egoallo.joints import read_window
 from prbench.storage import atomic_folder
 from prbench.workflows.poses.config import PosesConfig
-from prbench.workflows.poses.coverage import coverage
 from prbench.workflows.poses.prepare import Prepared, guidance_mode, head_poses, prepare, source_trajectory
 from prbench.workflows.poses.program import run_program
-from prbench.workflows.poses.states import PoseState
+from prbench.workflows.poses.states import PoseState, coverage
 
 _LOG_FILE = "egoallo.log"
 _WORK = "input.partial"
 _REPLACED = ".replaced"
+_MARK = "prepared-by-prbench.txt"  # a folder without it is somebody else's and is never emptied
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,7 @@ def make_poses(
         InputFileError: if the body model that the command names does not exist.
         StorageError: if nothing can be written.
     """
+    # Checked once, before the first recording takes its minutes.
     model = _model(config, root, [state for state in states if state.lacking])
     outcomes = []
     for done, state in enumerate(states, start=1):
@@ -129,6 +134,7 @@ def _run(state: PoseState, inputs: EgoalloInputs, config: PosesConfig, model: Pa
     outputs = sorted(prepared.outputs.glob("*.npz"))
     if not outputs:
         return Outcome(name, "failed", f"ended well but wrote no output into {ego.OUTPUT_FOLDER}; its log is {log}")
+    # EgoAllo ends with code 0 even where it left parts out, so its files are checked and not believed.
     covered = coverage(outputs, head_poses(inputs, source_trajectory(inputs)))
     if not covered.complete:
         return Outcome(name, "failed", f"its outputs cover only {covered}; they are not used; its log is {log}")
@@ -153,6 +159,7 @@ def _values(name: str, prepared: Prepared, model: Path | None) -> dict[str, str]
 def _place(outputs: Path, target: Path) -> None:
     """Move whole outputs to where readers look, at once; what was there before keeps a name of its own."""
     replaced = target.with_name(f"{target.name}{_REPLACED}")
+    # Readers take whatever lies in this folder for a whole body, so it appears at once or not at all.
     with atomic_folder(target) as folder:
         for path in sorted(outputs.iterdir()):
             if path.suffix in (".npz", ".yaml") and path.is_file():
@@ -182,3 +189,49 @@ def _clear(folder: Path) -> None:
         return
     except OSError as error:
         raise PrbenchError(f"{folder}: cannot be removed ({error.strerror}). Remove it by hand and go on.") from error
+
+
+def prepare_by_hand(
+    lacking: Sequence[PoseState], root: Path, poses_root: Path | None = None
+) -> Iterator[tuple[str, str, bool]]:
+    """Write the input folder of each recording where its outputs belong, so that EgoAllo writes them there.
+
+    Yields:
+        Name of the recording; the command to run, or what is wrong; whether it went well.
+
+    Raises:
+        StorageError: if a folder cannot be written, or holds files that prbench did not put there.
+    """
+    for state in lacking:
+        name = state.found.recording_id
+        if state.inputs is None:
+            yield name, state.message, False
+            continue
+        # By hand there is no config that could say what the command can do without: EgoAllo's own script needs both.
+        lacks = state.inputs.lacking(frozenset(("vrs", "points")))
+        folder = poses_folder(root.expanduser().resolve(), name, poses_root).parent
+        try:
+            with sole_writer(folder):
+                _clear_prepared(folder)
+                prepared = prepare(state.inputs, folder)
+        except InputFileError as error:
+            yield name, str(error), False
+            continue
+        arguments = f"--traj-length {prepared.frames} --guidance-mode {guidance_mode(prepared)}"
+        run = f"python 3_aria_inference.py --traj-root {folder} {arguments}"
+        yield name, f"{run}   ({lacks})" if lacks else run, not lacks
+
+
+def _clear_prepared(folder: Path) -> None:
+    """Remove what an earlier call wrote into a folder, and nothing else."""
+    mark = folder / _MARK
+    parts = [folder / mps.SLAM_FOLDER, folder / mps.HAND_FOLDER, *folder.glob("*.vrs")]
+    if not mark.is_file() and any(part.exists() for part in parts):
+        raise StorageError(f"{folder} holds files that prbench did not put there; choose another --poses-root.")
+    for part in parts:
+        if part.is_dir() and not part.is_symlink():
+            shutil.rmtree(part)
+        else:
+            part.unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    mark.write_text("Inputs for EgoAllo, made by `prbench poses egoallo --prepare`; its outputs belong beside them.\n")

@@ -8,6 +8,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -64,6 +65,8 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
     """
     trajectory = source_trajectory(inputs)
     place = folder / mps.SLAM_FOLDER / mps.TRAJECTORY_FILE
+    # A trajectory is written anew only where it has to change: turned to Z up, or without poses that are no poses.
+    # Everything else keeps the bytes of the dataset.
     if inputs.turned is not None or trajectory.left_out:
         _write_trajectory(place, trajectory)
     else:
@@ -108,6 +111,7 @@ def _write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
     """
     n = len(trajectory.time_us)
     rotation = dict(zip(mps.ROTATION_COLUMNS, trajectory.rotation.T, strict=True))
+    # Ours are scalar first; the columns of the file are qx, qy, qz, qw.
     scalar_last = (*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0])
     columns = {
         mps.GRAPH_COLUMN: np.full(n, trajectory.graph_uids[0]),
@@ -119,8 +123,8 @@ def _write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
         **dict(zip(mps.GRAVITY_COLUMNS, np.tile(-_GRAVITY * trajectory.up, (n, 1)).T, strict=True)),
         mps.QUALITY_COLUMN: trajectory.quality,
     }
-    with atomic_path(path) as temporary:
-        _write_csv(temporary, columns)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        _write_csv(file, pa.table(columns))
 
 
 def _frames(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> int:
@@ -131,6 +135,8 @@ def _frames(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> int:
     """
     n = len(trajectory.time_us)
     seconds = float(trajectory.time_us[-1] - trajectory.time_us[0]) / 1e6
+    # As EgoAllo's own script does it, rounding included: it takes every int(rate / 30)-th pose, and its outputs have
+    # one frame less than it takes poses.
     step = int(n / seconds // _FPS) if seconds > 0 else 0
     frames = math.ceil(n / step) - 1 if step else 0
     if frames < 1:
@@ -151,6 +157,7 @@ def _bring(source: Source, place: Path) -> None:
         with atomic_path(place) as temporary, opened(source) as packed, open(temporary, "wb") as plain:
             shutil.copyfileobj(packed, plain)
         return
+    # VRS files have gigabytes. Windows may refuse symbolic links, other disks refuse hard ones; a copy always works.
     for link in (os.symlink, os.link):
         try:
             link(source.absolute(), place)
@@ -177,9 +184,7 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
         open(temporary, "wb") as packed,
         gzip.GzipFile("", "wb", compresslevel=1, fileobj=packed, mtime=0) as file,
     ):
-        file.write((",".join(table.column_names) + "\n").encode())
-        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
-        pyarrow.csv.write_csv(table, pa.PythonFile(file, mode="w"), options)
+        _write_csv(file, table)
 
 
 def _turned(source: Source, content: bytes) -> pa.Table:
@@ -190,6 +195,7 @@ def _turned(source: Source, content: bytes) -> pa.Table:
         raise InputFileError(
             str(source), "", expected="points with px_world, py_world, pz_world", found=str(error).splitlines()[0]
         ) from error
+    # (x, y, z) with Y up is (x, -z, y) with Z up.
     below = pa.array(-z.to_numpy())
     for name, values in zip(_POINT_COLUMNS[2:5], (x, below, y), strict=True):
         table = table.set_column(table.column_names.index(name), name, values)
@@ -202,8 +208,8 @@ def _point_table(points: Float[np.ndarray, "n 3"]) -> pa.Table:
     return pa.table(dict(zip(_POINT_COLUMNS, values, strict=True)))
 
 
-def _write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
-    with open(path, "wb") as file:
-        file.write((",".join(columns) + "\n").encode())
-        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
-        pyarrow.csv.write_csv(pa.table(columns), file, options)
+def _write_csv(file: IO[bytes] | gzip.GzipFile, table: pa.Table) -> None:
+    # Arrow would put the column names in quotes, which Project Aria's files have not.
+    file.write((",".join(table.column_names) + "\n").encode())
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
+    pyarrow.csv.write_csv(table, pa.PythonFile(file, mode="w"), options)

@@ -66,6 +66,7 @@ def run_program(
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
+                # A group of its own, so that its children can be ended with it.
                 start_new_session=os.name == "posix",
             )
         except OSError as error:
@@ -94,9 +95,11 @@ def _last_words(log: Path) -> str:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End the program and what it started; nothing to do where it has ended and has no children."""
+    # Also after a good end: a child that still runs would hold the GPU.
     _signal(process, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(_GRACE)
+    # The group may outlive its leader, and only POSIX has groups.
     if process.poll() is None or os.name == "posix":
         _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))
     process.wait()

@@ -59,6 +59,7 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
     """
     names = method_names(request.name)
     folder = request.out or Path(names.method if request.program else names.distribution)
+    # Whole or not at all: a half-written package would install and fail later.
     with sole_writer(folder):
         _require_new(folder)
         contents = _program(names, request) if request.program else _package(names, request)
@@ -82,6 +83,7 @@ def _require_new(folder: Path) -> None:
     Raises:
         StorageError: if it is there.
     """
+    # An empty folder may be replaced, for example a fresh clone; a link may lead anywhere.
     empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
     if os.path.lexists(folder) and (not empty or folder.resolve() == Path.cwd()):
         raise StorageError(f"{folder}: exists already; nothing was written. Name a new folder with --out DIR.")

@@ -134,6 +134,7 @@ def _needed(found: Iterable[tuple[str, str]]) -> _Needed:
         module = _module(name)
         statement = module.defining(wanted)
         assert statement is not None, f"{name} does not define {wanted}"
+        # Such as ARRAY.setflags(write=False): it makes no name, so nobody uses it, and still it must come along.
         for one in (statement, *module.effects(statement.defines)):
             if one in needed.setdefault(name, []):
                 continue
@@ -186,6 +187,7 @@ def _in_order(needed: _Needed) -> list[str]:
             return
         module = _module(name)
         used = {used for one in needed[name] for used in one.uses}
+        # Sorted, so that equal sources give equal bytes.
         for place in sorted({_origin(name, alias)[0] for alias in used if alias in module.inside}):
             visit(place)
         order.append(name)
@@ -221,9 +223,11 @@ def _renamed(text: str, names: Mapping[str, str]) -> str:
     places = []
     before = ""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        # By tokens and not by text: a name inside a string or a comment, or an attribute of the same name, stays.
         if token.type == tokenize.NAME and token.string in names and before != ".":
             places.append(token.start)
         before = token.string
+    # From the end, so that earlier places stay where they are.
     for row, column in reversed(places):
         line = lines[row - 1]
         old = next(name for name in sorted(names, key=len, reverse=True) if line.startswith(name, column))

@@ -71,6 +71,7 @@ class MethodNames:
     def class_name(self) -> str:
         """Name of the adapter's class."""
         name = "".join(part.capitalize() for part in self.method.split("-"))
+        # A method called `map` or `path` would otherwise hide what the template itself uses.
         taken = hasattr(builtins, name) or name in _IN_TEMPLATES
         return f"{name}Method" if taken else name
 
@@ -78,6 +79,7 @@ class MethodNames:
     def program(self) -> str:
         """File name of the program, without its suffix; it must not hide a module that the program imports."""
         name = self.method.replace("-", "_")
+        # Python puts a script's folder first on its path: a program numpy.py would import itself.
         return f"{name}_method" if name in _MODULES or name in sys.stdlib_module_names else name
 
 
@@ -153,6 +155,7 @@ def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> 
             keep = True
         elif keep:
             text = _MARK.sub(lambda mark: values[mark[1]], line)
+            # A line that held a value only, and the value is empty, goes; an empty line of the template stays.
             kept += [text] if text or not line else []
     return "\n".join(kept) + "\n"
 

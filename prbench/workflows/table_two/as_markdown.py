@@ -13,14 +13,15 @@ from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
 from prbench.metrics import exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
+    DECIDING,
     BlockLayout,
     Cell,
     DatasetLayout,
     LineCost,
+    Step,
     TableLayout,
     metric_title,
 )
-from prbench.workflows.table_two.order import Step
 
 _DASH = "–"
 _MARKS = {"†": "zero-shot", "‡": "zero-shot, trained on HumanML3D", "*": "zero-shot, trained on Nymeria"}
@@ -47,11 +48,11 @@ def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
 
 
 def orders(dataset: DatasetLayout) -> Iterable[str]:
-    """Yield each block's order by Prime Success, with the difference at each step and whether the data support it."""
+    """Yield each block's order, with the difference at each step and whether the data support it."""
     for block in (block for block in dataset.blocks if block.order):
         labels = {line.name: line.label for line in block.lines}
         steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
-        yield f"{block.title}, by Prime Success: {' > '.join(steps)}"
+        yield f"{block.title}, by {DECIDING.title}: {' > '.join(steps)}"
 
 
 def _step(step: Step) -> str:

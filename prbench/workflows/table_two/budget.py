@@ -75,6 +75,7 @@ class Pace:
 def even_batch_size(limit: int, sizes: Sequence[DatasetSize]) -> int:
     """The largest batches, up to :data:`_LARGEST_BATCH`, that leave none of two workers without one."""
     most = max(min(limit, size.sequences) for size in sizes)
+    # Batches of equal size, a multiple of the workers': with 17 sequences two of 9 and 8 end sooner than 16 and 1.
     rounds = math.ceil(most / (_SHARES * _LARGEST_BATCH))
     return math.ceil(most / (_SHARES * rounds))
 
@@ -85,6 +86,7 @@ def table_seconds(costs: Collection[RowCost], limit: int, sizes: Sequence[Datase
     batches = [frames * pace.samples for size in sizes for frames in _padded_frames(size.n_frames[:limit], batch_size)]
     frames = sum(batches)
     longest = max(batches)
+    # The work spreads over the workers, but no worker can share the last and longest batch of the slowest row.
     generating = sum(cost.seconds_per_frame for cost in costs) * frames / pace.workers
     alone = max((cost.seconds_per_frame for cost in costs), default=0.0) * longest
     return max(generating, alone) + len(sizes) * sum(cost.overhead for cost in costs)
@@ -108,6 +110,7 @@ def largest_limit(costs: Collection[RowCost], sizes: Sequence[DatasetSize], pace
     """
     low = 1
     high = max(size.sequences for size in sizes)
+    # Bisection: the time grows with the limit, if not smoothly.
     while low < high:
         middle = math.ceil((low + high) / 2)
         fits = table_seconds(costs, middle, sizes, pace) <= (1 - RESERVE) * seconds
@@ -158,6 +161,7 @@ def measure(
     Raises:
         PrbenchError: if workers were killed before a single row was timed.
     """
+    # Reversed, so that the first printed row of each kind is the one that is timed.
     firsts = {kind(row): row for row in reversed(planned) if row.row is not None and kind(row) not in known}
     rows = {row.name: row for row in planned if firsts.get(kind(row)) is row}
     requests = {name: _first_batch(row.run, median, folder / FOLDER / name) for name, row in rows.items()}

@@ -9,20 +9,24 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
+from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
+from prbench.leaderboard.comparison import paired_scores
 from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, TableRow, hides
 from prbench.metrics import MetricInfo
-from prbench.runs.cost import RunCost, read_run_cost
+from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
-from prbench.workflows.table_two.order import METRIC, Step, order_of
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import load_table_two
 
+DECIDING = MAIN_METRICS[0]
+"""The metric that orders a block: the study's first, Prime Success, which is what the benchmark is about."""
 _CONTROLS_TITLE = "Controls"
 _CONTROL = "control"
 _MEBIBYTE = 2**20
@@ -90,6 +94,21 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Step:
+    """The step from one method to the next worse one; differences in the unit that is printed."""
+
+    better: str
+    """Name of the line."""
+    worse: str
+    difference: float
+    low: float | None
+    high: float | None
+    p: float | None
+    """p-value of sign flips by recording, after Holm's correction for the steps of the block."""
+    supported: bool
+
+
+@dataclass(frozen=True)
 class BlockLayout:
     """The lines under one condition, or the controls."""
 
@@ -98,7 +117,7 @@ class BlockLayout:
     """``control`` for the controls."""
     lines: tuple[Line, ...]
     order: tuple[Step, ...] = ()
-    """Steps from the best to the worst by Prime Success; empty where nothing is ranked."""
+    """Steps from the best to the worst by :data:`DECIDING`; empty where nothing is ranked."""
 
 
 @dataclass(frozen=True)
@@ -191,12 +210,6 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
     )
 
 
-def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> tuple[Step, ...]:
-    cells = {line.name: line.cells[METRIC] for line in lines}
-    ranked = {name: cell.mean for name, cell in cells.items() if cell is not None and cell.rank is not None}
-    return order_of(ranked, folders, dataset)
-
-
 def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
     planned = outcome.planned
     weights = load_table_two().weights[planned.row.weights] if planned.row is not None else None
@@ -221,14 +234,16 @@ def _cell(row: TableRow | None, info: MetricInfo) -> Cell | None:
     metric = row.entry.metric(info.id) if row is not None else None
     if row is None or metric is None or hides(row.entry, info):
         return None
+    # Stored values are fractions and metres; cells are as printed.
     low, high = (None if bound is None else info.scale * bound for bound in (metric.low, metric.high))
     return Cell(info.scale * metric.mean, low, high, row.ranks.get(info.id))
 
 
 def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
+    # A control reads motions or copies poses: its seconds would look like a method's.
     if folder is None or row is None or row.entry.record.method.kind == "control":
         return LineCost(None, None, None)
-    cost = read_run_cost(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
+    cost = RunCost.read(RunFolder.open(folder).dataset(row.entry.summary.dataset).cost)
     return LineCost(_seconds(cost), _passes(cost), cost.peak_process_bytes / _MEBIBYTE)
 
 
@@ -242,3 +257,38 @@ def _seconds(cost: RunCost) -> float | None:
 def _passes(cost: RunCost) -> float | None:
     motions = cost.motions + cost.warm_up_motions
     return cost.network_passes_declared / motions if cost.network_passes_declared and motions else None
+
+
+def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> tuple[Step, ...]:
+    """Compare each ranked method of a block with the next worse one, sequence by sequence.
+
+    Args:
+        lines: The block; lines with the same number keep their order.
+        folders: Run folders of these lines, all scored on the same sequences.
+        dataset: Of the runs.
+
+    Raises:
+        RunError: if runs are damaged or do not belong together.
+    """
+    cells = {line.name: line.cells[DECIDING.id] for line in lines}
+    means = {name: cell.mean for name, cell in cells.items() if cell is not None and cell.rank is not None}
+    ordered = sorted(means, key=lambda name: -means[name])
+    runs = {name: RunFolder.open(folders[name]) for name in ordered}
+    pairs = {
+        (better, worse): paired_scores(runs[better], runs[worse], dataset)[f"{dataset}\n{DECIDING.id}"]
+        for better, worse in pairwise(ordered)
+    }
+    # All steps of a block go through one comparison, so that Holm's correction counts them together.
+    found = compare({"\n".join(names): pair for names, pair in pairs.items()})
+    return tuple(_step(names, comparison) for names, comparison in zip(pairs, found.values(), strict=True))
+
+
+def _step(names: Sequence[str], comparison: Comparison) -> Step:
+    better, worse = names
+    estimate = comparison.difference
+    bounds = (estimate.low, estimate.high)
+    if "all_equal" in estimate.marks:
+        bounds = (None, None)  # a bootstrap of equal differences would claim certainty
+    low, high = (None if bound is None else DECIDING.scale * bound for bound in bounds)
+    supported = comparison.conclusion == "higher"
+    return Step(better, worse, DECIDING.scale * estimate.mean, low, high, comparison.adjusted_p_value, supported)

@@ -85,6 +85,8 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
     weights = load_table_two().weights[row.weights]
     if row.method not in {adapter.name for adapter in list_adapters() if not adapter.problem}:
         return f"no method '{row.method}' is installed"
+    # The user's own weights are not opened here: what is wrong with them is a failure of the row, with its own
+    # message.
     if own or weights.state == "none":
         return None
     if not row.bundled:
@@ -93,7 +95,7 @@ def _why_skipped(row: Row, run: RunRequest, *, own: bool) -> str | None:
         load_adapter(row.method, run.weights, {}, "cpu")
     except PrbenchError as error:
         return f"its weights ({weights.variant}) are not there: {error}"
-    if run.options or run.device != "cpu":  # a slip of the pen shows before hours of work
+    if run.options or run.device != "cpu":  # a mistyped option shows before hours of work
         load_adapter(row.method, run.weights, run.options, run.device)
     return None
 
@@ -107,15 +109,10 @@ def _shuffled(planned: PlannedRow, folder: Path) -> PlannedRow:
 
 
 def _control(request: TableRequest, name: str, data: tuple[Path, ...], folder: Path) -> PlannedRow:
-    run = replace(
-        _base(request, data), method=name, condition=_control_condition(request), out=folder / _ROWS_FOLDER / name
-    )
+    # A control does the same under every condition; one has to be recorded.
+    condition = request.condition or Condition.GOAL_LOCATION
+    run = replace(_base(request, data), method=name, condition=condition, out=folder / _ROWS_FOLDER / name)
     return PlannedRow(name, name, None, run)
-
-
-def _control_condition(request: TableRequest) -> Condition:
-    """A control does the same under every condition; one is recorded."""
-    return request.condition or Condition.GOAL_LOCATION
 
 
 def _base(request: TableRequest, data: tuple[Path, ...]) -> RunRequest:

@@ -191,6 +191,7 @@ class TableRequest:
 
     def options_of(self, method: str) -> dict[str, str]:
         """The options of one method."""
+        # A key with a method's name in front wins over a plain one.
         plain = {key: value for key, value in self.options.items() if "." not in key}
         own = {key.partition(".")[2]: value for key, value in self.options.items() if key.startswith(f"{method}.")}
         return plain | own
@@ -226,6 +227,8 @@ class TableRequest:
         tables = self.tables()
         datasets = "+".join(table.info.dataset for table in tables)
         weights = "" if self.weights is None else os.path.realpath(self.weights)
+        # The digest makes the folder's name the same for the same request and another one for any other, so that a
+        # repeated command resumes and nothing is mixed.
         decided = (part for pair in self.deciding(tables).items() for part in pair)
         name = f"table-2-{datasets}-{text_digest(weights, *decided)[:8]}"
         return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -87,6 +87,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
     sizes = [dataset_size(table, request.split) for table in tables]
     planned = plan_rows(request, tuple(table.folder for table in tables), folder)
     with sole_writer(folder):
+        # Under the lock and before the first row: what the plan decides must not change when the table resumes.
         plan = open_plan(folder, request.deciding(tables), limit=request.limit, minutes=request.minutes)
         for row in planned:
             if row.skipped is not None:
@@ -99,10 +100,12 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         batch_size = request.batch_size or even_batch_size(plan.limit, sizes)
         runs = {row.name: row.limited(plan.limit, batch_size) for row in _most_expensive_first(planned, plan)}
         outcomes = _outcomes(planned, runs, engine, say)
+        # A table that could not fit must not claim that it is what fitted.
         minutes = plan.minutes if plan.fits else None
         layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
         for name in (MARKDOWN, JSON):
             remove_leftovers(folder / name)  # of a process that was killed while it wrote them
+        # Written last, after all rows: a table on disk is a finished one.
         write_text(folder / MARKDOWN, as_markdown(layout))
         write_json(folder / JSON, as_builtins(layout))
     return TableReport(folder, layout, outcomes)

@@ -83,6 +83,7 @@ def generate_side_by_side(
         broken = str(error)
     finally:
         forget_loaded_methods()
+    # An empty run folder would look like a run that can be resumed.
     for name in failed:
         _discard_if_empty(requests[name].out)
     return SideBySide(failed, frozenset(requests) - frozenset(begun), broken)
@@ -104,6 +105,7 @@ def _tasks(
             if request.out is not None:
                 held.enter_context(sole_writer(request.out))
             for task in missing_batches(request, engine=engine):
+                # A method that failed once fails again; its other batches would only cost time.
                 if name in failed:
                     break
                 yield _NamedTask(name, task)

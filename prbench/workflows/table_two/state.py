@@ -77,6 +77,8 @@ def open_plan(folder: Path, asked: Mapping[str, str], *, limit: int | None, minu
     path = folder / FILE_NAME
     if folder.is_file():
         raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
+    # A process that was killed while it wrote the plan has left a temporary file, which must not make the folder look
+    # used.
     remove_leftovers(path)
     if not path.is_file():
         if folder.is_dir() and any(folder.iterdir()):
@@ -141,6 +143,7 @@ def with_limit(
     started = time.monotonic()
     runnable = [row for row in planned if row.skipped is None]
     median = near_median(select(tables[0], split=request.split, limit=None))
+    # Timing has to leave most of the time to the rows.
     share = TIMING_SHARE * 60 * request.minutes
     measured = measure(runnable, plan.costs, median, engine, folder=folder, counting=counting, seconds=share)
     costs = [cost for row in runnable if (cost := _cost(row, measured)) is not None]
@@ -161,6 +164,7 @@ def _cost(row: PlannedRow, measured: Measured) -> RowCost | None:
         return None
     overhead = max(cost.overhead for cost in measured.costs.values())
     slowest = 0.0 if row.row is None else max(cost.seconds_per_frame for cost in measured.costs.values())
+    # Pessimistic on purpose: too few sequences are better than a table that is not done in time.
     return measured.costs.get(kind(row), RowCost(seconds_per_frame=slowest, overhead=overhead))
 
 
@@ -172,4 +176,5 @@ def dataset_size(table: SequenceTable, split: str) -> DatasetSize:
     """
     selection = select(table, split=split, limit=None)
     frames = dict(zip(selection.sequence_ids, selection.n_frames.tolist()))
+    # A growing limit takes sequences by the hash of their id, so the lengths have to stand in that order.
     return DatasetSize(np.array([frames[name] for name in by_hash(list(frames))]))

@@ -89,6 +89,7 @@ class EvaluatedClips:
         left_out = 0
         for rows in read_rows(table, split):
             for row in rows:
+                # P&R tables have one text a sequence; corpora have captions of several kinds.
                 captions = row.texts if allowed is None else allowed.get(row.sequence_id, ())
                 if captions and row.motion.n_frames >= SNIPPET:
                     clips.append(Clip(row.sequence_id, captions, _kept(row.motion)))
@@ -99,6 +100,7 @@ class EvaluatedClips:
                 f"{folder}: expected {BATCH} clips or more of split '{split}' with a caption"
                 f"{' of kind ' + ', '.join(sorted(kinds)) if kinds else ''}, found {len(clips)}."
             )
+        # Sorted by id, so that draws depend on nothing but seed and id, not on how the table was written.
         return cls(table, split, tuple(sorted(clips, key=lambda clip: clip.sequence_id)), left_out)
 
     def captions(self) -> tuple[str, ...]:
@@ -119,6 +121,7 @@ def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw
     generator = taken.generator(clip.sequence_id)
     caption = clip.captions[int(generator.integers(len(clip.captions)))]
     n_frames = longest(clip, configuration)
+    # HumanML3D's own loader shortens one clip in three, so that lengths vary beyond multiples of 4.
     if generator.random() < _SHORTER and n_frames > SNIPPET:
         n_frames -= SNIPPET
     start = int(generator.integers(clip.motion.n_frames - n_frames + 1))

@@ -14,24 +14,22 @@ import prbench
 from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion import draw_multimodality_pairs, multimodality
 from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.measure import (
+from prbench.evaluation.text_to_motion.metrics import (
+    DIVERSITY_PAIRS,
+    FEWEST,
     MULTIMODALITY,
+    MULTIMODALITY_PROMPTS,
+    MULTIMODALITY_SAMPLES,
     EmbeddedPairs,
     measure_motions,
     measure_pairs,
 )
-from prbench.evaluation.text_to_motion.metrics import (
-    DIVERSITY_PAIRS,
-    FEWEST,
-    MULTIMODALITY_PROMPTS,
-    MULTIMODALITY_SAMPLES,
-)
 from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
 from prbench.training.motions import open_table
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
-from prbench.workflows.text_to_motion.evaluator_file import LoadedEvaluator, load_evaluator
 from prbench.workflows.text_to_motion.generated import Generator, MethodRequest, Prompt
 from prbench.workflows.text_to_motion.report import ResultRow, RowTally, TextEvaluation
+from prbench.workflows.text_to_motion.task import LoadedEvaluator, load_evaluator
 
 _REPETITIONS = 20
 _REPETITIONS_WITH_MULTIMODALITY = 5
@@ -126,6 +124,7 @@ class _Evaluation:
 
     def repeat(self, repetition: int) -> None:
         """One repetition of every row; all are compared with the same pass over the recorded motions."""
+        # FID is taken against a pass of its own: against the same crops, real motion would get 0.
         reference = self._recorded(Pass(self.request.seed, repetition, "reference")).motion
         taken = Pass(self.request.seed, repetition, "real")
         pairs = self._recorded(taken).shuffled(taken.generator("order"))
@@ -209,11 +208,13 @@ class _Evaluation:
         return [found[place] for place in range(len(prompts))]
 
     def _pairs(self, captions: Sequence[str], features: Sequence[np.ndarray]) -> EmbeddedPairs:
+        # Texts are embedded once for all repetitions; only crops change.
         text = np.stack([self.texts[caption] for caption in captions])
         return EmbeddedPairs(tuple(captions), text, self.extractor.embed_motions(features))
 
     def _require_enough(self) -> None:
         fewest = min(len(self.supported), self.request.prompts) if self.generator else len(self.clips.clips)
+        # Diversity draws two disjoint sets of so many motions from one pass.
         if fewest <= self.request.diversity_pairs:
             raise UsageError(
                 f"diversity over {self.request.diversity_pairs} pairs needs more than {self.request.diversity_pairs}"

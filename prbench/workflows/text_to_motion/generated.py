@@ -14,8 +14,7 @@ from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
 from prbench.methods.adapters import load_adapter, require_condition, weights_digest
 from prbench.methods.declared import Declared
-from prbench.methods.motions import generate_checked
-from prbench.methods.native_rate import native_frames
+from prbench.methods.motions import generate_checked, native_frames
 from prbench.randomness import noise_seed
 from prbench.representation import encode
 from prbench.storage import text_digest
@@ -24,7 +23,7 @@ from prbench.workflows.text_to_motion.clips import Clip, Draw, longest
 
 @dataclass(frozen=True, kw_only=True)
 class MethodRequest:
-    """Whose motions are evaluated."""
+    """The method whose motions are evaluated, and its settings."""
 
     name: str
     weights: Path | None = None
@@ -84,6 +83,7 @@ class Generator:
         Yields:
             The place of a prompt, and the features of its motion, one row a frame; every prompt once.
         """
+        # By length, so that little is computed for padding; the place breaks ties, so that the order is fixed.
         order = sorted(range(len(prompts)), key=lambda place: (prompts[place].draw.n_frames, place))
         for start in range(0, len(order), self.request.batch_size):
             places = order[start : start + self.request.batch_size]
@@ -104,6 +104,7 @@ class Generator:
             condition=Condition.TEXT,
             n_frames=np.array([prompt.draw.n_frames for prompt in prompts], dtype=np.int64),
             fps=self.fps,
+            # Methods must not recognise sequences, so they see a digest in place of the id.
             opaque_id=tuple(text_digest("opaque", str(self.seed), prompt.sequence_id)[:16] for prompt in prompts),
             noise_seed=tuple(noise_seed(self.seed, prompt.sequence_id, prompt.sample) for prompt in prompts),
             text=tuple(prompt.draw.caption for prompt in prompts),
@@ -118,5 +119,6 @@ def generated_features(
     Raises:
         InputFileError: if a pose cannot be encoded; it begins with ``name``.
     """
+    # A row of features describes the step to the next frame, and the last frame has none.
     beyond = 2 * joints[-1] - joints[-2]
     return encode(joints, next_joints=beyond, mode=configuration.representation, source=name, upright=False)

@@ -11,7 +11,7 @@ import numpy as np
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.evaluation.text_to_motion import Repeated
-from prbench.evaluation.text_to_motion.measure import METRICS, Measured
+from prbench.evaluation.text_to_motion.metrics import METRICS, Measured
 from prbench.locks import sole_writer
 from prbench.storage import write_json
 from prbench.workflows.text_to_motion.generated import Generator
@@ -38,7 +38,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     """``real``, ``real, texts shuffled`` or a method's name."""
     metrics: dict[str, Interval]
-    """Maps ids of :data:`prbench.evaluation.text_to_motion.measure.METRICS` to values; R-precision from 0 to 1."""
+    """Maps ids of :data:`prbench.evaluation.text_to_motion.metrics.METRICS` to values; R-precision from 0 to 1."""
     motions: int
     """A repetition."""
     ranked_pairs: int
@@ -112,6 +112,7 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
 
     def write(self, path: Path) -> None:
         """Write it as JSON."""
+        # One file, one writer: two evaluations into the same path would leave the rows of either.
         with sole_writer(path):
             write_json(path, msgspec.to_builtins(self))
 

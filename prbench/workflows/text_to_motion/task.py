@@ -1,21 +1,35 @@
-"""The training task ``t2m-evaluator``: from a ``[model]`` table and data to a module to train."""
+"""An evaluator before and after its training.
+
+Before: the training task ``t2m-evaluator`` makes the module to train from a ``[model]`` table and data. After:
+networks, statistics and text vectors are read from its file together, or not at all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import torch
 
-from prbench.errors import UsageError
-from prbench.evaluation.text_to_motion.networks import GLOVE, EvaluatorConfiguration
+from prbench.boundary import foreign_input
+from prbench.errors import InputFileError, UsageError
+from prbench.evaluation.text_to_motion.extractor import Extractor
+from prbench.evaluation.text_to_motion.networks import (
+    GLOVE,
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementEncoder,
+    TextEncoder,
+)
 from prbench.representation import N_FEATURES, Statistics
+from prbench.sequences import CorpusTable, SequenceTable
 from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, read_weights
 from prbench.workflows.text_to_motion.clips import token_vectors
 from prbench.workflows.text_to_motion.training import (
+    EVALUATOR_KIND,
     MOVEMENT_KIND,
     STAGES,
     EvaluatorObjective,
@@ -25,6 +39,28 @@ from prbench.workflows.text_to_motion.training import (
 
 _MOVEMENT_ENCODER = frozenset({"movement_width", "representation", "fps"})
 """Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over."""
+
+
+@dataclass(frozen=True)
+class LoadedEvaluator:
+    """An evaluator and the names of what it is made of."""
+
+    extractor: Extractor
+    digest: str
+    """SHA-256 of its file."""
+    words_digest: str
+    """Digest of the user's word vectors and lists; empty if it needs none."""
+
+    @property
+    def vectorisation(self) -> str:
+        """Name of the way in which it reads texts; numbers of different ways never stand in one column."""
+        name = self.extractor.configuration.text
+        return f"{name}/{self.words_digest[:12]}" if self.words_digest else name
+
+
+def t2m_evaluator() -> EvaluatorTask:
+    """Entry point ``t2m-evaluator``."""
+    return EvaluatorTask()
 
 
 @dataclass(frozen=True)
@@ -102,7 +138,11 @@ def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjecti
 def _statistics(start: Weights | None, data: TrainingData) -> Statistics:
     if start is None:
         return data.train.statistics().for_evaluator()
-    mean, std = (start.require(f"statistics.{name}", (N_FEATURES,)).numpy() for name in ("mean", "std"))
+    return _stored_statistics(start)
+
+
+def _stored_statistics(weights: Weights) -> Statistics:
+    mean, std = (weights.require(f"statistics.{name}", (N_FEATURES,)).numpy() for name in ("mean", "std"))
     return Statistics(mean, std)
 
 
@@ -112,6 +152,7 @@ def _continue_from(module: EvaluatorTraining, start: Weights) -> None:
     Raises:
         InputFileError: if it is one of another size or representation.
     """
+    # Only the movement encoder is taken over, so only its fields have to agree.
     irrelevant = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
     start.require_same(module.configuration, apart_from=irrelevant)
     start.load_into(module.movement, "movement")
@@ -126,6 +167,57 @@ def _origin(configuration: EvaluatorConfiguration, words_digest: str, start: Wei
     return tuple(lines)
 
 
-def t2m_evaluator() -> EvaluatorTask:
-    """Entry point ``t2m-evaluator``."""
-    return EvaluatorTask()
+@foreign_input()
+def load_evaluator(
+    path: Path,
+    tables: Iterable[SequenceTable | CorpusTable],
+    *,
+    device: str = "cpu",
+    words: Path | None = None,
+    text_path: str | None = None,
+) -> LoadedEvaluator:
+    """Read a trained evaluator.
+
+    Args:
+        path: Its ``.safetensors`` file.
+        tables: Whose captions it will be asked about.
+        device: Where its networks run.
+        words: Folder of the word vectors and lists, for an evaluator of GloVe captions.
+        text_path: Folder or hub id of its text encoder, if that has files.
+
+    Raises:
+        InputFileError: if the file is none of an evaluator, or the word vectors are others than it was trained with.
+        UsageError: if a path is missing or superfluous.
+    """
+    weights = read_weights(path, kind=EVALUATOR_KIND)
+    configuration = weights.configuration(EvaluatorConfiguration)
+    weights.require_representation(configuration.representation)
+    tokens, words_digest = token_vectors(configuration.text, tables, words=str(words or ""), path=text_path or "")
+    # Other word vectors would load without an error and give numbers that mean nothing.
+    _require_words(weights, words_digest)
+    movement = MovementEncoder(configuration.movement_width)
+    motion = MotionEncoder(configuration)
+    text = TextEncoder(configuration, tokens.dimension)
+    for name, network in (("movement", movement), ("motion", motion), ("text", text)):
+        weights.load_into(network, name)
+    extractor = Extractor(
+        configuration,
+        movement,
+        motion,
+        text,
+        statistics=_stored_statistics(weights),
+        tokens=tokens,
+        device=device,
+    )
+    return LoadedEvaluator(extractor, weights.digest, words_digest)
+
+
+def _require_words(weights: Weights, digest: str) -> None:
+    trained_with = weights.metadata.get("words", "")
+    if trained_with != digest:
+        raise InputFileError(
+            weights.path,
+            "header entry 'words'",
+            expected=f"the word vectors and lists that it was trained with (sha256 {trained_with[:12]}…)",
+            found=f"others (sha256 {digest[:12]}…)",
+        )

@@ -212,6 +212,7 @@ class EvaluatorTraining(TrainingModule):
         lengths = (batch.n_frames.clamp_max(self.objective.window) // SNIPPET * SNIPPET).to(features.device)
         _require_snippets(lengths, batch)
         chances = torch.rand(len(features), self.objective.windows, generator=self.generator(step))
+        # Motions that are shorter than a window start at 0; their padding is masked by the lengths.
         room = (batch.n_frames - self.objective.window).clamp_min(0)
         starts = (chances.to(room.device) * (room[:, None] + 1)).long().flatten()
         rows = torch.arange(len(features), device=room.device).repeat_interleave(self.objective.windows)
@@ -226,10 +227,12 @@ class EvaluatorTraining(TrainingModule):
             raise TableError("a contrast needs two motions or more in a batch; raise training.batch_size.")
         generator = self.generator(step)
         shorter = torch.rand(len(batch), generator=generator) < _SHORTER
+        # Never 0, which would make a text's own motion its negative.
         shift = int(torch.randint(1, max(len(batch), 2), (1,), generator=generator))
         counts = batch.n_frames // SNIPPET
         _require_snippets(counts, batch)
         counts = torch.where(shorter.to(counts.device) & (counts > 1), counts - 1, counts)
+        # Frozen in this phase, and without dropout, as it will be at evaluation.
         self.movement.eval()
         features = self._standardised(batch.features)[:, : int(counts.max()) * SNIPPET]
         with torch.no_grad():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.model import GMDNetworks
+from prbench_adapters.gmd.unet import GMDConfiguration
 from tests.adapters.gmd import tiny
 
 

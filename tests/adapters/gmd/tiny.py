@@ -12,9 +12,9 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
 from prbench.training.weights import write_weights
 from prbench_adapters.diffusion.model import TextVectors
-from prbench_adapters.gmd.configuration import GMDConfiguration
 from prbench_adapters.gmd.features import FeatureSpace, emphasis_projection
 from prbench_adapters.gmd.model import GMDModel, GMDNetworks
+from prbench_adapters.gmd.unet import GMDConfiguration
 from tests.fakes import STANDING
 
 

@@ -8,6 +8,7 @@ import textwrap
 import uuid
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import psutil
@@ -53,6 +54,16 @@ hello()
 while True:
     motions(read()[0])
 """
+
+
+class Case(NamedTuple):
+    """What a hostile program does, and what the message about it says."""
+
+    name: str
+    source: str
+    says: str
+    waits: bool = False
+    """Only a time limit ends it."""
 
 
 def standard_batch(rows: int = 3) -> ConditionBatch:

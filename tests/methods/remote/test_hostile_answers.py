@@ -5,23 +5,11 @@ from __future__ import annotations
 import re
 import sys
 import time
-from typing import NamedTuple
 
 import pytest
 
 from prbench.errors import AdapterError
-from tests.methods.remote.programs import Workshop, standard_batch
-
-
-class Case(NamedTuple):
-    """What a program does after a good hello, and what the message about it says."""
-
-    name: str
-    source: str
-    says: str
-    waits: bool = False
-    """Only a time limit ends it."""
-
+from tests.methods.remote.programs import Case, Workshop, standard_batch
 
 HALF = "motions(read()[0], None, bytes=len(GOOD)); stdout.write(GOOD[:500]); stdout.flush()"
 PROTOCOL = [

@@ -3,23 +3,11 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
 
 import pytest
 
 from prbench.errors import AdapterError
-from tests.methods.remote.programs import Workshop
-
-
-class Case(NamedTuple):
-    """A program, and what the message about it says."""
-
-    name: str
-    source: str
-    says: str
-    waits: bool = False
-    """Only a time limit ends it."""
-
+from tests.methods.remote.programs import Case, Workshop
 
 STDOUT = "print('Loading weights …', flush=True); hello()"
 RAW = "stdout.write({}); stdout.flush(); time.sleep(60)"

@@ -20,8 +20,7 @@ from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.skeleton import Joint, transform_points
-from prbench.synthetic.layouts.file_forms import pickled_tensors
-from prbench.synthetic.layouts.gimo import write_events
+from prbench.synthetic.layouts.gimo import pickled_tensors, write_events
 from tests.comparing import differences
 from tests.readers import gimo_sample as sample
 

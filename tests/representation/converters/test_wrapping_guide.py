@@ -16,7 +16,7 @@ from prbench.checking.doctor import Expected, diagnose
 from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
-from prbench.methods.native_rate import at_native_rate, at_table_rate
+from prbench.methods.motions import at_native_rate, at_table_rate
 from prbench.representation import canonicalise, encode
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import (

@@ -11,6 +11,7 @@ from prbench.curation import BuildReport, build_dataset
 from prbench.synthetic.defects import defects_of
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.write_tree import synthesize_tree
+from tests.synthetic.defects.outcomes import assert_outcome
 
 DEFECTS = {defect.name: defect for defect in defects_of("adt")}
 HARMLESS = ("mps-gaze",)
@@ -46,15 +47,7 @@ def _damaged(tree: Path, name: str, tmp_path: Path) -> BuildReport:
 
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_comes_to_what_it_should(tree, sound, name, tmp_path) -> None:
-    report, defect = _damaged(tree, name, tmp_path), DEFECTS[name]
-    first, second = report.records
-    assert first.status == defect.outcome, first.message
-    assert defect.says in first.message
-    assert str(tmp_path) not in first.message, "no folder of this machine in the table"
-    assert second == sound.records[1], "the other recording is as it was"
-    if name in HARMLESS:
-        assert first == sound.records[0]
-        assert report.info.content_digest == sound.info.content_digest
+    assert_outcome(DEFECTS[name], _damaged(tree, name, tmp_path), sound, tmp_path, HARMLESS)
 
 
 def test_an_untracked_stretch_never_makes_an_event_vanish_in_silence(tree, sound, tmp_path) -> None:

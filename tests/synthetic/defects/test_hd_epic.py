@@ -12,6 +12,7 @@ from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.synthetic.defects import defects_of
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.write_tree import synthesize_tree
+from tests.synthetic.defects.outcomes import assert_outcome
 
 DEFECTS = {defect.name: defect for defect in defects_of("hd-epic")}
 HARMLESS = ("unpacked", "readme-spelling")
@@ -44,15 +45,7 @@ def _events(report: BuildReport) -> list[dict]:
 
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_comes_to_what_it_should(tree, sound, name, tmp_path) -> None:
-    report, defect = _damaged(tree, name, tmp_path), DEFECTS[name]
-    first, second = report.records
-    assert first.status == defect.outcome, first.message
-    assert defect.says in first.message
-    assert str(tmp_path) not in first.message, "no folder of this machine in the table"
-    assert second == sound.records[1], "the other video is as it was"
-    if name in HARMLESS:
-        assert first == sound.records[0]
-        assert report.info.content_digest == sound.info.content_digest
+    assert_outcome(DEFECTS[name], _damaged(tree, name, tmp_path), sound, tmp_path, HARMLESS)
 
 
 def test_without_bodies_the_primed_events_stay_with_times_and_wrists(tree, sound, tmp_path) -> None:

@@ -19,7 +19,7 @@ from prbench.synthetic.people import perform
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import hd_epic as sensors
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.errors import Sensing, Switches
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.timelines import interpolate
 from tests.comparing import differences
@@ -80,8 +80,8 @@ def test_annotated_times_and_points_err_as_much_as_specified() -> None:
     times, points, lost, n = [], [], 0, 0
     for index in range(7):
         performance = perform("hd-epic", seed=77, index=index, n_events=6, rate=30.0, provocations={})
-        clock = sensors.sense_video_clock(performance, 1.0, Switches())
-        tracks = sensors._annotated_tracks(performance, clock, 1.0, Switches())
+        sensing = Sensing(performance, 1.0, Switches())
+        tracks = sensors._annotated_tracks(sensing, sensors.sense_video_clock(sensing))
         pairs = sorted(sensors.movements(performance), key=lambda pair: pair[0].event_time)
         for track, (pick, put) in zip(tracks, pairs, strict=True):
             times += [track.start - pick.event_time, track.end - put.event_time]
@@ -100,10 +100,10 @@ def test_annotated_times_and_points_err_as_much_as_specified() -> None:
 
 def test_masks_are_lost_as_often_as_the_noise_says() -> None:
     performance = perform("hd-epic", seed=77, index=0, n_events=6, rate=30.0, provocations={})
-    clock = sensors.sense_video_clock(performance, 0.0, Switches())
-    kept = [len(track.masks) for track in sensors._annotated_tracks(performance, clock, 20.0, Switches())]
+    clock = sensors.sense_video_clock(Sensing(performance, 0.0, Switches()))
+    kept = [len(track.masks) for track in sensors._annotated_tracks(Sensing(performance, 20.0, Switches()), clock)]
     assert set(kept) == {0}, "20 times 5 %"
-    ideal = sensors._annotated_tracks(performance, clock, 20.0, Switches.ideal())
+    ideal = sensors._annotated_tracks(Sensing(performance, 20.0, Switches.ideal()), clock)
     assert {len(track.masks) for track in ideal} <= {2, 3}
 
 
@@ -118,12 +118,12 @@ def test_switching_an_annotation_error_off_leaves_every_other_stream_as_it_was(p
 
 def test_repeated_and_skipped_images() -> None:
     performance = perform("hd-epic", seed=5, index=0, n_events=6, rate=30.0)
-    clock = sensors.sense_video_clock(performance, 20.0, Switches())
+    clock = sensors.sense_video_clock(Sensing(performance, 20.0, Switches()))
     steps = np.diff(clock.device_ns)
     assert clock.repeats > 0
     assert (steps >= 0).all()
     assert (steps > 1.5e9 / 30).sum() > 0
-    assert sensors.sense_video_clock(performance, 0.0, Switches()).repeats == 0
+    assert sensors.sense_video_clock(Sensing(performance, 0.0, Switches())).repeats == 0
 
 
 def test_videos_of_one_participant_share_a_world(performances) -> None:

@@ -18,11 +18,10 @@ from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.objects import read_glb
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.layouts.file_forms import glb_bytes
-from prbench.synthetic.layouts.hot3d import LAYOUT
+from prbench.synthetic.layouts.hot3d import LAYOUT, glb_bytes
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.errors import Sensing, Switches
 from prbench.synthetic.sensors.hot3d import box_mesh, clock_drift, frame_times, sense
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.comparing import differences
@@ -80,7 +79,7 @@ def test_headset_rows_are_rows_of_the_trajectory_at_the_nearest_millisecond(perf
 def test_rows_come_in_pairs_on_a_clock_of_their_own(performance, readings) -> None:
     step = np.diff(readings.headset.time_ns)
     assert np.unique(step[::2]).tolist() == [91_000]
-    drift = clock_drift(performance, noise=2.0, switches=Switches())
+    drift = clock_drift(Sensing(performance, 2.0, Switches()))
     assert 0 < abs(drift) <= 2e-6
     length = (readings.headset.time_ns[-1] - readings.headset.time_ns[0]) / 1e9
     assert length / frame_times(performance)[-1] - 1 == pytest.approx(drift, abs=1e-9)

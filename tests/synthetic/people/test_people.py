@@ -12,9 +12,19 @@ from prbench.randomness import named_generator
 from prbench.skeleton import bone_lengths
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.people.base import BasePose, plan_segment, sample_base
-from prbench.synthetic.people.channels import blend, eased_trapezoid, minimum_jerk, wobble
-from prbench.synthetic.people.geometry import matrix_of, quaternion, rotation, rotation_quaternion, turn, two_bone
 from prbench.synthetic.people.grasp import kept_away, solve_posture, take_hold
+from prbench.synthetic.people.kinematics import (
+    blend,
+    eased_trapezoid,
+    matrix_of,
+    minimum_jerk,
+    quaternion,
+    rotation,
+    rotation_quaternion,
+    turn,
+    two_bone,
+    wobble,
+)
 from prbench.synthetic.people.legs import place_feet, plan_steps
 from prbench.synthetic.people.motion import Generators, Motion, synthesise
 from prbench.synthetic.people.person import Body, Person, draw_person

@@ -110,7 +110,7 @@ def test_near_looks_are_near_misses(crowds: dict[str, list[Performance]]) -> Non
 
 
 def test_limb_rotations_turn_the_y_axis_along_the_bone(adt_120: Performance) -> None:
-    from prbench.synthetic.people.geometry import matrix_of
+    from prbench.synthetic.people.kinematics import matrix_of
 
     for child in (Joint.LEFT_KNEE, Joint.RIGHT_ANKLE, Joint.LEFT_ELBOW, Joint.RIGHT_WRIST):
         parent = PARENTS[child]

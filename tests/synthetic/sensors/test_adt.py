@@ -12,9 +12,9 @@ from prbench.readers.adt import format as adt
 from prbench.skeleton import Joint, bone_lengths
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.layouts.adt import LAYOUT
-from prbench.synthetic.sensors.adt import clock_start_us, native_object_id, sense
+from prbench.synthetic.sensors.adt import native_object_id, sense
 from prbench.synthetic.sensors.aria_mps import gaze_bias
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors.errors import Switches, device_start_us
 
 TOUCHED = {
     "pose_noise": {"glasses.position", "glasses.rotation", "glasses.quality"},
@@ -76,7 +76,7 @@ def test_equal_performances_give_equal_readings(performance) -> None:
 @pytest.mark.parametrize("ideal", [{"noise": 0.0}, {"switches": Switches.ideal()}], ids=["no noise", "all off"])
 def test_ideal_sensors_say_the_truth(performance, ideal) -> None:
     recording = synthetic_recording(performance, **ideal)
-    start = clock_start_us(performance) / 1e6
+    start = device_start_us(performance) / 1e6
     at = np.rint((recording.head.times - start) * performance.rate).astype(int)
     assert recording.head.position == pytest.approx(performance.eye[at], abs=2e-6)
     assert recording.gaze.valid.all()
@@ -95,7 +95,7 @@ def test_ideal_sensors_say_the_truth(performance, ideal) -> None:
 def test_ideal_sensors_see_every_object_where_it_is(performance) -> None:
     recording = synthetic_recording(performance, noise=0.0)
     assert len(recording.objects) == len(performance.objects), "the room is left out"
-    start = clock_start_us(performance) / 1e6
+    start = device_start_us(performance) / 1e6
     for motion in performance.objects:
         track = recording.object(str(native_object_id(motion.object_id)))
         at = np.rint((track.times - start) * performance.rate).astype(int)
@@ -153,7 +153,7 @@ def test_a_lost_object_has_no_rows_while_it_is_lost(performance) -> None:
     event = performance.events[0]
     span = (event.event_time - 0.3, event.event_time + 0.2)
     lost = replace(performance, events=(replace(event, tag="lost", lost_span=span), *performance.events[1:]))
-    recording, start = synthetic_recording(lost), clock_start_us(performance) / 1e6
+    recording, start = synthetic_recording(lost), device_start_us(performance) / 1e6
     track = recording.object(str(native_object_id(event.object_id)))
     gap = int(np.argmax(np.diff(track.times)))
     assert span[0] - 1 / 30 <= track.times[gap] - start < span[0]

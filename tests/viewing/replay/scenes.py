@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
+from prbench.manifests import load_protocol
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
-from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion, Thresholds
+from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion
 from tests.fakes import STANDING
 
 N_FRAMES = 61
@@ -45,7 +47,9 @@ def a_scene(
         prime_time=PRIME,
         head_tilt_deg=7.4,
         motions=(own, *motions) if recorded else tuple(motions),
-        thresholds=Thresholds(0.25, 1.0, 0.10),
+        thresholds=msgspec.structs.replace(
+            load_protocol().metrics, prime_distance=0.25, prime_window=1.0, reach_distance=0.10
+        ),
         goal=Goal(location, location + _CORNERS) if recorded else None,
         gaze=Gaze(eye, np.tile([0.0, 0.0, 1.0], (n_frames, 1)), valid) if recorded else None,
         notice=notice,

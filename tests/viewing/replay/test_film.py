@@ -7,8 +7,7 @@ import pytest
 
 from prbench.errors import StorageError
 from prbench.viewing.replay import film
-from prbench.viewing.replay.film import FPS, SIZE, film_scenes, shown_frames
-from prbench.viewing.replay.film_stage import FilmStage
+from prbench.viewing.replay.film import FPS, SIZE, FilmStage, film_scenes, shown_frames
 from tests.viewing.replay.scenes import a_scene
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")

@@ -7,7 +7,7 @@ import dataclasses
 import matplotlib.image
 import numpy as np
 
-from prbench.viewing.replay.film_stage import FilmStage
+from prbench.viewing.replay.film import FilmStage
 from prbench.viewing.replay.page import write_page
 from prbench.viewing.replay.parts import SLICE, SURROUNDINGS_COLOUR, beside, rgb
 from prbench.viewing.replay.sheet import draw_sheet

@@ -15,9 +15,9 @@ from prbench.representation import encode
 from prbench.workflows.text_to_motion import generated
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench.workflows.text_to_motion.evaluate import MISMATCHED, REAL, TextEvaluationRequest, evaluate_text
-from prbench.workflows.text_to_motion.evaluator_file import load_evaluator
 from prbench.workflows.text_to_motion.generated import MethodRequest, generated_features
 from prbench.workflows.text_to_motion.report import TextEvaluation
+from prbench.workflows.text_to_motion.task import load_evaluator
 from tests.fakes import smooth_motion
 from tests.workflows.text_to_motion.corpora import TINY
 from tests.workflows.text_to_motion.test_training import trained

@@ -29,11 +29,9 @@ _INITIAL_WARNING = 0.10
 _BONES_WARNING = 0.10
 _BONES_FAILURE = 0.50
 """Relative change of bone lengths (median over bones and sequences)."""
-
 _NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
 _ELSEWHERE = _NO_BODY | {"up-axis", "left-right", "mirrored", "root", "facing", "position"}
 """Kinds of diagnosis that would only be told once more, of bones and of places."""
-
 _CANONICAL = (
     "Give positions in the canonical frame of the sequence's first frame: metres, Y up, the pelvis of frame 0 over the"
     " origin and facing +Z (the left side on +X), the lowest joint of the motion on Y = 0."
@@ -78,15 +76,6 @@ def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
     return diagnosis.certain and not subject.declared.motionless  # a mean pose is nobody's pose
 
 
-def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Condition]) -> Observation | None:
-    """Return a skip if a diagnosed fault already explains a measurement, else None."""
-    for condition in conditions:
-        for diagnosis in _diagnosed(subject, condition):
-            if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
-                return skipped(f"not looked at before 'doctor' passes ({diagnosis.kind}).")
-    return None
-
-
 @check("canonical-frame", "motions begin at the origin, face +Z and stand on the floor", of_motions=True)
 def canonical_frame(subject: Subject) -> Iterator[Observation]:
     """Measure place and heading of the first frames, and the height of the lowest joints."""
@@ -104,6 +93,7 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
             f" body {turned:.0f}° from +Z; the lowest joint is at {floor * 100:+.0f} cm (medians)."
         )
         numbers = {"away_m": away, "turned_deg": turned, "floor_m": floor}
+        # A baseline of one average pose is a method, too, and allowed to stand where it was averaged.
         still = subject.declared.motionless  # an average pose stands where the average person stood
         if not still and (away > _AWAY_FAILURE or turned > _TURNED_FAILURE or abs(floor) > _FLOOR_FAILURE):
             yield failed(text, _CANONICAL, **numbers)
@@ -111,6 +101,15 @@ def canonical_frame(subject: Subject) -> Iterator[Observation]:
             yield warning(text, _CANONICAL, **numbers)
         else:
             yield passed(text, **numbers)
+
+
+def _hidden_by(subject: Subject, kinds: frozenset[str], conditions: Iterable[Condition]) -> Observation | None:
+    """Return a skip if a diagnosed fault already explains a measurement, else None."""
+    for condition in conditions:
+        for diagnosis in _diagnosed(subject, condition):
+            if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
+                return skipped(f"not looked at before 'doctor' passes ({diagnosis.kind}).")
+    return None
 
 
 @check("initial-pose", "motions begin with the pose that they were given", of_motions=True)

@@ -43,6 +43,7 @@ _FINITE = (
 @check("generates", "it generates under every condition that it declares", needs=("load",))
 def generates(subject: Subject) -> Iterator[Observation]:
     """Generate under each declared condition; none may raise."""
+    # The method takes no sequence of the cases at all, so there is nothing to ask it.
     if not len(subject.source.n_frames):
         yield failed(
             f"max_frames is {subject.declared.max_frames}, and the shortest of the sequences has"

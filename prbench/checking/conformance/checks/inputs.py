@@ -102,6 +102,7 @@ def text(subject: Subject) -> Iterator[Observation]:
     if not with_text:
         yield skipped("it takes no text.")
         return
+    # One sequence with many texts: only the text can be the reason if one of them fails.
     rows = [subject.rows[0]] * len(_ODD_TEXTS)
     own_ids = tuple(f"{place:064x}" for place in range(len(rows)))  # one row many times, which no batch may hold
     batch = dataclasses.replace(subject.batch(rows, with_text[-1]), text=tuple(_ODD_TEXTS.values()), opaque_id=own_ids)

@@ -42,6 +42,7 @@ def imports(subject: Subject) -> Iterator[Observation]:
         return
     target = find_adapter(subject.spec.name).target.partition(":")[0]
     subject.starting(f"while importing {target}")
+    # What prbench itself has imported already is not the method's doing.
     before = set(sys.modules)
     started = time.perf_counter()
     try:

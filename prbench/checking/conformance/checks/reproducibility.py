@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from prbench.checking.conformance.answer import STATE_SEED, TOLERANCE, Answer, largest_changes, metres, same_bytes
-from prbench.checking.conformance.cases import rows_of
 from prbench.checking.conformance.check import check
 from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.checking.conformance.subject import Subject
+from prbench.evaluation.planning import rows_of
 
 _OWN_GENERATORS = Remedy(
     "Draw from one generator a sequence, made of its noise_seed alone:"
@@ -31,6 +31,7 @@ _OWN_ROW = (
 def determinism(subject: Subject) -> Iterator[Observation]:
     """Ask for the usual batch again, after another one."""
     first = subject.standard(subject.main)
+    # Another batch in between shows a method that carries state from call to call.
     subject.ask(subject.batch(subject.rows[:1], subject.main, sample=7))
     again = subject.ask(first.batch)
     yield _compared(
@@ -178,6 +179,7 @@ def _judged(subject: Subject, first: Answer, moved: dict[str, float]) -> Observa
     told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
     if most <= TOLERANCE:
         return passed(f"the same within {metres(most)} (tolerance {metres(TOLERANCE)}).", change_m=most)
+    # Optimisation at generation time amplifies rounding; the same nudge tells it from a defect.
     amplified = _amplified(subject, first)
     if most <= _AMPLIFIED * amplified:
         return warning(

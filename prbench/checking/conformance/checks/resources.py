@@ -47,6 +47,7 @@ def memory(subject: Subject) -> Iterator[Observation]:
             resident.append(_resident_bytes())
     finally:
         gc.unfreeze()
+    # The first rounds fill caches of allocators and kernels, which is no leak.
     growth = growth_per_round(np.array(resident[_SETTLING:], dtype=np.float64)) / len(usual.batch)
     total = max(resident) / 2**20
     text = f"{growth / 1024:.0f} KiB a motion stayed behind over {rounds} batches; {total:.0f} MiB in all."
@@ -116,6 +117,7 @@ def growth_per_round(resident: np.ndarray) -> float:
     Args:
         resident: Bytes after each round, settled.
     """
+    # The median of slopes ignores single jumps, such as a cache that is filled once.
     first, second = np.triu_indices(len(resident), k=1)
     slope = float(np.median((resident[second] - resident[first]) / (second - first)))
     rising = np.mean(np.diff(resident) > 0)

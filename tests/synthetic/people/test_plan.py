@@ -8,8 +8,8 @@ import pytest
 from prbench.errors import UsageError
 from prbench.skeleton import WRISTS
 from prbench.synthetic.people import PRESETS, perform
-from prbench.synthetic.people.geometry import matrix_of
-from prbench.synthetic.people.movements import possible_tags
+from prbench.synthetic.people.kinematics import matrix_of
+from prbench.synthetic.people.plan import possible_tags
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
 

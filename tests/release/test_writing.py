@@ -12,7 +12,7 @@ from prbench.errors import RedistributionError
 from prbench.manifests import load_manifest
 from prbench.release import export_release, import_release
 from prbench.release.known import dataset_of, folder_of, load_known
-from prbench.release.provenance import terms_of
+from prbench.release.writing import terms_of
 from prbench.sequences import DatasetInfo
 from prbench.sequences.redistribution import NOTICE_FILE, may_pass_on
 from tests.release.releases import rows, write_release
