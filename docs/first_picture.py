@@ -64,20 +64,20 @@ def draw(motion: StoryMotion, prime_time: float, path: Path) -> None:
 def _draw_moment(axes: Axes, motion: StoryMotion, frame: int) -> None:
     """Draw body, gaze and goal of one frame at their places; metres from the first place of the pelvis."""
     start = motion.joints[0, Joint.PELVIS]
-    sideways = horizontal_direction(motion.goal - start)
+    sideways = horizontal_direction(motion.goal.location - start)
     at = float((motion.joints[frame, Joint.PELVIS] - start) @ sideways)
     draw_figure(axes, motion.joints[frame], motion.head_tilt_deg, sideways, at)
     axes.lines[-2].remove()  # the head-forward line: one line of sight is enough here
     for line in axes.lines:
         line.set_linewidth(LINE_WIDTH)
     axes.lines[-1].set_markersize(11)
-    goal = (float((motion.goal - start) @ sideways), float(motion.goal[1]))
+    goal = (float((motion.goal.location - start) @ sideways), float(motion.goal.location[1]))
     axes.plot(*goal, "s", color=GOAL, markersize=10)
     axes.annotate("bottle", goal, xytext=(0, 11), textcoords="offset points", ha="center", fontsize=13, color=GOAL)
-    if motion.gaze_valid[frame]:
-        ahead = float((motion.goal - motion.gaze_origin[frame]) @ motion.gaze_direction[frame])
+    if motion.gaze.valid[frame]:
+        ahead = float((motion.goal.location - motion.gaze.origin[frame]) @ motion.gaze.direction[frame])
         length = ahead if ahead > 0.0 else GAZE_ELSEWHERE
-        ray = motion.gaze_origin[frame] + np.array([[0.0], [length]]) * motion.gaze_direction[frame]
+        ray = motion.gaze.origin[frame] + np.array([[0.0], [length]]) * motion.gaze.direction[frame]
         axes.plot((ray - start) @ sideways, ray[:, 1], color=GAZE, linewidth=LINE_WIDTH, linestyle="--")
     axes.axhline(0.0, color="0.7", linewidth=1.2)
     axes.set_aspect("equal")
